@@ -64,6 +64,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Effects to simulate: basic, auto (what the scene calls for under the budget), all, or names between commas.
     effects: str = "basic"
     budget_db: float = -20.0
+    #: What effects "auto" keep: samples, peaks or objects.
+    purpose: str = "samples"
     #: False where a car on a CAN bus says how the vehicle moves.
     publish_vehicle_state: bool = True
     #: Added to the stamps of a capture's vehicle states: what `mirrorwave calibrate clock` finds.
@@ -340,12 +342,13 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
         chirps_per_beam=params.chirps_per_beam,
         effects=params.effects,
         budget_db=params.budget_db,
+        purpose=params.purpose,
     )
 
 
 def _require_for_lidar(params: Params) -> None:
     """Raise `ValueError` for parameters of radars; effects "auto" are what a scene calls for, of a LiDAR none."""
-    radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db")
+    radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
     default = Params(scene=params.scene)
     for name in radar_only:
         value = getattr(params, name)

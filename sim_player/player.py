@@ -12,6 +12,7 @@ from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
+from sim_player.planner.purposes import purpose_of
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
@@ -33,8 +34,8 @@ class ScenePlayer:
     ValueError for a scene that cannot be simulated.
 
     `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
-    (the effects that the scene needs under `budget_db`, planned for every scan where objects move), "all", or names
-    with commas between them. What moves under other than basic effects is traced at instants between which it moves
+    (the effects that the scene needs for a `purpose` under `budget_db`, planned once), "all", or names with commas
+    between them. What moves under other than basic effects is traced at instants between which it moves
     little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64").
     """
 
@@ -49,6 +50,7 @@ class ScenePlayer:
         effects: str = "basic",
         budget_db: float = BUDGET_DB,
         precision: str = "float32",
+        purpose: str = "samples",
     ) -> None:
         check_precision(precision)
         setup = scene.setup if setup is None else setup
@@ -63,11 +65,11 @@ class ScenePlayer:
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
-        self._effects, self._budget_db, self._precision = effects, budget_db, precision
+        self._precision = precision
+        # a plan holds while nothing moves, that of a moving scene at any time
+        self._plan = resolve_plan(self._world, self.setup, effects, budget_db, purpose=purpose_of(purpose))
         self._track: tuple[frozenset[str], PathTrack] | None = None
-        self._plans: dict[int, Plan | None] = {}
         self._traced: dict[tuple[float, int], Paths] = {}
-        self.plan(0)
         self._still_beats = None if scene.moves else self._all_beats()
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
@@ -76,13 +78,8 @@ class ScenePlayer:
         return self.setup.stamp_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
     def plan(self, scan: int) -> Plan | None:
-        """Return the effects of a scan as planned at its start; None: the basic ones, without a plan."""
-        scan = scan if self.scene.moves else 0
-        if scan not in self._plans:
-            time_s = self._elapsed_s(self.stamp_ns(scan))
-            # only the last one is kept: scans come in order
-            self._plans = {scan: resolve_plan(self._world, self.setup, self._effects, self._budget_db, time_s)}
-        return self._plans[scan]
+        """Return the effects of a scan as planned at the start; None: the basic ones, without a plan."""
+        return self._plan
 
     def paths(self, time_s: float, scan: int = 0) -> Paths:
         """Return all paths at a time after start, under the effects of a scan."""

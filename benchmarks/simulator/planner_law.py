@@ -1,12 +1,16 @@
-"""The planner's law over random places: no cell off by more than the budget, and what the planning saves.
+"""The laws of the planner's purposes over random places: no cell off by more than the budget, and what planning saves.
 
-Every scene is simulated with all effects and as planned under each budget, same noise, at the kernel level. Cells are
-those of `sim_player.planner.cells`: range bins of every steering angle, and of every azimuth of the 512 x 256 map.
-`--alone N` drops each used effect alone in the first N scenes: bound minus actual change. `--beats N` times the beats
-of a whole scan of the first N scenes too. Times are processor times of this process: `all` is tracing and signal of
-everything, `auto` planning and signal of what is left.
-Usage: python -m benchmarks.simulator.planner_law [--scenes 500] [--alone 60] [--beats 0] [--seed 3] [--preset xband]
-                                        [--out FILE.json] [--pictures DIR]
+Every scene is simulated with all effects and as planned for each purpose under each budget, same noise, at the kernel
+level. Cells are those of `sim_player.planner.cells`: range bins of every steering angle, and of every azimuth of the
+512 x 256 map. Two answers of each plan are held against its law: the paths that are left (which beats are made of), and
+the profiles that were evaluated on the way (which the kernel level returns). Purpose `samples` is asked however few
+paths a scene has.
+`--alone N` drops each effect alone in the first N scenes: bound minus actual change, both laws. `--beats N` times the
+beats of a whole scan of the first N scenes, `--literal N` one beam at the literal level. Times are processor times of
+this process: `all` is tracing and signal of everything, `auto` planning (tracing included) and signal of what is left.
+`--rows FILE` keeps the rows of scenes that are done (JSON lines), and goes on where it ended.
+Usage: python -m benchmarks.simulator.planner_law [--scenes 500] [--alone 60] [--beats 0] [--literal 0] [--seed 3]
+                                        [--preset xband] [--rows FILE.jsonl] [--out FILE.json] [--pictures DIR]
 """
 
 from __future__ import annotations
@@ -17,161 +21,277 @@ import os
 import platform
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from rich.progress import track
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.table import ALL_EFFECTS
+from sim_player.effects.names import bit
+from sim_player.effects.table import ALL_EFFECTS, PATHS
 from sim_player.generate.places import random_place
+from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
-from sim_player.planner.plan import Plan, clean_profiles, manual_plan, noisy_profiles, plan_world
+from sim_player.planner.plan import Plan, clean_profiles, manual_plan, noisy_profiles, plan_world, planned_profiles
+from sim_player.planner.purposes import DETECTION, Purpose
 from sim_player.scene.world import World, prepare
 from sim_player.signal.levels import beam_beats, noise_profiles, noise_rms
+from sim_player.signal.literal import literal_profiles
 
+Preset = Literal["xband", "77ghz"]
 BUDGETS_DB = (-10.0, -20.0, -30.0)
+#: Single effects that change less are told apart from rounding no more.
+LEAST_DB = -80.0
+SCANS = 100
 
 
-def off_db(everything: np.ndarray, planned: np.ndarray, rms: np.ndarray, setup: RadarSetup) -> float:
-    """The law's ratio in the worst cell of beams and map, in dB."""
-    return float(20.0 * np.log10(max(cells_of(setup).off(everything, planned, rms).max(), 1e-15)))
-
-
-def scene_rows(seed: int, index: int, preset: str, alone: bool) -> dict[str, Any]:
-    scene = random_place(seed, index, preset)
-    setup, world = scene.setup, prepare(scene, index)
+def timed(call: Callable[[], Any]) -> tuple[float, Any]:
+    """Processor time of a call [s], and its answer."""
     start = time.process_time()
-    everything = manual_plan(world, setup)
-    clean = clean_profiles(everything, setup, index)
-    all_s = time.process_time() - start
-    reference = clean + noise_profiles(setup, index, everything.signal, scene.radar.front_end)
-    rms = noise_rms(setup, everything.signal, scene.radar.front_end)
-    row: dict[str, Any] = {"scene": scene.name, "all_s": all_s, "paths": len(everything.echoes), "budgets": []}
-    for budget_db in BUDGETS_DB:
-        row["budgets"].append(_budget(world, setup, index, budget_db, reference, rms, all_s))
+    answer = call()
+    return time.process_time() - start, answer
+
+
+@dataclass(frozen=True)
+class Place:
+    """One random place with everything on."""
+
+    seed: int
+    index: int
+    preset: Preset
+
+    @cached_property
+    def world(self) -> World:
+        return prepare(random_place(self.seed, self.index, self.preset), self.index)
+
+    @property
+    def setup(self) -> RadarSetup:
+        return self.world.scene.setup
+
+    @cached_property
+    def everything(self) -> tuple[float, Plan]:
+        return timed(lambda: manual_plan(self.world, self.setup))
+
+    @cached_property
+    def clean(self) -> tuple[float, np.ndarray]:
+        return timed(lambda: clean_profiles(self.everything[1], self.setup, self.index))
+
+    @property
+    def all_s(self) -> float:
+        return self.everything[0] + self.clean[0]
+
+    @cached_property
+    def rms(self) -> np.ndarray:
+        return noise_rms(self.setup, self.everything[1].signal, self.world.scene.radar.front_end)
+
+    def noise(self, plan: Plan) -> np.ndarray:
+        return noise_profiles(self.setup, self.index, plan.signal, self.world.scene.radar.front_end)
+
+    @cached_property
+    def reference(self) -> np.ndarray:
+        return self.clean[1] + self.noise(self.everything[1])
+
+    def off_db(self, reference: np.ndarray, planned: np.ndarray, purpose: Purpose) -> float:
+        """The law's ratio in the worst cell of beams and map, in dB."""
+        cells = cells_of(self.setup)
+        asked = cells.asked(self.setup, purpose, self.everything[1].paths, self.rms)
+        ratio = cells.off(reference, planned, self.rms, purpose, asked).max()
+        return float(20.0 * np.log10(max(ratio, 1e-15)))
+
+    def moved_db(self, planned: np.ndarray) -> tuple[float, int]:
+        """What a level over the detection threshold moves by at most [dB], and how many cells cross the threshold."""
+        cells = cells_of(self.setup)
+        threshold = DETECTION * cells.floor(np.zeros_like(self.reference), self.rms)
+        before, after = np.abs(cells.values(self.reference)), np.abs(cells.values(planned))
+        over = before >= threshold
+        moved = np.abs(20.0 * np.log10(np.maximum(after, 1e-30) / np.maximum(before, 1e-30)))
+        return float(moved[over].max(initial=0.0)), int((over != (after >= threshold)).sum())
+
+
+def scene_rows(seed: int, index: int, preset: Preset, alone: bool) -> dict[str, Any]:
+    """All plans of one scene."""
+    place = Place(seed, index, preset)
+    row: dict[str, Any] = {"scene": place.world.scene.name, "all_s": place.all_s}
+    row |= {"trace_s": place.everything[0], "paths": len(place.everything[1].echoes)}
+    row["plans"] = [_plan_row(place, purpose, budget_db) for purpose in Purpose for budget_db in BUDGETS_DB]
     if alone:
-        row["alone"] = _alone(world, setup, index, everything, reference, rms)
+        row["alone"] = [one for purpose in (Purpose.SAMPLES, Purpose.PEAKS) for one in _alone(place, purpose)]
     return row
 
 
-def _budget(
-    world: World, setup: RadarSetup, index: int, budget_db: float, reference: np.ndarray, rms: np.ndarray, all_s: float
-) -> dict[str, Any]:
-    """One scene under one budget, planned quickly and thoroughly."""
-    start = time.process_time()
-    quick = plan_world(world, setup, budget_db)
-    clean_profiles(quick, setup, index)
-    auto_s = time.process_time() - start
-    thorough = plan_world(world, setup, budget_db, thorough=True)
-    planned = noisy_profiles(thorough, setup, index)
+def _plan_row(place: Place, purpose: Purpose, budget_db: float) -> dict[str, Any]:
+    """One scene for one purpose under one budget."""
+    plan_s, plan = timed(lambda: plan_world(place.world, place.setup, budget_db, purpose=purpose))
+    signal_s, clean = timed(lambda: clean_profiles(plan, place.setup, place.index))
+    noise = place.noise(plan)
+    left = planned_profiles(plan, place.setup, place.index) + noise
+    moved_db, crossings = place.moved_db(left)
     return {
+        "purpose": purpose.value,
         "budget_db": budget_db,
-        "actual_db": off_db(reference, planned, rms, setup),
-        "actual_quick_db": off_db(reference, noisy_profiles(quick, setup, index), rms, setup),
-        "bound_db": thorough.spent_db,
-        "auto_s": auto_s,
-        "ratio": all_s / auto_s,
-        "kept": len(quick.echoes),
-        "used": sorted(thorough.used),
-        "present": sorted(e.name for e in thorough.effects if e.bound_db is not None),
+        "left_db": place.off_db(place.reference, left, purpose),
+        "evaluated_db": place.off_db(place.reference, clean + noise, purpose),
+        "bound_db": plan.spent_db,
+        "moved_db": moved_db,
+        "crossings": crossings,
+        "plan_s": plan_s - place.everything[0],
+        "auto_s": plan_s + signal_s,
+        "kept_s": signal_s,
+        "kept": len(plan.echoes),
+        "squints": int(plan.squints.sum()),
+        "overlaps": int(plan.overlaps.sum()),
+        "used": sorted(plan.used),
+        "present": sorted(place.everything[1].used),
     }
 
 
-def _alone(
-    world: World, setup: RadarSetup, index: int, everything: Plan, reference: np.ndarray, rms: np.ndarray
-) -> list[dict[str, Any]]:
+def _alone(place: Place, purpose: Purpose) -> list[dict[str, Any]]:
     """Every effect that the scene has, dropped alone: its bound and what it changed."""
-    plan = plan_world(world, setup, -300.0, thorough=True)
+    plan = plan_world(place.world, place.setup, -20.0, thorough=True, purpose=purpose)
+    everything = place.everything[1]
+    reference = noisy_profiles(everything, place.setup, place.index, "float64")
     found = []
     for effect in plan.effects:
         # without noise rounding is not white, and the law has no floor
         if effect.bound_db is None or effect.bound_db >= 200.0 or effect.name == "thermal_noise":
             continue
-        without = manual_plan(world, setup, everything.used - {effect.name})
-        actual_db = off_db(reference, noisy_profiles(without, setup, index), rms, setup)
-        found.append({"effect": effect.name, "bound_db": effect.bound_db, "actual_db": actual_db})
+        without = _without(place, effect.name)
+        planned = noisy_profiles(without, place.setup, place.index, "float64")
+        actual_db = place.off_db(reference, planned, purpose)
+        row = {"purpose": purpose.value, "effect": effect.name, "bound_db": effect.bound_db, "actual_db": actual_db}
+        found.append(row)
     return found
 
 
+def _without(place: Place, name: str) -> Plan:
+    """Everything but one effect, its paths taken away as plans do: to trace without it would lose routes of others."""
+    everything = place.everything[1]
+    plan = manual_plan(place.world, place.setup, everything.used - {name})
+    if name not in PATHS or name == "curved_wall":
+        return plan
+    left = (everything.echoes.needs & np.uint32(bit(name))) == 0
+    parts = {part: getattr(everything, part)[left] for part in ("squints", "overlaps")}
+    return replace(plan, echoes=everything.echoes.take(left), **parts)
+
+
+# --- what it adds up to
+
+
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    out: dict[str, Any] = {"scenes": len(rows), "budgets": []}
-    for position, budget_db in enumerate(BUDGETS_DB):
-        mine = [row["budgets"][position] for row in rows]
-        used, present = Counter(), Counter()
-        for one in mine:
-            used.update(one["used"])
-            present.update(one["present"])
-        out["budgets"].append(
-            {
-                "budget_db": budget_db,
-                "violations": sum(one["actual_db"] > budget_db for one in mine),
-                "violations_quick": sum(one["actual_quick_db"] > budget_db for one in mine),
-                "actual_median_db": _median(one["actual_db"] for one in mine),
-                "actual_worst_db": max(one["actual_db"] for one in mine),
-                "ratio_median": _median(one["ratio"] for one in mine),
-                "ratio_p10_p90": np.percentile([one["ratio"] for one in mine], [10, 90]).tolist(),
-                "kept_share": _median(one["kept"] / max(row["paths"], 1) for one, row in zip(mine, rows, strict=True)),
-                "used": {name: [used[name], present[name]] for name in sorted(present)},
-            }
-        )
-    alone = [one for row in rows for one in row.get("alone", [])]
-    slack = [one["bound_db"] - one["actual_db"] for one in alone]
-    out["bound_minus_actual_db"] = {
-        "median": float(np.median(slack)) if slack else None,
-        "least": float(np.min(slack)) if slack else None,
-        "count": len(slack),
-        "by_effect": {
-            name: _median(one["bound_db"] - one["actual_db"] for one in alone if one["effect"] == name)
-            for name in sorted({one["effect"] for one in alone})
+    """Everything that is reported."""
+    plans = [
+        _summary_of(rows, position, purpose, budget_db)
+        for position, (purpose, budget_db) in enumerate((p, b) for p in Purpose for b in BUDGETS_DB)
+    ]
+    alone = [one for row in rows for one in row.get("alone", []) if one["actual_db"] > LEAST_DB]
+    return {"scenes": len(rows), "plans": plans, "alone": [_slack(alone, purpose) for purpose in Purpose if alone]}
+
+
+def _summary_of(rows: list[dict[str, Any]], position: int, purpose: Purpose, budget_db: float) -> dict[str, Any]:
+    mine = [row["plans"][position] for row in rows]
+    used, present = Counter[str](), Counter[str]()
+    for one in mine:
+        used.update(one["used"])
+        present.update(one["present"])
+
+    def median(values: Iterable[float]) -> float:
+        return float(np.median(list(values)))
+
+    both = list(zip(mine, rows, strict=True))
+    ratios = [row["all_s"] / one["auto_s"] for one, row in both]
+    # a recording at rest, every scan made anew against a plan that is kept
+    recorded = [SCANS * row["all_s"] / (one["auto_s"] + (SCANS - 1) * one["kept_s"]) for one, row in both]
+    return {
+        "purpose": purpose.value,
+        "budget_db": budget_db,
+        "violations": sum(max(one["left_db"], one["evaluated_db"]) > budget_db for one in mine),
+        "over_bound": sum(one["bound_db"] is not None and one["left_db"] > one["bound_db"] + 0.1 for one in mine),
+        "left_median_db": median(one["left_db"] for one in mine),
+        "left_worst_db": max(one["left_db"] for one in mine),
+        "evaluated_worst_db": max(one["evaluated_db"] for one in mine),
+        "moved_worst_db": max(one["moved_db"] for one in mine),
+        "crossings_median": median(one["crossings"] for one in mine),
+        "planning_share": median(one["plan_s"] / row["all_s"] for one, row in both),
+        "ratio_median": median(ratios),
+        "ratio_p10_p90": np.percentile(ratios, [10, 90]).tolist(),
+        "ratio_large": median([ratio for ratio, row in zip(ratios, rows, strict=True) if row["paths"] > 1500] or [0.0]),
+        "ratio_recording": median(recorded),
+        **{
+            name: median(one[name] / max(row["paths"], 1) for one, row in both)
+            for name in ("kept", "squints", "overlaps")
         },
+        "used": {name: [used[name], present[name]] for name in sorted(present)},
     }
-    return out
 
 
-def _median(values: Any) -> float:
-    return float(np.median(list(values)))
+def _slack(alone: list[dict[str, Any]], purpose: Purpose) -> dict[str, Any]:
+    mine = [one for one in alone if one["purpose"] == purpose.value]
+    slack = {name: [] for name in sorted({one["effect"] for one in mine})}  # type: dict[str, list[float]]
+    for one in mine:
+        slack[one["effect"]].append(one["bound_db"] - one["actual_db"])
+    every = [value for values in slack.values() for value in values] or [0.0]
+    return {
+        "purpose": purpose.value,
+        "cases": len(mine),
+        "median_db": float(np.median(every)),
+        "least_db": float(np.min(every)),
+        "by_effect": {name: [float(np.median(values)), len(values)] for name, values in slack.items()},
+    }
 
 
-def beat_row(seed: int, index: int, preset: str) -> tuple[float, float]:
-    """Processor time of the beats of all beams of one scene, tracing and planning included: (all, auto at -20 dB)."""
-    scene = random_place(seed, index, preset)
-    setup, world, front_end = scene.setup, prepare(scene, index), scene.radar.front_end
-    times = []
-    for plan_of in (lambda: manual_plan(world, setup), lambda: plan_world(world, setup, -20.0)):
-        start = time.process_time()
-        for paths, flags in plan_of().groups():
-            beam_beats(setup, paths, flags, front_end)
-        times.append(time.process_time() - start)
-    return times[0], times[1]
+# --- dearer levels
 
 
-def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, count: int = 10) -> None:
-    """The scenes nearest to their budget of -20 dB: map of all, and where the planned one is off."""
+def beat_row(place: Place, purpose: Purpose) -> tuple[float, float, float]:
+    """Processor times of the beats of all beams: (all, auto at -20 dB, planning), tracing and planning included."""
+    setup, front_end = place.setup, place.world.scene.radar.front_end
+
+    def beats(plan: Plan) -> float:
+        return timed(lambda: [beam_beats(setup, paths, flags, front_end) for paths, flags in plan.groups()])[0]
+
+    all_s, everything = timed(lambda: manual_plan(place.world, setup))
+    plan_s, plan = timed(lambda: plan_world(place.world, setup, -20.0, purpose=purpose))
+    return all_s + beats(everything), plan_s + beats(plan), plan_s - all_s
+
+
+def literal_row(place: Place, purpose: Purpose) -> tuple[float, float]:
+    """Processor times of the middle beam at the literal level: (all, auto at -20 dB), times the number of beams."""
+    setup, front_end = place.setup, place.world.scene.radar.front_end
+    beams = len(setup.beams)
+
+    def literal(plan: Plan) -> float:
+        jobs = [(setup, paths, flags, front_end, [beams // 2]) for paths, flags in plan.groups()]
+        return beams * timed(lambda: [literal_profiles(*job) for job in jobs])[0]
+
+    plan_s, plan = timed(lambda: plan_world(place.world, setup, -20.0, purpose=purpose))
+    return place.everything[0] + literal(place.everything[1]), plan_s + literal(plan)
+
+
+def draw_worst(rows: list[dict[str, Any]], seed: int, preset: Preset, out: Path, count: int = 10) -> None:
+    """The scenes nearest to their budget of -20 dB for samples: map of all, and where the planned one is off."""
     from mirrorwave.plots.scene import draw_scene
     from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, save
 
-    rank = sorted(range(len(rows)), key=lambda index: -rows[index]["budgets"][1]["actual_db"])[:count]
+    rank = sorted(range(len(rows)), key=lambda index: -rows[index]["plans"][1]["left_db"])[:count]
     figure = new_figure(10.0, 2.3 * len(rank) + 0.8)
     axes = figure.subplots(len(rank), 3, squeeze=False, width_ratios=(1.0, 1.2, 1.2))
     for (first, second, third), index in zip(axes, rank, strict=True):
-        scene = random_place(seed, index, preset)
-        setup, world = scene.setup, prepare(scene, index)
-        plan = plan_world(world, setup, -20.0, thorough=True)
-        everything = manual_plan(world, setup)
-        reference, rms = (
-            noisy_profiles(everything, setup, index),
-            noise_rms(setup, everything.signal, scene.radar.front_end),
-        )
-        ratio = cells_of(setup).off(reference, noisy_profiles(plan, setup, index), rms)[len(setup.beams) :]
-        grid = cells_of(setup).values(reference)[len(setup.beams) :]
+        place = Place(seed, index, preset)
+        setup, scene = place.setup, place.world.scene
+        plan = plan_world(place.world, setup, -20.0)
+        planned = planned_profiles(plan, setup, index) + place.noise(plan)
+        ratio = cells_of(setup).off(place.reference, planned, place.rms)[len(setup.beams) :]
+        grid = cells_of(setup).values(place.reference)[len(setup.beams) :]
         draw_scene(first, scene)
-        first.set_title(f"{scene.name}: {rows[index]['budgets'][1]['actual_db']:.1f} dB off", fontsize=8)
+        first.set_title(f"{scene.name}: {rows[index]['plans'][1]['left_db']:.1f} dB off", fontsize=8)
         first.set_xlabel("y, left [m]", fontsize=8)
         first.set_ylabel("x, forward [m]", fontsize=8)
         extent = (0.0, 512 * setup.radar.range_bin_m, -60.0, 60.0)
-        level_db = 20.0 * np.log10(np.maximum(np.abs(grid) / rms, 1e-3))
+        level_db = 20.0 * np.log10(np.maximum(np.abs(grid) / place.rms, 1e-3))
         for axis, image, limits, name in (
             (second, level_db, (0.0, 80.0), "all effects: level over noise [dB]"),
             (third, 20.0 * np.log10(np.maximum(ratio, 1e-6)), (-80.0, -20.0), "off by [dB], budget -20 dB"),
@@ -189,22 +309,61 @@ def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, co
 
 
 def report(found: dict[str, Any]) -> None:
-    for one in found["budgets"]:
+    """Print it."""
+    for one in found["plans"]:
+        low, high = one["ratio_p10_p90"]
+        ratios = f"all / auto {one['ratio_median']:.2f} (p10..p90 {low:.2f}..{high:.2f}; over 1,500 paths"
         print(
-            f"budget {one['budget_db']:5.0f} dB  violations {one['violations']} (quick {one['violations_quick']}) of "
-            f" {found['scenes']}  actual median {one['actual_median_db']:.1f} "
-            f"worst {one['actual_worst_db']:.1f} dB  all/auto median {one['ratio_median']:.2f} "
-            f"(p10..p90 {one['ratio_p10_p90'][0]:.2f}..{one['ratio_p10_p90'][1]:.2f})  "
-            f"paths kept {100 * one['kept_share']:.0f} %"
+            f"{one['purpose']:7s} budget {one['budget_db']:4.0f} dB  violations {one['violations']} of "
+            f"{2 * found['scenes']}, over its bound {one['over_bound']}  median {one['left_median_db']:.1f} worst "
+            f"{one['left_worst_db']:.1f} (evaluated {one['evaluated_worst_db']:.1f}) dB  level over threshold moves "
+            f"{one['moved_worst_db']:.2f} dB at most, {one['crossings_median']:.0f} cells cross\n"
+            f"    planning / all {one['planning_share']:.2f}  {ratios} {one['ratio_large']:.2f}; {SCANS} scans "
+            f"{one['ratio_recording']:.0f})  left: "
+            f"paths {one['kept']:.2f}, squint {one['squints']:.2f}, overlap {one['overlaps']:.2f}"
         )
-        print("   used of present: " + ", ".join(f"{k} {u}/{p}" for k, (u, p) in one["used"].items()))
-    slack = found["bound_minus_actual_db"]
-    if slack["count"]:
-        print(
-            f"one effect dropped alone: bound minus actual, median {slack['median']:.1f} dB, least "
-            f"{slack['least']:.1f} dB, {slack['count']} cases"
-        )
-        print("   " + ", ".join(f"{name} {value:.1f}" for name, value in slack["by_effect"].items()))
+        print("    used of present: " + ", ".join(f"{k} {u}/{p}" for k, (u, p) in one["used"].items()))
+    for one in found["alone"]:
+        if one["cases"]:
+            print(
+                f"one effect dropped alone, {one['purpose']}: bound minus actual, median {one['median_db']:.1f} dB, "
+                f"least {one['least_db']:.1f} dB, {one['cases']} cases"
+            )
+            print("    " + ", ".join(f"{name} {value:.1f}" for name, (value, _) in one["by_effect"].items()))
+
+
+def dearer_levels(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Times of beats and of the literal level, printed too."""
+    found: dict[str, Any] = {}
+    for purpose in Purpose:
+        places = [Place(arguments.seed, index, arguments.preset) for index in range(arguments.beats)]
+        times = np.array([beat_row(place, purpose) for place in places]).reshape(-1, 3)
+        if len(times):
+            share, ratio = np.median(times[:, 2] / times[:, 0]), np.median(times[:, 0] / times[:, 1])
+            found[f"beats_{purpose}"] = {"planning_share": float(share), "ratio": float(ratio)}
+            print(f"beats, {purpose}, {len(times)} scenes: planning / all {share:.3f}, all / auto {ratio:.2f}")
+        places = [Place(arguments.seed, index, arguments.preset) for index in range(arguments.literal)]
+        times = np.array([literal_row(place, purpose) for place in places]).reshape(-1, 2)
+        if len(times):
+            ratio = np.median(times[:, 0] / times[:, 1])
+            found[f"literal_{purpose}"] = {"ratio": float(ratio), "all_s": float(np.median(times[:, 0]))}
+            print(
+                f"literal, {purpose}, {len(times)} scenes: all / auto {ratio:.2f}, all {np.median(times[:, 0]):.0f} s"
+            )
+    return found
+
+
+def all_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Rows of all scenes; those that are there already are read."""
+    done = []
+    if arguments.rows and arguments.rows.exists():
+        done = [json.loads(line) for line in arguments.rows.read_text().splitlines()][: arguments.scenes]
+    for index in track(range(len(done), arguments.scenes), transient=True):
+        done.append(scene_rows(arguments.seed, index, arguments.preset, index < arguments.alone))
+        if arguments.rows:
+            with arguments.rows.open("a") as file:
+                file.write(json.dumps(done[-1]) + "\n")
+    return done
 
 
 def main() -> None:
@@ -214,26 +373,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--preset", choices=("xband", "77ghz"), default="xband")
     parser.add_argument("--beats", type=int, default=0)
+    parser.add_argument("--literal", type=int, default=0)
+    parser.add_argument("--rows", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     arguments = parser.parse_args()
+    planner.MIN_PATHS_TO_PLAN = 0
     scene_rows(arguments.seed, 0, arguments.preset, False)  # compiles and fills the kernels
-    rows = [
-        scene_rows(arguments.seed, index, arguments.preset, index < arguments.alone)
-        for index in track(range(arguments.scenes), transient=True)
-    ]
+    rows = all_rows(arguments)
     found = summary(rows)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
     found |= {"machine": machine, "seed": arguments.seed, "preset": arguments.preset, "effects": sorted(ALL_EFFECTS)}
     report(found)
-    if arguments.beats:
-        times = [beat_row(arguments.seed, index, arguments.preset) for index in range(arguments.beats)]
-        ratios = [everything / auto for everything, auto in times]
-        found["beats_ratio_median"] = float(np.median(ratios))
-        print(
-            f"beat level, {len(ratios)} scenes: all/auto median {found['beats_ratio_median']:.2f}, "
-            f"all {np.median([t[0] for t in times]):.2f} s, auto {np.median([t[1] for t in times]):.2f} s"
-        )
+    found |= dearer_levels(arguments)
     if arguments.out:
         arguments.out.write_text(json.dumps({"summary": found, "rows": rows}))
     if arguments.pictures:

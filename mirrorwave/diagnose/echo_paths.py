@@ -9,7 +9,8 @@ import numpy as np
 
 from msgs.values.perception import PathClass
 from sim_player.effects.names import PATH_EFFECTS, bit
-from sim_player.planner.plan import resolve_plan
+from sim_player.planner.plan import BUDGET_DB, resolve_plan
+from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
@@ -26,10 +27,18 @@ class EchoPaths(NamedTuple):
     vertices_m: list[np.ndarray]
 
 
-def echo_paths(scene: Scene, seed: int, choice: str, budget_db: float, strongest: int | None) -> EchoPaths:
+class PlanChoice(NamedTuple):
+    """Effects by a word, and what "auto" keeps."""
+
+    effects: str
+    budget_db: float = BUDGET_DB
+    purpose: str = Purpose.SAMPLES.value
+
+
+def echo_paths(scene: Scene, seed: int, choice: PlanChoice, strongest: int | None) -> EchoPaths:
     """Trace a scene with some effects; of all paths only the `strongest` where that is given."""
     world = prepare(scene, seed)
-    plan = resolve_plan(world, scene.setup, choice, budget_db)
+    plan = resolve_plan(world, scene.setup, choice.effects, choice.budget_db, purpose=purpose_of(choice.purpose))
     paths = trace(world) if plan is None else plan.paths
     power_mw = best_power_mw(scene.setup, paths)
     order = np.argsort(-power_mw, kind="stable")

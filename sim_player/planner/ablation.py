@@ -1,32 +1,55 @@
-"""The ablation from all effects to the planned ones: what is left, what was dropped, and bounds of the next step.
+"""The ablation from all effects to the planned ones: what stands in every cell, what was dropped, and what the next
+step changes.
 
-Bounds add up magnitudes (`sim_player.planner.bounds`) with everything else as it stands in the ablation, so the sum of
-all steps bounds the whole difference, whatever the phases.
+A scene at rest has known phases, so each step is evaluated (`sim_player.planner.evaluation`), not bounded by adding up
+magnitudes; errors of the evaluation are bounded and booked with it.
 """
 
 from __future__ import annotations
 
-import msgspec
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from msgs.values.radar import RadarSetup
 from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL
-from sim_player.planner.bounds import STEPS, Envelope, swept_pattern
 from sim_player.planner.cells import cells_of
+from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, error, evaluate
+from sim_player.planner.purposes import DETECTION, Purpose
+from sim_player.planner.selection import ANYTHING, LEAST, Selection, keep_all, select
+from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import World
-from sim_player.signal.levels import RANGE_BINS, kernel_profiles, noise_rms
+from sim_player.signal.levels import RANGE_BINS, noise_rms
+from sim_player.signal.receiver import iq_factors, leakage_profile, spur_profile
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.conversion import as_paths, weights
-from sim_player.trace.echoes import Echoes, join_echoes
+from sim_player.trace.conversion import as_paths
+from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
 
 #: Noise is taken off what surely stands in a cell at this many rms; it stands against it by more in 2 of 10^4 cells.
 SIGMAS = 2.5
-#: Switches of a signal without sweep, motion and what the electronics add.
-STEADY = dict.fromkeys(("squint", "chirp_overlap", "motion", "iq_imbalance", "leakage", "spurs"), False)
+#: Noise draws reach this many rms once in 10^13 cells.
+FAR_SIGMAS = 5.5
+#: What each path's terms along the sweep may leave out, as a share of the least change that the law allows.
+TERMS_SHARE = 1e-3
+#: No path is followed further below the noise than this share of it.
+LEAST_TOLERANCE = 1e-7
+#: What two steps have of each other beyond their sum: a path without squint overlaps by another pattern, some percent.
+INFLATION = 1.02
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a step changes: evaluated, complex [B, bins], and a bound of what was not evaluated, [B, bins] or [bins]."""
+
+    values: np.ndarray
+    bound: np.ndarray
+
+    def __add__(self, other: Change) -> Change:
+        return Change(self.values + other.values, self.bound + other.bound)
 
 
 def signal_effects(names: frozenset[str]) -> SignalEffects:
@@ -35,106 +58,142 @@ def signal_effects(names: frozenset[str]) -> SignalEffects:
 
 
 class EffectAblation:
-    """State of the ablation for one scene at one instant: starts with every effect and every path."""
+    """State of the ablation for one scene at rest: starts with every effect and every path."""
 
-    def __init__(self, world: World, setup: RadarSetup, time_s: float) -> None:
-        self.world, self.setup = world, setup
-        self.front_end = world.scene.radar.front_end
+    def __init__(self, world: World, setup: RadarSetup, time_s: float, purpose: Purpose, budget: float) -> None:
+        self.world, self.setup, self.purpose, self.budget = world, setup, purpose, budget
+        self.radar, self.front_end = setup.radar, world.scene.radar.front_end
         self.view = reachable_snapshot(world, time_s)
         self.used = set(ALL_EFFECTS)
-        self.shape = (len(setup.beams), RANGE_BINS)
-        #: Bound of everything that was dropped, [beams, bins].
-        self.spent = np.zeros(self.shape)
         self.echoes = trace_echoes(self.view, ALL_EFFECTS)
-        every = np.ones(len(self.echoes), bool)
-        #: Which echoes squint and overlap.
-        self.squints, self.overlaps = every.copy(), every.copy()
+        self.shape = (len(setup.beams), RANGE_BINS)
+        #: Whether anything was asked; only then is there a `selection` of what is left.
+        self.begun = False
 
-    def begin(self, exact: bool) -> None:
-        """Look at all echoes, and find a lower bound of the law's denominator in every cell.
-
-        `exact` adds up everything with its sweep. Without, all paths are added up as in mid-sweep, which is cheaper:
-        sweep and overlap may then take off what they are bounded by.
-        """
-        paths, flags = self.as_paths(), self.flags()
-        self.envelope = Envelope(self.setup, RANGE_BINS, float(paths.length_m.max(initial=1.0)))
-        self.look()
-        self.noise_rms = noise_rms(self.setup, flags, self.front_end)
-        shown = msgspec.structs.replace(flags, **({"motion": False} if exact else STEADY))
-        profiles = kernel_profiles(self.setup, paths, shown, self.front_end, precision="float32")
-        unknown = np.full(len(paths), not exact)
-        left = self.squint_change(unknown) + self.overlap_change(unknown)
+    def begin(self) -> None:
+        """Evaluate everything, and find a lower bound of the law's reference in every cell."""
+        self.begun = True
+        self.paths = as_paths(self.view, self.echoes, frozenset(self.used))
+        self.noise_rms = noise_rms(self.setup, self.flags(), self.front_end)
+        least = self.budget * float(self.noise_rms.min()) * (1.0 if self.purpose is Purpose.SAMPLES else DETECTION)
+        self.tolerance = TERMS_SHARE * max(least, LEAST_TOLERANCE * float(self.noise_rms.min()))
+        self.terms = self.terms_of(self.paths)
+        self.selection = keep_all(self.terms, RANGE_BINS)
+        self._head_change = self._heads(self.terms)
+        every = np.ones(len(self.terms), bool)
+        self.evaluated = self.part(self.terms, np.where(every, WHOLE, NOTHING)) + Change(*self._head_change(every))
+        everything = self.evaluated + self._electronics()
         self._cells = cells_of(self.setup)
-        self._floor = self._cells.floor(profiles, self.noise_rms, left, SIGMAS)
+        floor = self._cells.floor(everything.values, self.noise_rms, everything.bound, SIGMAS, self.purpose)
+        asked = self._cells.asked(self.setup, self.purpose, self.paths, self.noise_rms)
+        allowed = self.budget * (floor if asked is None else np.where(asked, floor, np.inf))
+        self._allowed = np.minimum(allowed, ANYTHING).astype(np.float32)
+        self._inverse = INFLATION * self._gain() / self._allowed
+        self.spent = Change(np.zeros(self.shape, np.complex64), np.zeros(RANGE_BINS))
 
-    def ratio(self, bound: np.ndarray) -> float:
-        """A bound [beams, bins] over the denominator, the largest over all cells."""
-        return float((self._cells.bounds(bound) / self._floor).max())
+    def select(self, share: float) -> Selection:
+        """Drop the paths, and the squint and overlap of paths, that a share of the budget can do without."""
+        limit = share * self._cells.nearest(self._allowed)
+        ratio = lambda change, loose: self._ratios(Change(change, loose)).max(axis=0) / share  # noqa: E731
+        self.selection = select(self.radar, self.terms, self._head_change, limit, ratio)
+        self.spent = Change(self.selection.change, self.selection.error)
+        return self.selection
 
-    def fits(self, bound: np.ndarray, budget: float, share: float = 1.0) -> bool:
-        """Return whether a bound stays under a share of the budget, and with all that was dropped under the budget."""
-        alone, together = self._cells.bounds(bound), self._cells.bounds(self.spent + bound)
-        return bool((alone <= share * budget * self._floor).all() and (together <= budget * self._floor).all())
-
-    def look(self) -> None:
-        """Pattern, range step and strength of every echo under the effects still used."""
-        paths = self.as_paths()
-        self.pattern = swept_pattern(self.setup, paths, self.flags(), self.front_end)
-        self.step = self.envelope.step(paths)
-        self.amplitude = np.abs(paths.amplitude)
-        self.magnitude = self.pattern.magnitudes() * self.amplitude.astype(np.float32)
-
-    # --- bounds, [beams, bins]
-
-    def bound(self, amplitude: np.ndarray) -> np.ndarray:
-        """Bound of echoes of given strengths [E]."""
-        changed = np.flatnonzero(amplitude)
-        scale = (amplitude[changed] / np.maximum(self.amplitude[changed], 1e-300)).astype(np.float32)
-        return self.envelope.of_terms(self.magnitude[:, :, changed] * scale, self.step[changed])
-
-    def bound_of(self, echoes: Echoes) -> np.ndarray:
-        """Bound of echoes that are not in the ablation."""
-        paths = self.as_paths(echoes)
-        pattern = swept_pattern(self.setup, paths, self.flags(), self.front_end)
-        return self.envelope.of_terms(pattern.magnitudes() * np.abs(paths.amplitude), self.envelope.step(paths))
-
-    def path_change(self, name: str) -> np.ndarray:
-        """Bound of all paths that an effect makes."""
-        return self.bound(self.amplitude * self.made_by(name))
-
-    def weight_change(self, name: str) -> np.ndarray:
-        """Bound of what an effect on weights changes."""
-        used = frozenset(self.used)
-        change = weights(self.echoes, self.world, used) - weights(self.echoes, self.world, used - {name})
-        return self.bound(np.abs(change))
-
-    def pattern_change(self, name: str) -> np.ndarray:
-        """Bound of what an effect on the antenna changes."""
-        flags = signal_effects(frozenset(self.used) - {name})
-        other = swept_pattern(self.setup, self.as_paths(), flags, self.front_end)
-        return self.envelope.of_terms(self.pattern.change(other) * self.amplitude, self.step)
-
-    def squint_change(self, selection: np.ndarray) -> np.ndarray:
-        """Bound of what squint changes for some paths, bool [E]."""
-        if "squint" not in self.used:
-            return np.zeros(self.shape)
-        return self.envelope.of_terms(
-            self.pattern.take(selection).squint() * self.amplitude[selection], self.step[selection]
+    def settle(self) -> None:
+        """Go on with the paths that are left, as they are left."""
+        selection, kept = self.selection, ~self.selection.dropped
+        self.echoes, self.paths = self.echoes.take(kept), self.paths.take(kept)
+        self.terms = self.terms.take(kept).unsquinted(~selection.squints[kept])
+        self.selection = replace(
+            selection, dropped=~kept[kept], squints=selection.squints[kept], overlaps=selection.overlaps[kept]
         )
 
-    def overlap_change(self, selection: np.ndarray) -> np.ndarray:
-        """Bound of what overlapping chirps change for some paths, bool [E]."""
-        if "chirp_overlap" not in self.used:
-            return np.zeros(self.shape)
-        return self.envelope.of_overlap(self.magnitude[:, :, selection].sum(axis=0), self.step[selection])
+    def refresh(self) -> None:
+        """Look at the echoes under the effects that are still used."""
+        self.paths = as_paths(self.view, self.echoes, frozenset(self.used))
+        self.terms = self.terms_of(self.paths).unsquinted(~self.selection.squints)
 
-    def strongest(self, name: str) -> float:
-        """The largest ratio of one of an effect's paths in its own cell: no bound of the effect can be less."""
-        cell = self.step // STEPS
-        mine = np.flatnonzero(self.made_by(name) & (cell < RANGE_BINS))
-        own = np.abs(self.pattern.middle[:, mine]) * self.amplitude[mine] / self._floor[: self.shape[0], cell[mine]]
-        # a bin off a Hann window's peak at most: half of it
-        return float(0.5 * own.max(initial=0.0))
+    def ratio(self, change: Change) -> float:
+        """A change over what the law's reference is, the largest over all cells; for `spent`, what has been spent."""
+        return self.budget * float(self._ratios(change).max())
+
+    def answer(self) -> np.ndarray | None:
+        """Return the evaluated profiles where their own error stays under the budget, complex64 [B, bins]."""
+        missing = Change(np.zeros_like(self.evaluated.values), self.evaluated.bound)
+        return self.evaluated.values if (self._ratios(missing) <= 1.0).all() else None
+
+    def fits(self, change: Change) -> bool:
+        """Return whether a change stays under the budget together with all that was dropped."""
+        return bool((self._ratios(self.spent + change) <= 1.0).all())
+
+    def _ratios(self, change: Change) -> np.ndarray:
+        """A change over what is allowed, [rows, bins]."""
+        loose = self._cells.bounds(np.broadcast_to(np.asarray(change.bound, np.float32), self.shape))
+        return np.asarray((np.abs(self._cells.values(change.values)) + loose) * self._inverse)
+
+    def _gain(self) -> float:
+        """Return what unbalanced I and Q make of a change at most."""
+        return max(sum(abs(factor) for factor in iq_factors(self.front_end)), 1.0)
+
+    def _electronics(self) -> Change:
+        """What leakage adds, and what spurs of unknown phase and unbalanced I and Q may take off."""
+        bound = self.spurs()
+        if iq_factors(self.front_end)[1] != 0.0:
+            bound = bound + self.unbalanced()
+        return Change(np.broadcast_to(self.leakage(), self.shape), bound)
+
+    def leakage(self) -> np.ndarray:
+        """Profile of the leakage, complex64 [bins]."""
+        power_dbm = self.front_end.leakage_dbm
+        if power_dbm is None:
+            return np.zeros(RANGE_BINS, np.complex64)
+        return leakage_profile(self.radar, power_dbm, range(RANGE_BINS)).astype(np.complex64)
+
+    def spurs(self) -> np.ndarray:
+        """Sum of the magnitudes of all spurs, float64 [bins]: their phases are drawn."""
+        bins = range(RANGE_BINS)
+        profiles = [np.abs(spur_profile(self.radar, spur, 0.0, bins)) for spur in self.front_end.spurs]
+        return np.asarray(sum(profiles, np.zeros(RANGE_BINS)))
+
+    def unbalanced(self) -> np.ndarray:
+        """Bound of what I/Q imbalance changes, [B, bins]: the gain of all that is there, and its image's skirts."""
+        wanted, image = iq_factors(self.front_end)
+        standing = self.whole(self.terms, None, self.selection.overlaps)
+        echoes = np.abs(standing.values) + standing.bound
+        bins = np.arange(RANGE_BINS)
+        # from +f at -f, by the window alone: an echo at bin b reaches bin i over i + b bins, its skirts fall as 1 / x^3
+        away = bins[:, None] + bins[None]
+        skirts = echoes @ np.where(away < 2, 1.0, 1.0 / np.maximum(away, 2.0) ** 3)
+        return np.asarray(abs(wanted - 1.0) * (echoes + FAR_SIGMAS * self.noise_rms) + abs(image) * skirts)
+
+    # --- evaluation
+
+    def terms_of(self, paths: Paths, names: frozenset[str] | None = None) -> SweepTerms:
+        """The terms of some paths under some signal effects, or those still used."""
+        effects = self.flags() if names is None else signal_effects(names)
+        return sweep_terms(self.setup, paths, effects, self.front_end, self.tolerance)
+
+    def whole(self, terms: SweepTerms, mask: np.ndarray | None = None, overlaps: np.ndarray | None = None) -> Change:
+        """Evaluate all of some echoes, bool [P]; of some of them with overlap."""
+        mask = np.ones(len(terms), bool) if mask is None else mask
+        return self.part(terms, np.where(mask, WHOLE, NOTHING)) + self.head(
+            terms, mask if overlaps is None else mask & overlaps
+        )
+
+    def part(self, terms: SweepTerms, part: np.ndarray) -> Change:
+        """Evaluate parts of echoes without overlap."""
+        return Change(evaluate(self.radar, terms, part, RANGE_BINS), error(self.radar, terms, part, RANGE_BINS))
+
+    def squint(self) -> Change:
+        """Evaluate what squint changes."""
+        return self.part(self.terms, np.full(len(self.terms), SQUINT))
+
+    def head(self, terms: SweepTerms, mask: np.ndarray) -> Change:
+        """Evaluate what overlapping chirps change, of some echoes."""
+        return Change(*self._heads(terms)(mask))
+
+    def _heads(self, terms: SweepTerms) -> HeadChange:
+        return HeadChange(self.radar, terms, RANGE_BINS, LEAST * self.tolerance / TERMS_SHARE)
 
     # --- state
 
@@ -142,30 +201,7 @@ class EffectAblation:
         """Switches of the signal as they stand."""
         return signal_effects(frozenset(self.used))
 
-    def as_paths(self, echoes: Echoes | None = None) -> Paths:
-        """The echoes (or others) as the radar has them."""
-        return as_paths(self.view, self.echoes if echoes is None else echoes, frozenset(self.used))
-
-    def made_by(self, name: str) -> np.ndarray:
+    def made_by(self, name: str, echoes: Echoes | None = None) -> np.ndarray:
         """Return the mask of the echoes that an effect makes, bool [E]."""
-        return np.asarray((self.echoes.needs & np.uint32(bit(name))) != 0)
-
-    def keep(self, selection: np.ndarray) -> None:
-        """Forget all other echoes."""
-        if selection.all():
-            return
-        self.echoes, self.step, self.amplitude = (
-            self.echoes.take(selection),
-            self.step[selection],
-            self.amplitude[selection],
-        )
-        self.pattern, self.magnitude = self.pattern.take(selection), self.magnitude[:, :, selection]
-        self.squints, self.overlaps = self.squints[selection], self.overlaps[selection]
-
-    def add(self, echoes: Echoes) -> None:
-        """Take in echoes that stand in for dropped ones."""
-        self.echoes = join_echoes([self.echoes, echoes])
-        self.look()
-        added = np.ones(len(echoes), bool)
-        self.squints = np.concatenate([self.squints, added & ("squint" in self.used)])
-        self.overlaps = np.concatenate([self.overlaps, added & ("chirp_overlap" in self.used)])
+        needs = (self.echoes if echoes is None else echoes).needs
+        return np.asarray((needs & np.uint32(bit(name))) != 0)

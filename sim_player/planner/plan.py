@@ -1,12 +1,12 @@
-"""Plan of the effects that a scene needs: bounds of what each could change in the map, and the least that keeps a
-budget.
+"""Plan of the effects that a scene needs: the least that keeps the law of a purpose within a budget.
 
-The law: |RA(planned) - RA(all)| / max(noise rms, strongest |RA(all)| within one range bin and half a beam) stays under
-the budget in every cell, for the same noise. It is kept by construction: an ablation goes from all effects to the
-planned ones in steps, each of which drops an effect, or only the paths for which it is too weak to matter. What a step
-changes is bounded in every cell by magnitudes added up (`sim_player.planner.bounds`, by kind of effect in
-`sim_player.planner.changes`) with all others as they then stand, and the sum of these bounds over a lower bound of the
-denominator stays under the budget.
+The law (`sim_player.planner.purposes`): |RA(planned) - RA(all)| <= budget x reference in every cell of the purpose, for
+the same noise. It is kept by construction: an ablation goes from all effects to the planned ones in steps, each of
+which drops paths, the squint or overlap of paths, or an effect. What the steps change together is evaluated in every
+cell, phases and all, over a lower bound of the reference (`sim_player.planner.ablation`).
+
+A plan of a scene at rest holds as long as nothing moves. In a scene that moves the phases turn within a wavelength and
+paths come and go: there only effects are left out that the scene has nothing of, which holds at any time.
 
 Cells are range bins of every steering angle, as the radar measures them and section 2.1.1 assembles them, and of every
 azimuth of the map that the co-array inversion makes of them (`sim_player.planner.cells`). Rays are cheap: all paths are
@@ -26,27 +26,28 @@ import msgspec
 import numpy as np
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.curved_wall import as_chords
+from msgs.values.wording import counted
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
 from sim_player.planner.ablation import EffectAblation, signal_effects
-from sim_player.planner.changes import change_bound
+from sim_player.planner.changes import change_of
+from sim_player.planner.purposes import Purpose
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.levels import kernel_profiles, noise_profiles
+from sim_player.signal.receiver import iq_factors
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
-from sim_player.trace.snapshot import TraceContext
 
 BUDGET_DB = -20.0
-#: Share of the budget that dropped paths may take, and each of the two dear effects of the sweep in part.
-DROPPED_SHARE, SWEPT_SHARE = 0.5, 0.2
-#: Rounds of the search for the strongest path that may be dropped.
-ROUNDS = 7
-#: Fewer paths than this cost less as profiles, with everything on, than the question what they need.
+#: Share of the budget that dropped paths, squint and overlap may take; effects that cost nothing have the rest.
+SELECTED_SHARE = 0.8
+#: For `samples` no file with fewer paths than this is asked for: those made by earlier versions stay as they are.
 MIN_PATHS_TO_PLAN = 3000
+#: Why nothing that a moving scene has is left out.
+MOVES = "kept at any time, the scene moves"
 #: Bounds in JSON end here.
 MAX_DB = 200.0
 
@@ -66,9 +67,11 @@ class EffectPlan(msgspec.Struct, frozen=True, kw_only=True):
 class Plan:
     """The effects a scene calls for, with the paths that are left and the part of them that the dear effects touch."""
 
+    purpose: Purpose
     budget_db: float
     effects: tuple[EffectPlan, ...]
     view: Snapshot
+    setup: RadarSetup
     echoes: Echoes
     #: Which echoes squint and which overlap, bool [E].
     squints: np.ndarray
@@ -78,6 +81,9 @@ class Plan:
     #: Bound of the whole difference in any cell, in dB; None: no difference.
     spent_db: float | None
     timing_s: dict[str, float]
+    #: The answer at the kernel level where one was asked for, found on the way to the plan: profiles of all echoes, all
+    #: effects, None where their error is over the budget; complex64 [beams, bins], without what the electronics add.
+    evaluated: np.ndarray | None = None
 
     @cached_property
     def used(self) -> frozenset[str]:
@@ -112,12 +118,16 @@ def plan_world(
     budget_db: float = BUDGET_DB,
     time_s: float = 0.0,
     thorough: bool = False,
+    purpose: Purpose = Purpose.SAMPLES,
 ) -> Plan:
-    """The same for a prepared scene; a quick plan takes few paths unasked."""
+    """Return the plan of a prepared scene for a purpose; a thorough one asks what each effect alone would change.
+
+    Raises ValueError for a budget that is not negative.
+    """
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
     start = time.perf_counter()
-    planner = _Planner(EffectAblation(world, setup, time_s), 10.0 ** (budget_db / 20.0), thorough)
+    planner = _Planner(EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0)), thorough)
     planner.timing_s["trace"] = time.perf_counter() - start
     planner.run()
     return planner.plan(budget_db)
@@ -135,9 +145,11 @@ def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFE
     used = frozenset(effect.name for effect in effects if effect.used)
     every = np.ones(len(echoes), bool)
     return Plan(
+        purpose=Purpose.SAMPLES,
         budget_db=-math.inf,
         effects=effects,
         view=view,
+        setup=setup,
         echoes=echoes,
         squints=every & ("squint" in used),
         overlaps=every & ("chirp_overlap" in used),
@@ -153,6 +165,7 @@ def resolve_plan(
     effects: str,
     budget_db: float = BUDGET_DB,
     time_s: float = 0.0,
+    purpose: Purpose = Purpose.SAMPLES,
 ) -> Plan | None:
     """The plan that a word asks for: "auto", "all", names with commas between them; None for "basic".
 
@@ -161,7 +174,7 @@ def resolve_plan(
     if effects == "basic":
         return None
     if effects == "auto":
-        return plan_world(world, setup, budget_db, time_s)
+        return plan_world(world, setup, budget_db, time_s, purpose=purpose)
     if effects == "all":
         return manual_plan(world, setup, ALL_EFFECTS, time_s)
     names = frozenset(name.strip() for name in effects.split(",")) - {""}
@@ -171,13 +184,26 @@ def resolve_plan(
 
 
 def noisy_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
-    """The same without asking whether the level can hold it."""
+    """Return the profiles of a plan with noise, without asking whether the level can hold it."""
     noise = noise_profiles(setup, seed, plan.signal, plan.view.world.scene.radar.front_end)
     return clean_profiles(plan, setup, seed, precision) + noise
 
 
 def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
-    """The same without the noise."""
+    """Return the same without the noise: in single precision what the plan has evaluated, wherever it has."""
+    front_end = plan.view.world.scene.radar.front_end
+    unbalanced = plan.signal.iq_imbalance and iq_factors(front_end)[1] != 0.0
+    if plan.evaluated is None or unbalanced or precision != "float32":
+        return planned_profiles(plan, setup, seed, precision)
+    faults = (plan.signal.leakage and front_end.leakage_dbm is not None) or (plan.signal.spurs and front_end.spurs)
+    if not faults:
+        return plan.evaluated
+    nothing = plan.paths.take(np.zeros(0, int))
+    return plan.evaluated + kernel_profiles(setup, nothing, plan.signal, front_end, precision=precision, seed=seed)
+
+
+def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
+    """Return the profiles of the paths that are left, with what is left of their sweep: as the beats have them."""
     front_end = plan.view.world.scene.radar.front_end
     (first, flags), *rest = plan.groups()
     profiles = kernel_profiles(setup, first, flags, front_end, precision=precision, seed=seed)
@@ -191,8 +217,8 @@ def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
 class _Planner:
     """Takes the steps of the ablation, books each one, and states why."""
 
-    def __init__(self, ablation: EffectAblation, budget: float, thorough: bool) -> None:
-        self.ablation, self.budget, self.thorough = ablation, budget, thorough
+    def __init__(self, ablation: EffectAblation, thorough: bool) -> None:
+        self.ablation, self.thorough = ablation, thorough
         self.found: dict[str, EffectPlan] = {}
         self.traced = len(ablation.echoes)
         self.timing_s: dict[str, float] = {}
@@ -203,31 +229,34 @@ class _Planner:
             reason = effect.absent(self.ablation.world)
             if reason is not None:
                 self._row(name, False, None, 0, reason)
-        if self.traced < MIN_PATHS_TO_PLAN and not self.thorough:
-            self._take_all()
+        moves = self.ablation.world.scene.moves
+        few = self.ablation.purpose is Purpose.SAMPLES and self.traced < MIN_PATHS_TO_PLAN and not self.thorough
+        if moves or few:
+            why = MOVES if moves else f"not asked, {self.traced} paths are few"
+            self._take_all(why)
             return
-        self._timed("floor", lambda: self.ablation.begin(exact=self.thorough))
-        for name, step in (
-            ("paths", self._paths),
-            ("prune", self._prune),
-            ("sweep", self._sweep),
-            ("free", self._free),
-        ):
-            self._timed(name, step)
+        self._timed("floor", self.ablation.begin)
+        # what each effect alone would change is asked before anything is left out
+        self._timed("alone", self._alone)
+        self._timed("select", self._select)
+        self._timed("free", self._free)
 
     def plan(self, budget_db: float) -> Plan:
         """Return the decisions, in the order of the effects."""
-        ablation = self.ablation
+        ablation, every = self.ablation, np.ones(len(self.ablation.echoes), bool)
         return Plan(
+            purpose=ablation.purpose,
             budget_db=budget_db,
             effects=tuple(self.found[name] for name in EFFECTS),
             view=ablation.view,
+            setup=ablation.setup,
             echoes=ablation.echoes,
-            squints=ablation.squints,
-            overlaps=ablation.overlaps,
+            squints=ablation.selection.squints if ablation.begun else every & ("squint" in ablation.used),
+            overlaps=ablation.selection.overlaps if ablation.begun else every & ("chirp_overlap" in ablation.used),
             traced=self.traced,
-            spent_db=self._ratio_db(ablation.spent),
+            spent_db=_decibel(ablation.ratio(ablation.spent)) if ablation.begun else None,
             timing_s=self.timing_s,
+            evaluated=ablation.answer() if ablation.begun else None,
         )
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:
@@ -235,102 +264,58 @@ class _Planner:
         step()
         self.timing_s[name] = time.perf_counter() - start
 
-    def _take_all(self) -> None:
-        """Use everything that the scene has: to ask would cost more."""
+    def _take_all(self, why: str) -> None:
+        """Use everything that the scene has."""
         for name in (name for name in EFFECTS if name not in self.found):
-            reason = f"not asked, {self.traced} paths cost less than the question: {EFFECTS[name].about}"
-            self._row(name, True, None, self.traced, reason)
+            self._row(name, True, None, self.traced, f"{why}: {EFFECTS[name].about}")
 
-    def _paths(self) -> None:
-        """Effects that make paths, the weakest first."""
-        names = [name for name in PATHS if name not in self.found]
-        peak = {name: self.ablation.strongest(name) for name in names}
-        for name in sorted(names, key=peak.__getitem__):
-            mine = self.ablation.made_by(name)
-            count = int(mine.sum())
-            text = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].about}"
-            if not self.thorough and peak[name] > self.budget:
-                self._row(name, True, None, count, f"one path alone is over the budget; {text}")
-            elif not self._decide(name, count, text):
-                self.ablation.keep(~mine)
-                if name == "curved_wall":
-                    self.ablation.add(as_chords(TraceContext(self.ablation.view)))
+    def _alone(self) -> None:
+        """Largest change by each effect alone, if it is asked for."""
+        names = [name for name in EFFECTS if name not in self.found] if self.thorough else []
+        changes = {name: self.ablation.ratio(change_of(self.ablation, name)) for name in names}
+        self.alone_db = {name: _decibel(change) for name, change in changes.items()}
 
-    def _prune(self) -> None:
-        """Drop the paths that are too weak to matter even together: effects used in part."""
+    def _select(self) -> None:
+        """Drop paths, squint and overlap of paths; the effects that are left with none are skipped."""
         ablation = self.ablation
-        strength = ablation.magnitude.sum(axis=0).max(axis=0)
-        ablation.keep(
-            ~self._weakest(strength, lambda selection: ablation.bound(ablation.amplitude * selection), DROPPED_SHARE)
-        )
-
-    def _sweep(self) -> None:
-        """Squint and overlap for those paths alone that call for them."""
-        ablation = self.ablation
-        if "chirp_overlap" not in self.found:
-            # the missing rise of the window grows with the cube of the delay
-            strength = ablation.magnitude.sum(axis=0).max(axis=0) * (1.0 + ablation.step) ** 3
-            self._in_part("chirp_overlap", ablation.overlaps, strength, ablation.overlap_change)
-        if "squint" not in self.found:
-            strength = (ablation.pattern.squint() * ablation.amplitude).sum(axis=0).max(axis=0)
-            self._in_part("squint", ablation.squints, strength, ablation.squint_change)
-
-    def _in_part(
-        self, name: str, mask: np.ndarray, strength: np.ndarray, change_of: Callable[[np.ndarray], np.ndarray]
-    ) -> None:
-        """Spare as many paths as the budget allows one effect of the sweep."""
-        bound_db = self._ratio_db(change_bound(self.ablation, name))
-        mask[self._weakest(strength, change_of, SWEPT_SHARE)] = False
-        left = int(mask.sum())
-        self._row(name, bool(left), bound_db, left, f"{left} of {len(mask)} paths: {EFFECTS[name].about}")
+        made = {name: ablation.made_by(name) for name in PATHS if name not in self.found}
+        selection = ablation.select(SELECTED_SHARE)
+        for name, mine in made.items():
+            count, left = int(mine.sum()), int((mine & ~selection.dropped).sum())
+            text = f"{left} of {counted(count, 'path')}: {PATHS[name].about}"
+            # arrays that stand apart move every echo, not those alone that this effect makes
+            apart = name == "non_cofocal" and ablation.world.scene.radar.separation_m > 0.0
+            self._row(name, apart or bool(left), self.alone_db.get(name), left, text)
+        kept = ~selection.dropped
+        for name, mask in (("squint", selection.squints), ("chirp_overlap", selection.overlaps)):
+            if name not in self.found:
+                left = int(mask.sum())
+                text = f"{left} of {counted(int(kept.sum()), 'path')} left: {EFFECTS[name].about}"
+                self._row(name, bool(left), self.alone_db.get(name), left, text)
+        ablation.settle()
 
     def _free(self) -> None:
-        """Effects that cost nothing: used, or in a thorough plan bounded like the others."""
+        """Effects that cost nothing: used, or in a thorough plan dropped while the budget lasts."""
+        ablation = self.ablation
         names = [name for name in EFFECTS if name not in self.found]
         if not self.thorough:
             for name in names:
                 self._row(name, True, None, 0, f"costs nothing: {EFFECTS[name].about}")
             return
-        size = {name: self.ablation.ratio(change_bound(self.ablation, name)) for name in names}
-        for name in sorted(names, key=size.__getitem__):
-            if not self._decide(name, 0, EFFECTS[name].about):
-                self.ablation.look()
-
-    def _decide(self, name: str, count: int, text: str) -> bool:
-        """Use an effect, or skip it and book its bound; whether it is used."""
-        ablation = self.ablation
-        bound = change_bound(ablation, name)
-        fits = ablation.fits(bound, self.budget)
-        if fits:
-            ablation.spent = ablation.spent + bound
-        self._row(name, not fits, self._ratio_db(bound), count, text)
-        return not fits
-
-    def _weakest(self, strength: np.ndarray, bound_of: Callable[[np.ndarray], np.ndarray], share: float) -> np.ndarray:
-        """As many of the weakest as a share of the budget allows, bool [E]; booked."""
-        ablation, order = self.ablation, np.argsort(strength, kind="stable")
-        low, high, best = 0, len(order) + 1, np.zeros_like(ablation.spent)
-        for _ in range(ROUNDS):
-            middle = (low + high) // 2
-            if middle == low:
-                break
-            bound = bound_of(_first(order, middle))
-            if ablation.fits(bound, self.budget, share):
-                low, best = middle, bound
-            else:
-                high = middle
-        ablation.spent = ablation.spent + best
-        return _first(order, low)
-
-    def _ratio_db(self, bound: np.ndarray) -> float | None:
-        return _decibel(self.ablation.ratio(bound)) if bound.any() else None
+        for name in sorted(names, key=lambda name: self.alone_db[name] or -math.inf):
+            change = change_of(ablation, name)
+            fits = ablation.fits(change)
+            self._row(name, not fits, self.alone_db[name], 0, EFFECTS[name].about)
+            if fits:
+                ablation.spent = ablation.spent + change
+                ablation.refresh()
 
     def _row(self, name: str, used: bool, bound_db: float | None, count: int, text: str) -> None:
         """Write down one decision."""
         if not used:
             self.ablation.used.discard(name)
         if bound_db is not None:
-            budget_db = 20.0 * math.log10(self.budget)
+            budget_db = 20.0 * math.log10(self.ablation.budget)
             side = "over" if bound_db > budget_db else "under" if not used else "within, but not beside others in,"
             text = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {text}"
         cost_s = count * EFFECTS[name].cost_s
@@ -345,13 +330,6 @@ def _by_hand(name: str, wanted: frozenset[str], world: World) -> EffectPlan:
     return EffectPlan(name=name, used=used, bound_db=None, cost_s=0.0, reason=reason)
 
 
-def _first(order: np.ndarray, count: int) -> np.ndarray:
-    """Mask of the first so many of an order."""
-    mask = np.zeros(len(order), bool)
-    mask[order[:count]] = True
-    return mask
-
-
 def _decibel(ratio: float) -> float | None:
     """A field ratio in dB as JSON can say it: None for nothing, at most `MAX_DB`."""
-    return min(20.0 * math.log10(ratio), MAX_DB) if ratio > 0.0 else None
+    return min(20.0 * math.log10(ratio), MAX_DB) if ratio > 1e-15 else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -24,12 +24,18 @@ Budget = Annotated[
 Effects = Annotated[
     str, typer.Option("--effects", help="auto (what the scene calls for), all, basic, or names with commas between.")
 ]
+#: Purposes as `sim_player.planner.purposes` has them.
+For = Annotated[
+    Literal["samples", "peaks", "objects"],
+    typer.Option("--for", help="What --effects auto keeps: every sample, detected peaks, images of hidden objects."),
+]
 
 
 def effects(
     scene: SceneFile,
     budget_db: Budget = -20.0,
     choice: Effects = "auto",
+    purpose: For = "samples",
     seed: int = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -38,7 +44,9 @@ def effects(
 
     from sim_player.effects.table import ALL_EFFECTS
     from sim_player.lidar.spad import plan_optics
+    from sim_player.planner.levels import levels_of
     from sim_player.planner.plan import manual_plan, plan_world, resolve_plan
+    from sim_player.planner.purposes import purpose_of
     from sim_player.scene.description import load_scene
     from sim_player.scene.world import prepare
     from sim_player.trace.ray_tracing import BASIC_EFFECTS
@@ -46,18 +54,22 @@ def effects(
     loaded = load_scene(scene)
     world = prepare(loaded, seed)
     if loaded.radar.preset == "spad":
-        if (budget_db, choice) != (-20.0, "auto"):
-            raise ValueError(f"{scene}: --effects and --budget-db must stay at their defaults, radar.preset is 'spad'")
+        if (budget_db, choice, purpose) != (-20.0, "auto", "samples"):
+            raise ValueError(
+                f"{scene}: --effects, --for and --budget-db must stay at their defaults, radar.preset is 'spad'"
+            )
         _print_light_plan(plan_optics(world, loaded.lidar), as_json)
         return
     if choice == "auto":
-        plan = plan_world(world, loaded.setup, budget_db, thorough=True)
+        plan = plan_world(world, loaded.setup, budget_db, thorough=True, purpose=purpose_of(purpose))
     else:
         resolved = resolve_plan(world, loaded.setup, choice, budget_db)
         plan = resolved or manual_plan(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
     if as_json:
         rows = msgspec.to_builtins(plan.effects)
-        print_json({"budget_db": plan.budget_db, "effects": rows, "paths": len(plan.echoes), "traced": plan.traced})
+        answer = {"purpose": plan.purpose.value, "budget_db": plan.budget_db, "effects": rows}
+        levels = msgspec.to_builtins(levels_of(plan))
+        print_json({**answer, "paths": len(plan.echoes), "traced": plan.traced, "levels": levels})
         return
     _print_plan(plan, loaded.name)
 
@@ -78,11 +90,14 @@ def _print_light_plan(plans: Sequence[OpticPlan], as_json: bool) -> None:
 
 
 def _print_plan(plan: Plan, name: str) -> None:
-    """One row an effect and a line of sums."""
+    """Print one row for each effect and level, and a line of sums."""
+    from sim_player.planner.levels import levels_of
+
     rows = [
         (e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
         for e in plan.effects
     ]
+    rows += [(level.part, level.choice, "-", "-", level.reason) for level in levels_of(plan)]
     print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
     if not len(plan.echoes):
         typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)
@@ -91,8 +106,12 @@ def _print_plan(plan: Plan, name: str) -> None:
     if math.isinf(plan.budget_db):
         print_line(f"{name}: {used}; chosen by hand, nothing bounded")
         return
+    if plan.view.world.scene.moves:
+        print_line(f"{name}: {used}; nothing that the moving scene has is left out, which holds at any time")
+        return
     spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
-    print_line(f"{name}: {used}; what was left out changes {spent} at most (budget {plan.budget_db:g} dB)")
+    budget = f"for {plan.purpose}, budget {plan.budget_db:g} dB"
+    print_line(f"{name}: {used}; what was left out changes {spent} at most ({budget})")
 
 
 def _db(value: float | None) -> str:
@@ -103,19 +122,20 @@ def paths(
     scene: SceneFile,
     budget_db: Budget = -20.0,
     choice: Effects = "all",
+    purpose: For = "samples",
     seed: int = 0,
     strongest: Annotated[int | None, typer.Option(min=1, help="Only so many, the strongest first.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the ways (PNG).")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Every echo the tracer finds: its way, length, direction and weight."""
-    from mirrorwave.diagnose.echo_paths import echo_paths, path_line, path_row
+    from mirrorwave.diagnose.echo_paths import PlanChoice, echo_paths, path_line, path_row
     from sim_player.scene.description import load_scene
 
     loaded = load_scene(scene)
     if loaded.radar.preset == "spad":
         raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
-    traced, power_mw, polylines = echo_paths(loaded, seed, choice, budget_db, strongest)
+    traced, power_mw, polylines = echo_paths(loaded, seed, PlanChoice(choice, budget_db, purpose), strongest)
     if plot is not None:
         from mirrorwave.plots.scene import draw_paths
 

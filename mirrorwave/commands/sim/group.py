@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.commands.sim.dataset import dataset, statistics
-from mirrorwave.commands.sim.effects import Budget, Effects, effects, paths
+from mirrorwave.commands.sim.effects import Budget, Effects, For, effects, paths
 from mirrorwave.commands.sim.fdtd import reflectance, wall
 from mirrorwave.commands.sim.lidar import lidar
 from mirrorwave.commands.sim.map_import import app as import_app
@@ -43,6 +43,7 @@ def run(
     phase_jitter_rad: Annotated[float, typer.Option(help="Standard deviation of a random phase per beam.")] = 0.0,
     choice: Effects = "auto",
     budget_db: Budget = -20.0,
+    purpose: For = "samples",
 ) -> None:
     """Record what the radar or the LiDAR of a scene would measure, with the truth."""
     from rich.console import Console
@@ -65,6 +66,7 @@ def run(
         phase_jitter_rad=phase_jitter_rad,
         effects=choice,
         budget_db=budget_db,
+        purpose=purpose,
     )
     with compile_line():
         source = player.scene_player(params)

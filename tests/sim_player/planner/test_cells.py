@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from msgs.values.radar import BeamGrid, RadarSetup
+from msgs.values.radar import BeamGrid, RadarSetup, RangeAzimuthGrid
 from sim_player.planner.cells import cells_of
+from sim_player.planner.purposes import Purpose
 
 CELLS = cells_of(RadarSetup())
 
@@ -26,6 +28,28 @@ def test_a_single_beam_has_no_neighbour() -> None:
     profile[0, 4] = 10.0
     floor = cells_of(RadarSetup(beams=BeamGrid(azimuth_deg=(0.0,)))).floor(profile, np.ones(8), 2.0, 3.0)
     np.testing.assert_allclose(floor[0], [1.0, 1.0, 1.0, 5.0, 5.0, 5.0, 1.0, 1.0])
+
+
+def test_peaks_stand_alone_over_the_threshold() -> None:
+    """One strong cell: 10 - 2 - 3 in it; 13 dB over a noise rms of 1 everywhere else, next door too."""
+    profiles = np.zeros((25, 8))
+    profiles[12, 4] = 10.0
+    floor = CELLS.floor(profiles, np.ones(8), 2.0, 3.0, Purpose.PEAKS)[:25]
+    assert floor[12, 4] == pytest.approx(5.0)
+    floor[12, 4] = 10.0 ** (13.0 / 20.0)
+    np.testing.assert_allclose(floor, 10.0 ** (13.0 / 20.0))
+
+
+def test_nearest_limits_are_those_of_the_azimuths_about_a_beam() -> None:
+    """A limit of 1 at one azimuth binds the beam that looks there, no other."""
+    setup = RadarSetup()
+    limit = np.full((25 + 256, 2), 7.0)
+    limit[25 + 128, 0] = 1.0
+    nearest = CELLS.nearest(limit)
+    beam = int(np.argmin(np.abs(setup.beams.azimuth_rad - RangeAzimuthGrid().azimuth_rad[128])))
+    assert nearest[beam, 0] == 1.0
+    assert (np.delete(nearest[:, 0], beam) == 7.0).all()
+    assert (nearest[:, 1] == 7.0).all()
 
 
 def test_noise_of_the_map_is_that_of_its_beams_added_up() -> None:

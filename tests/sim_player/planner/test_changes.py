@@ -10,7 +10,8 @@ import pytest
 from msgs.values.radar import RadarParams
 from sim_player.effects.table import EFFECTS, SIGNAL, ArrayEffect, SignalEffect, always
 from sim_player.planner.ablation import EffectAblation
-from sim_player.planner.changes import change_bound
+from sim_player.planner.changes import change_of
+from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Scene, SceneObject, SceneRadar
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
@@ -34,9 +35,15 @@ def ablation(front_end: FrontEnd = FRONT_END) -> EffectAblation:
         objects=(SceneObject(class_="car", x_m=8.0, y_m=3.0),),
         radar=SceneRadar(front_end=front_end),
     )
-    found = EffectAblation(prepare(scene), scene.setup, 0.0)
-    found.begin(exact=True)
+    found = EffectAblation(prepare(scene), scene.setup, 0.0, Purpose.SAMPLES, 0.1)
+    found.begin()
     return found
+
+
+def change_bound(found: EffectAblation, name: str) -> np.ndarray:
+    """The largest that an effect may change, [beams, bins]."""
+    change = change_of(found, name)
+    return np.abs(change.values) + np.broadcast_to(change.bound, found.shape)
 
 
 @pytest.fixture(scope="module")
