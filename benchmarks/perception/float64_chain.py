@@ -7,9 +7,9 @@ system instead of normal equations, encoding, every operator of the network, pur
 is float64. A place is the same one in both where its image has the same class and stands within a metre, one to one.
 What only one run has is told apart: `threshold`, the image's peak is missing in the other run, with how far its score
 is from the threshold; `wall`, the peak is in both and the folding decided otherwise. `--threads` asks instead whether
-the bytes of the view are the same for 1 and 2 threads of network, BLAS and kernels. Run from the root of the checkout:
-OPENBLAS_NUM_THREADS=2 python -m benchmarks.perception.float64_chain [--places 200] [--first 0] [--seed 11] [--threads]
-[--json]
+the bytes of the view are the same for 1 and 2 threads of network and kernels; BLAS has one, as in all programs: with
+two, its kernels for some processors split a product otherwise (5e-11 of a map's largest cell). Run from the root of the
+checkout: python -m benchmarks.perception.float64_chain [--places 200] [--first 0] [--seed 11] [--threads] [--json]
 """
 
 from __future__ import annotations
@@ -347,11 +347,11 @@ def precision(seed: int, indices: range) -> dict[str, Any]:
 
 
 def view_bytes(beams: list[RadarBeam], setup: RadarSetup, threads: int) -> bytes:
-    """The view of a scan as it is recorded, computed with so many threads everywhere."""
+    """The view of a scan as it is recorded, computed with so many threads of network and kernels, one of BLAS."""
     before = numba.get_num_threads()
     try:
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-        with threadpool_limits(threads):
+        with threadpool_limits(1, "blas"):
             former, detector = RaFormer(setup), NetworkDetector(setup, threads=threads)
             (ra_map,) = [one for beam in beams for one in former.add(beam)]
             view: BevFrame = recover_bev(detector.detect(ra_map), GeometryParams())

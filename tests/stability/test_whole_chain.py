@@ -65,7 +65,7 @@ def test_single_precision_moves_no_recovered_place(
 
 @pytest.mark.slow
 def test_views_are_the_same_bytes_on_one_thread_and_on_two(scan: tuple[list[RadarBeam], RadarSetup]) -> None:
-    """Network, BLAS and kernels; and again, for what a thread leaves behind."""
+    """Network and kernels; and again, for what a thread leaves behind."""
     assert len({view_bytes(*scan, threads) for threads in (1, 2, 1, 2)}) == 1
 
 
