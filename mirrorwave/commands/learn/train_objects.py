@@ -45,6 +45,7 @@ def objects(
     from models.perception.objects.encoding import ObjectEncoding
     from models.training.data.frames import DataSet
     from models.training.data.object_samples import SampleMaker
+    from models.training.data.object_store import refuse_shared_places
     from models.training.ranks import joined_ranks
     from models.training.run_folder import adopt_config
     from models.training.schedules import ScheduleConfig
@@ -59,6 +60,7 @@ def objects(
         encoding=ObjectEncoding(grid=scenes.grid),
         data={"train": str(data), "validation": str(validation), "detector_sha256": load_card(detector).sha256},
     )
+    refuse_shared_places(scenes, DataSet(validation))
     adopt_config(out, config)
     maker = SampleMaker(config.encoding, NetworkDetector(scenes.setup, detector))
     with Progress(console=Console(stderr=True)) as progress, joined_ranks() as ranks:

@@ -63,6 +63,18 @@ def make_samples(
     return paths
 
 
+def refuse_shared_places(train: DataSet, validation: DataSet) -> None:
+    """Raise `ValueError` where a place or drive of the validation scans is trained on."""
+    trained = {item for index in range(len(train)) for item in train.identity(index).items()}
+    for index in range(len(validation)):
+        for kind, value in validation.identity(index).items():
+            if (kind, value) in trained:
+                raise ValueError(
+                    f"{validation.directory}: no scan may share a place with {train.directory}, scan {index} does "
+                    f"(same {kind})"
+                )
+
+
 def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> StoredSample:
     rng = np.random.default_rng((seed or 0, index))
     imperfect = seed is not None and rng.random() < 0.5

@@ -12,7 +12,7 @@ from models.perception.detection.detectors import CfarDetector
 from models.perception.objects.encoding import ObjectEncoding
 from models.training.data.frames import DataSet
 from models.training.data.object_samples import ObjectSample, SampleMaker
-from models.training.data.object_store import load_samples, make_samples, shuffled
+from models.training.data.object_store import load_samples, make_samples, refuse_shared_places, shuffled
 from msgs.values.radar import RadarSetup
 from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
@@ -98,6 +98,13 @@ def test_a_file_that_is_none_is_named(files: list[Path], tmp_path: Path, harm: s
         path.write_bytes(files[0].read_bytes()[: 1000 if harm == "cut" else 0])
     with pytest.raises(ValueError, match=r"samples-00000\.npz must hold object samples"):
         load_samples(path)
+
+
+def test_a_place_that_is_trained_on_validates_nothing(drives: Path, tmp_path: Path) -> None:
+    write_dataset(tmp_path, 2, 4, Recipe(scans=1, effects="basic"))
+    refuse_shared_places(DataSet(drives), DataSet(tmp_path))
+    with pytest.raises(ValueError, match=r"no scan may share a place with .*, scan 0 does"):
+        refuse_shared_places(DataSet(drives), DataSet(drives))
 
 
 def test_scans_that_do_not_say_their_objects_are_refused(tmp_path: Path) -> None:
