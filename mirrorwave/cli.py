@@ -58,11 +58,22 @@ class WholeHelp(typer.core.TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in order, each verb told to be described whole."""
-        for command in self.commands.values():
-            if command.help and not command.short_help:
-                # a short help that is given is wrapped, one that is made from the long one is cut
-                command.short_help = _first_paragraph(command.help)
+        _describe_whole(self)
         return super().list_commands(ctx)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a verb; one that is a group itself describes its verbs whole too."""
+        command = super().get_command(ctx, cmd_name)
+        if isinstance(command, typer.core.TyperGroup):
+            _describe_whole(command)
+        return command
+
+
+def _describe_whole(group: typer.core.TyperGroup) -> None:
+    for command in group.commands.values():
+        if command.help and not command.short_help:
+            # a short help that is given is wrapped, one that is made from the long one is cut
+            command.short_help = _first_paragraph(command.help)
 
 
 def _first_paragraph(text: str) -> str:

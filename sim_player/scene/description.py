@@ -7,6 +7,7 @@ field, value, rule.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Iterator
 from functools import lru_cache
@@ -276,6 +277,20 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     scene = msgspec.structs.replace(scene, objects=objects)
     check_scene(scene)
     return scene
+
+
+def scene_sha256(scene: Scene) -> str:
+    """Return the SHA-256 of a scene with its numbers to 1e-6: processors round the last digit of a draw differently."""
+    return hashlib.sha256(msgspec.json.encode(_rounded(msgspec.to_builtins(scene)), order="sorted")).hexdigest()
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        # no zero with a sign
+        return round(value, 6) + 0.0
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def scene_to_yaml(scene: Scene) -> str:

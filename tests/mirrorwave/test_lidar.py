@@ -53,7 +53,7 @@ def test_what_a_scene_of_a_lidar_calls_for_is_told_with_bounds(capsys: pytest.Ca
     ("words", "rule"),
     [
         (["paths", SCENE], "radar.preset: must be a radar, xband or 77ghz, got 'spad'"),
-        (["effects", SCENE, "--effects", "all"], "--effects and --budget-db must stay at their defaults"),
+        (["effects", SCENE, "--effects", "all"], "--effects, --for and --budget-db must stay at their defaults"),
     ],
 )
 def test_what_is_of_radars_alone_is_refused_in_a_line(

@@ -25,7 +25,7 @@ from nodes.process.validation import convert_at
 from sim_player.dataset.executors import map_jobs
 from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.player import ScenePlayer
-from sim_player.scene.description import scene_to_yaml
+from sim_player.scene.description import scene_sha256
 from sim_player.trace.truth import object_images
 
 #: Committed sets, and what their choices minimise.
@@ -40,7 +40,7 @@ class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     #: Radar and road users move.
     moving: bool = False
     effects: str = "all"
-    #: Over the SHA-256 of each scene's YAML; empty: not checked.
+    #: Over the SHA-256 of each scene (`scene_sha256`); empty: not checked.
     scenes_sha256: str = ""
 
     def __post_init__(self) -> None:
@@ -114,7 +114,7 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
         reports = _reports(player, plan.profiles)
     return PlaceResult(
         place=index,
-        scene_sha256=hashlib.sha256(scene_to_yaml(player.scene).encode()).hexdigest(),
+        scene_sha256=scene_sha256(player.scene),
         rows={name: scan_row(index, objects, truth, images) for name, objects in reports.items()},
     )
 

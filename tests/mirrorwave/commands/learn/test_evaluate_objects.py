@@ -24,7 +24,7 @@ from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.object_metrics import FOUND_M
 from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.generate.places import draw_place
-from sim_player.scene.description import scene_to_yaml
+from sim_player.scene.description import scene_sha256
 
 SEED, PLACES = 5, 3
 WORDS = ("eval", "--objects", "--profile", "cfar", "--profile", "fast", "--seed", str(SEED), "--places", str(PLACES))
@@ -57,8 +57,7 @@ def test_report_counts_what_the_rows_hold(made: Path) -> None:
         recall = one["profiles"][profile]["recall"]
         assert (recall["part"], recall["whole"]) == (len(found), len(hidden))
         assert one["profiles"][profile]["reports"] == sum(len(row["rows"][profile]["reports"]) for row in rows)
-    scenes = [scene_to_yaml(draw_place(SEED, index).scene).encode() for index in range(PLACES)]
-    digests = b"".join(hashlib.sha256(text).digest() for text in scenes)
+    digests = b"".join(bytes.fromhex(scene_sha256(draw_place(SEED, index).scene)) for index in range(PLACES))
     assert one["scenes_sha256"] == hashlib.sha256(digests).hexdigest()
 
 
@@ -117,7 +116,7 @@ def test_every_committed_set_still_draws_the_places_that_were_hashed() -> None:
         digest = hashlib.sha256()
         for index in range(one.places):
             scene = draw_place(one.seed, index, "xband", None, one.moving).scene
-            digest.update(hashlib.sha256(scene_to_yaml(scene).encode()).digest())
+            digest.update(bytes.fromhex(scene_sha256(scene)))
         assert digest.hexdigest() == one.scenes_sha256, name
 
 
