@@ -30,9 +30,10 @@ class ObjectTally:
         sample = stored.sample
         hypotheses = CellHypotheses(sample.wall, sample.second, np.zeros(0, np.float32))
         likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, min(self.rows))
+        truth, images = _truth(len(self.rows[min(self.rows)]), stored), _images(stored)
         for threshold, rows in self.rows.items():
             reports = hidden_objects(likely.take(likely.score >= threshold), 0)
-            rows.append(scan_row(len(rows), reports, _truth(len(rows), stored), _images(stored)))
+            rows.append(scan_row(truth.scan_id, reports, truth, images))
 
     def report(self, threshold: float, false_cost: float = 1.0) -> ObjectReport:
         """Return all measures at a threshold, without intervals worth the name."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +18,13 @@ from models.training.pretrained import load_initial
 from models.training.ranks import Ranks
 from models.training.run_folder import (
     BEST,
-    CURVES,
     LAST,
     SUMMARY,
     adopt_config,
     load_config,
     load_json,
     load_state,
-    save_state,
+    save_epoch,
 )
 from models.training.schedules import ScheduleConfig, optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
@@ -255,18 +254,12 @@ class DenseTraining:
         return float(np.mean(losses)), tally
 
     def _save(self) -> None:
-        state = {
-            "network": self.network.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "schedule": self.schedule.state_dict(),
-            "reports": [asdict(report) for report in self.reports],
-        }
-        if self.reports[-1].is_best:
-            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        write_whole(self.run_dir / CURVES, json_lines(self.reports))
         write_whole(self.run_dir / SUMMARY, json_lines(self.summary()))
-        # last of all: a run killed before this line repeats the epoch
-        save_state(self.run_dir / LAST, state)
+        save_epoch(
+            self.run_dir,
+            {"network": self.network, "optimiser": self.optimiser, "schedule": self.schedule},
+            self.reports,
+        )
 
     def _resume(self) -> None:
         state = load_state(self.run_dir / LAST, self.ranks.device)

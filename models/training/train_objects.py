@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
@@ -16,14 +16,12 @@ from models.perception.objects.answers import ANSWERS
 from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.training.data.object_samples import ObjectSample
-from models.training.data.object_store import load_samples, shuffled
-from models.training.files import json_lines
+from models.training.data.object_store import count_samples, load_samples, shuffled
 from models.training.object_scoring import WATCHED_THRESHOLDS, ObjectTally
 from models.training.objectives.objects import ObjectLossConfig, TrueHypotheses, object_loss
 from models.training.ranks import Ranks
-from models.training.run_folder import BEST, CURVES, LAST, adopt_config, load_config, load_state, save_state
+from models.training.run_folder import BEST, LAST, adopt_config, load_config, load_state, save_epoch
 from models.training.schedules import ScheduleConfig, optimiser_of
-from msgs.files.whole_files import write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +106,7 @@ class ObjectTraining:
         torch.set_num_threads(self.config.threads)
         torch.manual_seed(self.config.seed)
         self.network = ObjectUNet(config.network).to(self.ranks.device, memory_format=torch.channels_last)
-        scans = sum(len(load_samples(path)) for path in self._train)
+        scans = sum(count_samples(path) for path in self._train)
         self.steps_per_epoch = scans // self.config.schedule.batch_size
         if not self.steps_per_epoch:
             raise ValueError(
@@ -200,17 +198,11 @@ class ObjectTraining:
         )
 
     def _save(self) -> None:
-        state = {
-            "network": self.network.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "schedule": self.schedule.state_dict(),
-            "reports": [asdict(report) for report in self.reports],
-        }
-        if self.reports[-1].is_best:
-            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        write_whole(self.run_dir / CURVES, json_lines(self.reports))
-        # last of all: a run killed before this line repeats the epoch
-        save_state(self.run_dir / LAST, state)
+        save_epoch(
+            self.run_dir,
+            {"network": self.network, "optimiser": self.optimiser, "schedule": self.schedule},
+            self.reports,
+        )
 
     def _resume(self) -> None:
         state = load_state(self.run_dir / LAST, self.ranks.device)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -15,10 +15,8 @@ from models.networks.residual_reflect_net import ResidualReflectNet
 from models.perception.geometry.recovery import ReflectionState
 from models.perception.geometry.residual_model import ResidualFrame, bounded, image_frames, in_frames
 from models.training.data.residual_samples import FoldedImages, SampleConfig, recovered_scores
-from models.training.files import json_lines
 from models.training.pretrained import load_initial
-from models.training.run_folder import BEST, CURVES, LAST, adopt_config, load_config, load_state, save_state
-from msgs.files.whole_files import write_whole
+from models.training.run_folder import BEST, LAST, adopt_config, load_config, load_state, save_epoch
 
 
 class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -162,16 +160,7 @@ class ResidualTraining:
         )
 
     def _save(self) -> None:
-        state = {
-            "network": self.network.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "reports": [asdict(report) for report in self.reports],
-        }
-        if self.reports[-1].is_best:
-            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        write_whole(self.run_dir / CURVES, json_lines(self.reports))
-        # last of all: a run killed before this line repeats the epoch
-        save_state(self.run_dir / LAST, state)
+        save_epoch(self.run_dir, {"network": self.network, "optimiser": self.optimiser}, self.reports)
 
     def _resume(self) -> None:
         state = load_state(self.run_dir / LAST)

@@ -13,6 +13,7 @@ from mirrorwave.console import print_json, print_line
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from models.training.data.frames import DataSet
     from models.training.data.object_samples import SampleMaker
     from models.training.train_objects import ObjectEpoch, ObjectTraining
 
@@ -51,7 +52,7 @@ def objects(
     from models.training.schedules import ScheduleConfig
     from models.training.train_objects import ObjectRunConfig, ObjectTraining, TrainObjectsConfig
 
-    detector, scenes = model or DEFAULT_MODEL, DataSet(data)
+    detector, scenes, validation_scenes = model or DEFAULT_MODEL, DataSet(data), DataSet(validation)
     schedule = ScheduleConfig(
         epochs=epochs, batch_size=batch_size, learning_rate=learning_rate, weight_decay=1e-2, clip_norm=5.0
     )
@@ -60,12 +61,12 @@ def objects(
         encoding=ObjectEncoding(grid=scenes.grid),
         data={"train": str(data), "validation": str(validation), "detector_sha256": load_card(detector).sha256},
     )
-    refuse_shared_places(scenes, DataSet(validation))
+    refuse_shared_places(scenes, validation_scenes)
     adopt_config(out, config)
     maker = SampleMaker(config.encoding, NetworkDetector(scenes.setup, detector))
     with Progress(console=Console(stderr=True)) as progress, joined_ranks() as ranks:
-        train = _samples(data, maker, out / TRAIN_SAMPLES, seed, progress)
-        chosen_by = _samples(validation, maker, out / VALIDATION_SAMPLES, None, progress)
+        train = _samples(scenes, maker, out / TRAIN_SAMPLES, seed, progress)
+        chosen_by = _samples(validation_scenes, maker, out / VALIDATION_SAMPLES, None, progress)
         training = ObjectTraining(config, train, chosen_by, out, ranks)
         best = _run(training, progress)
     draw_object_curves(training.reports, out / CURVES_PICTURE)
@@ -75,13 +76,11 @@ def objects(
     print_line(f"{out}: best in epoch {best.epoch}: {_summary_line(best)}")
 
 
-def _samples(data: Path, maker: SampleMaker, folder: Path, seed: int | None, progress: Progress) -> list[Path]:
+def _samples(scenes: DataSet, maker: SampleMaker, folder: Path, seed: int | None, progress: Progress) -> list[Path]:
     """Samples of all scans of a data set, kept in the run folder."""
-    from models.training.data.frames import DataSet
     from models.training.data.object_store import make_samples
 
-    scenes = DataSet(data)
-    task = progress.add_task(f"samples of {data.name}", total=len(scenes))
+    task = progress.add_task(f"samples of {scenes.directory.name}", total=len(scenes))
     return make_samples(scenes, range(len(scenes)), maker, folder, seed, partial(progress.advance, task))
 
 

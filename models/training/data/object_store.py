@@ -116,6 +116,14 @@ def load_samples(path: Path) -> list[StoredSample]:
         raise ValueError(f"{path} must hold object samples: {error}") from None
 
 
+def count_samples(path: Path) -> int:
+    """Return the number of samples in a file without unpacking them; raises `ValueError` naming it."""
+    try:
+        return len(load_arrays(path, only=("noise_power_mw",))["noise_power_mw"])
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path} must hold object samples: {error}") from None
+
+
 def _columns(name: str, tables: Sequence[ArrayTable]) -> dict[str, np.ndarray]:
     """Return the columns of tables in one row, and where each table ends."""
     joined = type(tables[0]).joined(tables)
