@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 
 from models.physics.waveform import range_profile, window_noise_gain
+from msgs.values.frames import Pose2
+from msgs.values.perception import TruthObject
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
@@ -26,7 +28,7 @@ from sim_player.signal.levels import RANGE_BINS, kernel_objections, noise_profil
 from sim_player.signal.switches import IDEAL
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace
-from sim_player.trace.truth import best_power_mw, hidden_objects, visible_paths
+from sim_player.trace.truth import best_power_mw, hidden_objects, true_objects, visible_paths
 
 WINDOW = "hann"
 #: The receiver of the basic signal chain: its converter does not round.
@@ -80,6 +82,8 @@ class LabelledScan:
     noise_power_mw: float
     #: Objects seen in a mirror and not directly.
     hidden: tuple[int, ...]
+    #: All objects in the radar's frame, in the order of the scene.
+    objects: tuple[TruthObject, ...]
     #: Effects in the signal, paths it is made of.
     used: frozenset[str]
     paths: int
@@ -153,6 +157,7 @@ class _Scan:
             labels=label_points(self.setup, self.paths, self.gain if self.plan is None else 1.0, classes),
             noise_power_mw=noise_power_mw(self.setup),
             hidden=tuple(sorted(hidden_objects(self.paths))),
+            objects=true_objects(self.world, self.paths, 0.0, Pose2()),
             used=BASIC_USED if self.plan is None else self.plan.used,
             paths=len(self.paths),
             plan=self.plan,

@@ -67,7 +67,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
     rougher and fuller, and the board faulty (`sim_player.generate.domain_shift`), whose faults are those of steered
     beams. scans: a scene is one of so many consecutive scans of a drive (`sim_player.generate.drives`) at its true
-    pace; None: a place at rest. Drives have the effects "all" unless told otherwise.
+    pace; None: a place at rest. Drives have the effects "all" unless told otherwise. truth: the facts list all objects,
+    as those of drives always do.
     """
 
     places: Places = "any"
@@ -76,6 +77,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     budget_db: float = -20.0
     shift: Shift = "none"
     scans: int | None = None
+    truth: bool = False
     scenes_per_shard: int = SCENES_PER_SHARD
     format: int = FORMAT
 
@@ -117,6 +119,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"places must not be street_v1 for drives: its streets are at rest, got {self.places!r}")
         if self.shift != "none":
             raise ValueError(f"shift must be none for drives, got {self.shift!r}")
+        if self.truth:
+            raise ValueError("truth must not be asked of drives: they always have it, got True")
 
     @property
     def choice(self) -> EffectChoice:
@@ -153,8 +157,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
         plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
-        # series older than the shift have no such field, nor than drives
-        del plain["shift"], plain["scans"]
+        # series older than the shift have no such field, nor than drives or their truth
+        del plain["shift"], plain["scans"], plain["truth"]
+        if self.truth:
+            plain["truth"] = True
         if self.scans is not None:
             plain |= {"generator": "random_drive", "motion": True, "scans": self.scans, "class_mix": STREET_MIX}
         if self.shift == "hard":
@@ -274,7 +280,8 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         texts.append(scene_to_yaml(scene))
         gains.append(gain_db)
         noise.append(noise_power_mw(scene.setup))
-        facts.append(msgspec.json.encode(place | {"hidden": scan.hidden} | scene_facts(scene)))
+        listed = {"truth": scan.objects} if recipe.truth else {}
+        facts.append(msgspec.json.encode(place | {"hidden": scan.hidden} | scene_facts(scene) | listed))
         plans.append(_plan_line(recipe, scan))
     return {
         "profiles": np.stack(profiles),

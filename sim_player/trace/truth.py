@@ -102,7 +102,7 @@ def scene_truth(
         mirrored_points_m=mirrored.virtual_m.astype(np.float32),
         hidden_points_m=mirrored.point_m.astype(np.float32),
         hidden_object=mirrored.object_index.astype(np.int32),
-        objects=_objects(world, paths, time_s, radar_from_start),
+        objects=true_objects(world, paths, time_s, radar_from_start),
         surfaces=_surfaces(world, radar_from_start),
     )
 
@@ -155,7 +155,7 @@ def _strongest(object_index: np.ndarray, snr_db: np.ndarray, count: int) -> np.n
     return strongest
 
 
-def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
+def true_objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
     """Return all objects of the scene in the radar's frame at a time."""
     hidden = hidden_objects(paths)
     objects = []

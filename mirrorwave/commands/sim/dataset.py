@@ -76,6 +76,9 @@ def dataset(
     shift: Annotated[
         ShiftOption, typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
     ] = ShiftOption.NONE,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="All objects with their boxes in the facts; drives always have them.")
+    ] = False,
     executor: Annotated[
         ExecutorOption, typer.Option(help="Processes here, a Ray cluster (RAY_ADDRESS), a Slurm job array.")
     ] = ExecutorOption.LOCAL,
@@ -96,6 +99,7 @@ def dataset(
         budget_db=budget_db,
         shift=shift.value,
         scans=scans_of_a_drive(motion, scans),
+        truth=truth,
     )
     report = _Report(out, count * (scans or 1))
     with report.progress:

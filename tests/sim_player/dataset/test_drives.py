@@ -233,6 +233,7 @@ def test_other_series_in_the_folder_are_refused(tmp_path: Path, drives: Path) ->
     ("values", "rule"),
     [
         ({"scans": 0}, r"scans must be 1\.\.100, got 0"),
+        ({"scans": 2, "truth": True}, "truth must not be asked of drives: they always have it"),
         ({"scans": 101}, r"scans must be 1\.\.100, got 101"),
         ({"scans": 3, "shift": "hard"}, "shift must be none for drives, got 'hard'"),
         ({"scans": 3, "places": "street_v1"}, "places must not be street_v1 for drives"),

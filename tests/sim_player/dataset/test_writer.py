@@ -509,3 +509,19 @@ def test_statistics_of_no_data_set(tmp_path: Path, streets: Path) -> None:
     (tmp_path / "shard-00000.npz").write_bytes((streets / "shard-00000.npz").read_bytes()[:500])
     with pytest.raises(ValueError, match=r"shard-00000\.npz: not a shard of this format"):
         list(read_records(tmp_path))
+
+
+def test_truth_lists_all_objects_and_changes_nothing_else() -> None:
+    """A place's boxes as its scene has them, hidden where mirrors alone show them; all other arrays stay."""
+    plain = shards.shard_arrays(Recipe(effects="basic"), 5, 0, 2)
+    listed = shards.shard_arrays(Recipe(effects="basic", truth=True), 5, 0, 2)
+    for name in plain.keys() - {"facts"}:
+        np.testing.assert_array_equal(plain[name], listed[name])
+    for index in range(2):
+        facts = msgspec.json.decode(listed["facts"][index])
+        scene = draw_place(5, index).scene
+        assert [(one["object_class"], one["x_m"], one["y_m"]) for one in facts["truth"]] == [
+            (one.object_class, pytest.approx(one.x_m), pytest.approx(one.y_m)) for one in scene.objects
+        ]
+        assert [one["id"] for one in facts["truth"] if one["hidden"]] == facts["hidden"]
+        assert facts | {"truth": None} == msgspec.json.decode(plain["facts"][index]) | {"truth": None}
