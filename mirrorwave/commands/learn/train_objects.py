@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Sequence
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -13,6 +15,7 @@ from mirrorwave.console import print_json, print_line
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from models.perception.objects.encoding import ObjectEncoding
     from models.training.data.frames import DataSet
     from models.training.data.object_samples import SampleMaker
     from models.training.train_objects import ObjectEpoch, ObjectTraining
@@ -22,8 +25,10 @@ CURVES_PICTURE, TRAIN_SAMPLES, VALIDATION_SAMPLES = "curves.png", "samples-train
 
 
 def objects(
-    data: Annotated[Path, typer.Option(metavar="DIR", help="Scans with their true objects (sim dataset --scans).")],
-    validation: Annotated[Path, typer.Option(metavar="DIR", help="Other such scans, that choose the epoch.")],
+    data: Annotated[
+        list[Path], typer.Option(metavar="DIR", help="Scans with their true objects (sim dataset --truth, or drives).")
+    ],
+    validation: Annotated[list[Path], typer.Option(metavar="DIR", help="Other such scans, that choose the epoch.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
     model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
@@ -33,6 +38,7 @@ def objects(
     learning_rate: Annotated[float, typer.Option()] = 3e-3,
     seed: Annotated[int, typer.Option(min=0, help="First weights, order and augmentation of the samples.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Files of samples made at a time.")] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print the best epoch as JSON.")] = False,
 ) -> None:
     """Train the network that judges what each cell of a map would be if a wall had mirrored it."""
@@ -41,32 +47,33 @@ def objects(
     from rich.progress import Progress
 
     from mirrorwave.plots.training_curves import draw_object_curves
-    from models.perception.detection.detectors import NetworkDetector
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.encoding import ObjectEncoding
     from models.training.data.frames import DataSet
-    from models.training.data.object_samples import SampleMaker
-    from models.training.data.object_store import refuse_shared_places
     from models.training.ranks import joined_ranks
     from models.training.run_folder import adopt_config
     from models.training.schedules import ScheduleConfig
     from models.training.train_objects import ObjectRunConfig, ObjectTraining, TrainObjectsConfig
 
-    detector, scenes, validation_scenes = model or DEFAULT_MODEL, DataSet(data), DataSet(validation)
+    detector, scenes, judges = model or DEFAULT_MODEL, list(map(DataSet, data)), list(map(DataSet, validation))
     schedule = ScheduleConfig(
         epochs=epochs, batch_size=batch_size, learning_rate=learning_rate, weight_decay=1e-2, clip_norm=5.0
     )
     config = ObjectRunConfig(
         training=TrainObjectsConfig(schedule=schedule, seed=seed, threads=threads),
-        encoding=ObjectEncoding(grid=scenes.grid),
-        data={"train": str(data), "validation": str(validation), "detector_sha256": load_card(detector).sha256},
+        encoding=ObjectEncoding(grid=scenes[0].grid),
+        data={
+            "train": " ".join(map(str, data)),
+            "validation": " ".join(map(str, validation)),
+            "detector_sha256": load_card(detector).sha256,
+        },
     )
-    refuse_shared_places(scenes, validation_scenes)
+    _check_data(scenes, judges)
     adopt_config(out, config)
-    maker = SampleMaker(config.encoding, NetworkDetector(scenes.setup, detector))
+    maker = _Maker(detector, config.encoding)
     with Progress(console=Console(stderr=True)) as progress, joined_ranks() as ranks:
-        train = _samples(scenes, maker, out / TRAIN_SAMPLES, seed, progress)
-        chosen_by = _samples(validation_scenes, maker, out / VALIDATION_SAMPLES, None, progress)
+        train = _samples(scenes, maker, out / TRAIN_SAMPLES, seed, workers, progress)
+        chosen_by = _samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
         training = ObjectTraining(config, train, chosen_by, out, ranks)
         best = _run(training, progress)
     draw_object_curves(training.reports, out / CURVES_PICTURE)
@@ -76,12 +83,76 @@ def objects(
     print_line(f"{out}: best in epoch {best.epoch}: {_summary_line(best)}")
 
 
-def _samples(scenes: DataSet, maker: SampleMaker, folder: Path, seed: int | None, progress: Progress) -> list[Path]:
-    """Samples of all scans of a data set, kept in the run folder."""
-    from models.training.data.object_store import make_samples
+def _check_data(scenes: Sequence[DataSet], judges: Sequence[DataSet]) -> None:
+    """Raise `ValueError` where data sets are of different radars, or validation places are trained on."""
+    from models.training.data.object_store import refuse_shared_places
 
-    task = progress.add_task(f"samples of {scenes.directory.name}", total=len(scenes))
-    return make_samples(scenes, range(len(scenes)), maker, folder, seed, partial(progress.advance, task))
+    first = scenes[0]
+    for data in (*scenes, *judges):
+        if (data.grid, data.setup) != (first.grid, first.setup):
+            raise ValueError(f"{data.directory}: radar and grid must be those of {first.directory}")
+    for train, judge in product(scenes, judges):
+        refuse_shared_places(train, judge)
+
+
+class _Maker(NamedTuple):
+    """How samples are made, for any process."""
+
+    detector: Path
+    encoding: ObjectEncoding
+
+
+class _Job(NamedTuple):
+    """Samples of some scans of a data set, to one file."""
+
+    data: Path
+    scans: range
+    maker: _Maker
+    path: Path
+    seed: int | None
+
+
+def _samples(
+    scenes: Sequence[DataSet], maker: _Maker, folder: Path, seed: int | None, workers: int, progress: Progress
+) -> list[Path]:
+    """Samples of all scans of the data sets, kept in the run folder."""
+    from models.training.data.object_store import sample_files
+    from sim_player.dataset.executors import map_jobs
+
+    jobs = [
+        _Job(data.directory, scans, maker, path, seed)
+        for number, data in enumerate(scenes)
+        for path, scans in sample_files(len(data), folder / f"{number:02d}").items()
+    ]
+    task = progress.add_task(folder.name, total=sum(map(len, scenes)))
+    for count in map_jobs(_make, jobs, workers=workers):
+        progress.advance(task, count)
+    return [job.path for job in jobs]
+
+
+def _make(job: _Job) -> int:
+    """Make one file of samples; the number of its scans."""
+    from models.training.data.object_store import make_file
+
+    make_file(_data_set(job.data), job.scans, _sample_maker(job.data, job.maker), job.path, job.seed)
+    return len(job.scans)
+
+
+@cache
+def _data_set(folder: Path) -> DataSet:
+    """A data set, opened once a process."""
+    from models.training.data.frames import DataSet
+
+    return DataSet(folder)
+
+
+@cache
+def _sample_maker(folder: Path, maker: _Maker) -> SampleMaker:
+    """Parts of a vehicle for the radar of a data set, loaded once a process."""
+    from models.perception.detection.detectors import NetworkDetector
+    from models.training.data.object_samples import SampleMaker
+
+    return SampleMaker(maker.encoding, NetworkDetector(_data_set(folder).setup, maker.detector))
 
 
 def _run(training: ObjectTraining, progress: Progress) -> ObjectEpoch:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TypeVar
@@ -38,29 +38,32 @@ class StoredSample:
     noise_power_mw: float
 
 
-def make_samples(
-    data: DataSet,
-    indices: Sequence[int],
-    maker: SampleMaker,
-    folder: Path,
-    seed: int | None,
-    on_scan: Callable[[], None] = lambda: None,
-) -> list[Path]:
-    """Return files of the samples of some scans, making those that are missing; with a seed, half of the scans are
-    recorded by an imperfect radar.
+def make_samples(data: DataSet, maker: SampleMaker, folder: Path, seed: int | None) -> list[Path]:
+    """Return files of the samples of all scans, making those that are missing; see `make_file`."""
+    files = sample_files(len(data), folder)
+    for path, indices in files.items():
+        make_file(data, indices, maker, path, seed)
+    return list(files)
+
+
+def sample_files(scans: int, folder: Path) -> dict[Path, range]:
+    """Return the files for the samples of so many scans in a folder, and the scans of each."""
+    firsts = range(0, scans, SAMPLES_PER_FILE)
+    return {
+        folder / f"samples-{number:05d}.npz": range(first, min(first + SAMPLES_PER_FILE, scans))
+        for number, first in enumerate(firsts)
+    }
+
+
+def make_file(data: DataSet, indices: Sequence[int], maker: SampleMaker, path: Path, seed: int | None) -> None:
+    """Write the samples of some scans where the file is missing; with a seed, half of all scans are recorded by an
+    imperfect radar.
 
     Raises `ValueError` where a scan does not say its objects.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for first in range(0, len(indices), SAMPLES_PER_FILE):
-        own = indices[first : first + SAMPLES_PER_FILE]
-        paths.append(folder / f"samples-{first // SAMPLES_PER_FILE:05d}.npz")
-        if not paths[-1].exists():
-            save_samples(paths[-1], [_made(data, int(index), maker, seed) for index in own])
-        for _ in own:
-            on_scan()
-    return paths
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_samples(path, [_made(data, index, maker, seed) for index in indices])
 
 
 def refuse_shared_places(train: DataSet, validation: DataSet) -> None:
@@ -80,7 +83,7 @@ def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> St
     imperfect = seed is not None and rng.random() < 0.5
     frame = data.frame(index, lambda scan: perturb_scan(scan, Perturbation(), rng) if imperfect else scan)
     if frame.truth is None:
-        raise ValueError(f"{data.directory}: scan {index} must say its objects, as drives of sim dataset do")
+        raise ValueError(f"{data.directory}: scan {index} must say its objects, as drives and `sim dataset --truth` do")
     sample, walls = maker.sample(frame.ra_map, frame.labels, frame.truth)
     return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw)
 

@@ -24,20 +24,20 @@ ENCODING = ObjectEncoding()
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six scans of two drives with their true objects."""
     folder = tmp_path_factory.mktemp("drives")
-    write_dataset(folder, 6, 3, Recipe(scans=3, effects="basic"))
+    write_dataset(folder, 2, 3, Recipe(scans=3, effects="basic"))
     return folder
 
 
 @pytest.fixture(scope="module")
 def files(drives: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
-    return make_samples(DataSet(drives), range(6), maker, tmp_path_factory.mktemp("samples"), seed=5)
+    return make_samples(DataSet(drives), maker, tmp_path_factory.mktemp("samples"), seed=5)
 
 
 def test_samples_are_made_once_and_read_back_as_they_were(drives: Path, files: list[Path]) -> None:
     maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
     before = files[0].read_bytes()
-    assert make_samples(DataSet(drives), range(6), maker, files[0].parent, seed=5) == files
+    assert make_samples(DataSet(drives), maker, files[0].parent, seed=5) == files
     assert files[0].read_bytes() == before
     stored = load_samples(files[0])
     assert len(stored) == 6
@@ -48,7 +48,7 @@ def test_samples_are_made_once_and_read_back_as_they_were(drives: Path, files: l
 
 def test_half_of_the_scans_have_an_imperfect_radar(drives: Path, files: list[Path], tmp_path: Path) -> None:
     maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
-    perfect = load_samples(make_samples(DataSet(drives), range(6), maker, tmp_path, seed=None)[0])
+    perfect = load_samples(make_samples(DataSet(drives), maker, tmp_path, seed=None)[0])
     same = [
         np.array_equal(one.sample.cells, other.sample.cells)
         for one, other in zip(perfect, load_samples(files[0]), strict=True)
@@ -111,4 +111,4 @@ def test_scans_that_do_not_say_their_objects_are_refused(tmp_path: Path) -> None
     write_dataset(tmp_path, 1, 3, Recipe(places="street_v1"))
     maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
     with pytest.raises(ValueError, match="scan 0 must say its objects"):
-        make_samples(DataSet(tmp_path), range(1), maker, tmp_path / "samples", seed=None)
+        make_samples(DataSet(tmp_path), maker, tmp_path / "samples", seed=None)
