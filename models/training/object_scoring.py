@@ -30,9 +30,12 @@ class ObjectTally:
         sample = stored.sample
         hypotheses = CellHypotheses(sample.wall, sample.second, np.zeros(0, np.float32))
         likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, min(self.rows))
+        column_rad, stamp_ns = self._encoding.cells.azimuth_rad, stored.column_stamp_ns
+        stamp_ns = np.rint(np.interp(likely.azimuth_rad, column_rad, stamp_ns)).astype(np.int64)
         truth, images = _truth(len(self.rows[min(self.rows)]), stored), _images(stored)
         for threshold, rows in self.rows.items():
-            reports = hidden_objects(likely.take(likely.score >= threshold), 0)
+            reached = likely.score >= threshold
+            reports = hidden_objects(likely.take(reached), stamp_ns[reached])
             rows.append(scan_row(truth.scan_id, reports, truth, images))
 
     def report(self, threshold: float, false_cost: float = 1.0) -> ObjectReport:

@@ -396,3 +396,8 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             raise ValueError(f"map.mode must be one of {', '.join(MAP_MODES)}, got {self.mode!r}")
         if not set(self.faults) <= set(MAP_FAULTS):
             raise ValueError(f"map.faults must be among {', '.join(MAP_FAULTS)}, got {self.faults!r}")
+
+    def stamps_at(self, azimuth_rad: np.ndarray) -> np.ndarray:
+        """Return the acquisition times [N] of azimuths [N], those beyond the map at its edges; int64."""
+        column = np.rint(self.grid.azimuth_index(azimuth_rad))
+        return self.azimuth_stamp_ns[np.clip(column, 0, self.grid.azimuth_bins - 1).astype(np.int64)]

@@ -138,8 +138,8 @@ def _distinct(reports: Detections) -> np.ndarray:
     return np.array(kept, int)
 
 
-def hidden_objects(reports: Detections, stamp_ns: int) -> tuple[HiddenObject, ...]:
-    """Return detections as a view reports them, all measured at one time."""
+def hidden_objects(reports: Detections, stamp_ns: np.ndarray) -> tuple[HiddenObject, ...]:
+    """Return detections as a view reports them, measured at the times [N]."""
     return tuple(
         HiddenObject(
             id=index,
@@ -150,7 +150,7 @@ def hidden_objects(reports: Detections, stamp_ns: int) -> tuple[HiddenObject, ..
             yaw_rad=float(reports.yaw_rad[index]),
             score=float(reports.score[index]),
             cov_m2=tuple(map(tuple, reports.covariance_m2[index].tolist())),  # type: ignore[arg-type]
-            stamp_ns=stamp_ns,
+            stamp_ns=int(stamp_ns[index]),
         )
         for index in range(len(reports))
     )

@@ -17,12 +17,13 @@ import msgspec
 import numpy as np
 
 from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_forming import ScanProfiles, form_map, look_azimuths
+from models.perception.forming.ra_forming import ScanProfiles, beam_middle_s, form_map, look_azimuths
 from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
 from msgs.values.array_table import ArrayTable
 from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 
 #: Arrays of every shard beside its profiles or values: noise [scenes], and the truth points of all scenes in one
@@ -234,7 +235,7 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
                 scan_id=scan.index,
                 profiles=scan.profiles,
                 noise_power_mw=scan.noise_power_mw,
-                beam_stamp_ns=np.zeros(len(scan.profiles), np.int64),
+                beam_stamp_ns=_beam_stamps(scan, interpolator.setup),
                 missing_beams=scan.missing_beams,
                 look_azimuth_rad=None if scan.ego is None else look_azimuths(interpolator.setup, grid, scan.ego),
             ),
@@ -252,6 +253,13 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
         # power alone does not show it; a complex map made elsewhere counts as coherent
         incoherent=np.full(grid.range_bins, not np.any(scan.values.imag), np.bool_),
     )
+
+
+def _beam_stamps(scan: Scan, setup: RadarSetup) -> np.ndarray:
+    """Return the times of the beams of a drive's scan, int64 [beams]; zero where nothing moves."""
+    if scan.ego is None or scan.profiles is None:
+        return np.zeros(len(setup.beams), np.int64)
+    return np.array([ns_from_s(beam_middle_s(setup, beam)) for beam in range(len(scan.profiles))], np.int64)
 
 
 def _series(path: Path) -> dict[str, Any]:

@@ -103,14 +103,22 @@ class SampleMaker:
         returns, walls = direct_structure(peaks, self._geometry)
         cells, hypotheses = encode_objects(self.encoding, ra_map, peaks, walls, returns)
         arrays = wall_arrays(walls)
-        targets = true_hypotheses(hypotheses, self.encoding.cells, arrays, labels, truth)
+        elapsed_s = 1e-9 * (ra_map.stamps_at(labels.azimuth_rad) - ra_map.stamp_ns)
+        targets = true_hypotheses(hypotheses, self.encoding.cells, arrays, labels, truth, elapsed_s)
         return ObjectSample(cells.astype(np.float16), hypotheses.wall, hypotheses.second, targets), arrays
 
 
 def true_hypotheses(
-    hypotheses: CellHypotheses, grid: CellGrid, walls: WallArrays, labels: FrameLabels, truth: Sequence[TruthObject]
+    hypotheses: CellHypotheses,
+    grid: CellGrid,
+    walls: WallArrays,
+    labels: FrameLabels,
+    truth: Sequence[TruthObject],
+    elapsed_s: np.ndarray,
 ) -> ObjectTargets:
-    """Return the hypotheses by whose walls a labelled image of a hidden object leads to it."""
+    """Return the hypotheses by whose walls a labelled image of a hidden object leads to it; `elapsed_s` [labels] is
+    how long after the truth each label was measured.
+    """
     rows = []
     for number, true_object in enumerate(truth):
         images = (labels.object_index == number) & (labels.path_class == PathClass.MIRRORED)
@@ -118,7 +126,7 @@ def true_hypotheses(
             continue
         for which in range(HYPOTHESES):
             for mirrors in _mirrors(hypotheses, which):
-                image = _Image.of(true_object, labels, images, mirrors, walls)
+                image = _Image.of(true_object, labels, images, mirrors, walls, elapsed_s)
                 at = None if image is None else image.cell(grid)
                 if image is not None and at is not None and _has(hypotheses, which, at, mirrors):
                     rows.append((which, *at, number, CLASSES.index(true_object.object_class), *image.values(grid, at)))
@@ -159,10 +167,12 @@ class _Image:
         images: np.ndarray,
         mirrors: tuple[int, ...],
         walls: WallArrays,
+        elapsed_s: np.ndarray,
     ) -> _Image | None:
         """Return the mean image of the labelled points that these mirrors explain; None without one."""
         points_m = labels.hidden_xy_m[images].astype(np.float64)
-        centre_m = np.array([true_object.x_m, true_object.y_m])
+        velocity_mps = np.array([true_object.velocity_x_mps, true_object.velocity_y_mps])
+        centre_m = np.array([true_object.x_m, true_object.y_m]) + elapsed_s[images, None] * velocity_mps
         heading = np.array([math.cos(true_object.yaw_rad), math.sin(true_object.yaw_rad)])
         for wall in reversed(mirrors):
             normal, offset_m = walls.normal[wall], walls.offset_m[wall]
@@ -174,7 +184,7 @@ class _Image:
         if not fits.any():
             return None
         log_size = math.log(true_object.length_m), math.log(true_object.width_m)
-        return cls(points_m[fits].mean(axis=0), centre_m, heading, log_size)
+        return cls(points_m[fits].mean(axis=0), centre_m[fits].mean(axis=0), heading, log_size)
 
     def cell(self, grid: CellGrid) -> tuple[int, int] | None:
         """Return the row and column of its position; None outside the grid."""

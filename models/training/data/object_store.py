@@ -28,7 +28,7 @@ Table = TypeVar("Table", bound=ArrayTable)
 
 @dataclass(frozen=True)
 class StoredSample:
-    """A sample with what its evaluation needs: the walls that were found, labels and true objects."""
+    """A sample with what its evaluation needs: walls from the map, labels, true objects, times of its columns."""
 
     sample: ObjectSample
     walls: WallArrays
@@ -36,6 +36,8 @@ class StoredSample:
     truth: tuple[TruthObject, ...]
     #: Of a beam, per range bin, as the data set says it.
     noise_power_mw: float
+    #: Acquisition time of each column of the input after the truth's, int64 [columns].
+    column_stamp_ns: np.ndarray
 
 
 def make_samples(data: DataSet, maker: SampleMaker, folder: Path, seed: int | None) -> list[Path]:
@@ -85,7 +87,8 @@ def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> St
     if frame.truth is None:
         raise ValueError(f"{data.directory}: scan {index} must say its objects, as drives and `sim dataset --truth` do")
     sample, walls = maker.sample(frame.ra_map, frame.labels, frame.truth)
-    return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw)
+    column_stamp_ns = frame.ra_map.stamps_at(maker.encoding.cells.azimuth_rad) - frame.ra_map.stamp_ns
+    return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw, column_stamp_ns)
 
 
 def save_samples(path: Path, samples: Sequence[StoredSample]) -> None:
@@ -98,6 +101,7 @@ def save_samples(path: Path, samples: Sequence[StoredSample]) -> None:
     arrays |= _columns("labels", [stored.labels for stored in samples])
     arrays["truth"] = np.array([msgspec.json.encode(stored.truth) for stored in samples])
     arrays["noise_power_mw"] = np.array([stored.noise_power_mw for stored in samples])
+    arrays["column_stamp_ns"] = np.stack([stored.column_stamp_ns for stored in samples])
     with whole(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
@@ -111,10 +115,10 @@ def load_samples(path: Path) -> list[StoredSample]:
             for kind, name in ((ObjectTargets, "targets"), (WallArrays, "walls"), (FrameLabels, "labels"))
         )
         truth = [msgspec.json.decode(text, type=tuple[TruthObject, ...]) for text in arrays["truth"].tolist()]
-        noise = arrays["noise_power_mw"].tolist()
+        noise, stamps = arrays["noise_power_mw"].tolist(), arrays["column_stamp_ns"]
         cells = zip(arrays["cells"], arrays["wall"], arrays["second"], targets, strict=True)
         samples = [ObjectSample(*parts) for parts in cells]  # type: ignore[arg-type]
-        return [StoredSample(*parts) for parts in zip(samples, walls, labels, truth, noise, strict=True)]  # type: ignore[arg-type]
+        return [StoredSample(*parts) for parts in zip(samples, walls, labels, truth, noise, stamps, strict=True)]
     except (KeyError, ValueError, msgspec.DecodeError) as error:
         raise ValueError(f"{path} must hold object samples: {error}") from None
 

@@ -44,6 +44,8 @@ def labels(
 
 
 CAR = TruthObject(id=0, object_class="car", x_m=4.2, y_m=-2.3, length_m=4.4, width_m=1.8, yaw_rad=0.3, hidden=True)
+#: Labels that were measured with the truth.
+AT_ONCE = np.zeros(1)
 #: A point of the car, its image by x = 12, and by y = 10 and x = 12.
 POINT, ONCE, TWICE = (5.0, -2.0), (19.0, -2.0), (19.0, 22.0)
 
@@ -66,7 +68,7 @@ def said(targets: ObjectTargets, probability: float) -> np.ndarray:
 def test_what_is_true_leads_back_to_the_object(image_m: tuple[float, float], which: int) -> None:
     """Position to the millimetre that float32 leaves of the offsets; across the ray by a chord for an arc: 20 mm."""
     found = hypotheses(walls())
-    targets = true_hypotheses(found, GRID, walls(), labels([0], [POINT], [image_m]), [CAR])
+    targets = true_hypotheses(found, GRID, walls(), labels([0], [POINT], [image_m]), [CAR], AT_ONCE)
     assert targets.at.tolist() == [[which, *cell(*image_m)]]
     got = detections(said(targets, 0.8), found, GRID, walls(), 0.5)
     assert len(got) == 1
@@ -78,10 +80,21 @@ def test_what_is_true_leads_back_to_the_object(image_m: tuple[float, float], whi
     assert got.object_class.tolist() == [2]
 
 
+def test_a_moving_object_is_where_it_was_when_its_beam_looked() -> None:
+    """At 5 m/s along x, 0.2 s after the truth: its box 1 m further on, the labelled point as it was measured."""
+    values = {name: getattr(CAR, name) for name in CAR.__struct_fields__}
+    moving = TruthObject(**values | {"velocity_x_mps": 5.0})
+    cells = hypotheses(walls(ACROSS))
+    targets = true_hypotheses(cells, GRID, walls(ACROSS), labels([0], [POINT], [ONCE]), [moving], np.array([0.2]))
+    got = detections(said(targets, 0.8), cells, GRID, walls(ACROSS), 0.5)
+    np.testing.assert_allclose(got.place_m[0], POINT, atol=1e-3)
+    np.testing.assert_allclose(got.centre_m[0], [CAR.x_m + 1.0, CAR.y_m], atol=1e-3)
+
+
 def test_errors_turn_with_the_mirror() -> None:
     """0.1 m along the ray and 0.4 m across it, in the wall x = 12: the ray (19, -2) comes back as (-19, -2)."""
     found = hypotheses(walls(ACROSS))
-    targets = true_hypotheses(found, GRID, walls(ACROSS), labels([0], [POINT], [ONCE]), [CAR])
+    targets = true_hypotheses(found, GRID, walls(ACROSS), labels([0], [POINT], [ONCE]), [CAR], AT_ONCE)
     got = detections(said(targets, 0.8), found, GRID, walls(ACROSS), 0.5)
     ray = np.array([-19.0, -2.0]) / math.hypot(19.0, 2.0)
     across = np.array([-ray[1], ray[0]])
@@ -93,7 +106,7 @@ def test_errors_turn_with_the_mirror() -> None:
 def test_two_images_of_one_object_are_one_report_and_the_better_one_speaks() -> None:
     found = hypotheses(walls())
     true = labels([0, 0], [POINT, POINT], [ONCE, TWICE])
-    targets = true_hypotheses(found, GRID, walls(), true, [CAR])
+    targets = true_hypotheses(found, GRID, walls(), true, [CAR], np.zeros(2))
     assert len(targets.at) == 2
     answer = said(targets, 0.8).reshape(HYPOTHESES, ANSWERS, *found.wall.shape[1:])
     answer[SINGLES, OBJECT] = np.where(answer[SINGLES, OBJECT] > 0.0, logit(0.9), -20.0)
@@ -104,10 +117,10 @@ def test_two_images_of_one_object_are_one_report_and_the_better_one_speaks() -> 
 def test_what_stands_in_plain_sight_or_has_no_hypothesis_is_no_target() -> None:
     found = hypotheses(walls(ACROSS))
     seen = TruthObject(**{name: getattr(CAR, name) for name in CAR.__struct_fields__} | {"hidden": False})  # type: ignore[arg-type]
-    assert not len(true_hypotheses(found, GRID, walls(ACROSS), labels([0], [POINT], [ONCE]), [seen]).at)
+    assert not len(true_hypotheses(found, GRID, walls(ACROSS), labels([0], [POINT], [ONCE]), [seen], AT_ONCE).at)
     # an image 3 m from where the wall would show it: another wall's
     elsewhere = labels([0], [POINT], [(22.0, -2.0)])
-    assert not len(true_hypotheses(found, GRID, walls(ACROSS), elsewhere, [CAR]).at)
+    assert not len(true_hypotheses(found, GRID, walls(ACROSS), elsewhere, [CAR], AT_ONCE).at)
 
 
 def test_an_answer_of_nothing_is_nothing() -> None:
