@@ -12,6 +12,7 @@ from models.perception.detection.detectors import Detector
 from models.perception.detection.stage import DetectionStage
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
+from models.perception.objects.predictor import ObjectPredictor
 from models.perception.timing import Timed
 from models.perception.tracking.stage import ViewStage
 from msgs.values.radar import RadarSetup
@@ -65,6 +66,7 @@ class SharedParts:
     detector: Detector
     residual: Residual | None
     confidence: Confidence | None
+    predictor: ObjectPredictor | None
 
     @classmethod
     def of(cls, values: Mapping[str, Mapping[str, Any]], setup: RadarSetup) -> SharedParts:
@@ -72,7 +74,8 @@ class SharedParts:
         params = NodeParams.of(values)
         detector = dense_predictor.detector_for(params.dense_predictor, setup)
         _, residual, confidence = geometry.parts_of(params.geometry)
-        return cls(params, setup, detector, residual, confidence)
+        predictor = geometry.predictor_of(params.geometry)
+        return cls(params, setup, detector, residual, confidence, predictor)
 
     def chain(self) -> Chain:
         """Return a chain that has seen nothing yet."""
@@ -80,7 +83,7 @@ class SharedParts:
         chain = Chain(
             ra_former.forming_stage(self.params.ra_former),
             DetectionStage(lambda _: self.detector),
-            ViewStage(placing, self.residual, self.confidence, placing.memory),
+            ViewStage(placing, self.residual, self.confidence, placing.memory, predictor=self.predictor),
         )
         chain.forming.set_up(self.setup)
         return chain

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from models.perception.cards import learned_path
 from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
@@ -18,12 +20,18 @@ from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import WEIGHTS
 from msgs.values.diagnostics import NodeState
 from msgs.values.perception import Peaks
+from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
+if TYPE_CHECKING:
+    from models.perception.objects.predictor import ObjectPredictor
+
 _LOG = logging.getLogger(__name__)
 
+#: A map waits for its peaks; more than these have been overtaken.
+KEPT_MAPS = 4
 #: After so much driving without a bias of the yaw rate the node says why there is none.
 BIAS_OVERDUE_S = 30.0
 
@@ -37,20 +45,31 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: the one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed
     #: network; `none`: all places are kept, with the scores of their peaks.
     confidence: str = "none"
+    #: An exported object network with its card beside it, or the name of a committed one, which sees objects in the map
+    #: and its peaks; `none`, and maps of other sensors: objects are clusters of folded places.
+    object_network: str = "none"
+    #: Least answer of it that is an object; None: the card's. Its mean answer to the scan and to its mirror image.
+    object_threshold: float | None = None
+    object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
 
 
 class GeometryNode(Node):
-    """perception/peaks -> perception/hidden_objects, with tracks and the vehicle's motion at the time of the scan."""
+    """perception/peaks -> perception/hidden_objects, with tracks and the vehicle's motion at the time of the scan; an
+    object network needs radar/ra_map too.
+    """
 
-    inputs = ("perception/peaks", "vehicle/state")
+    inputs: tuple[str, ...] = ("perception/peaks", "vehicle/state")
     outputs = ("perception/hidden_objects",)
 
     def __init__(self, params: Params) -> None:
         super().__init__()
         # loaded here: a missing or broken file shows at start, not at the first scan
         self._stage = view_stage(params, self.stages)
+        if self._stage.predictor is not None:
+            self.inputs = ("radar/ra_map", *self.inputs)
+        self._maps: deque[RangeAzimuthMap] = deque(maxlen=KEPT_MAPS)
         self._refusals = Refusals(_LOG, self.shed)
         self._bias_log = BiasLog()
 
@@ -61,6 +80,8 @@ class GeometryNode(Node):
             match received.message:
                 case VehicleState() as state:
                     self._stage.add_state(state)
+                case RangeAzimuthMap() as ra_map:
+                    self._maps.append(ra_map)
                 case Peaks() as peaks:
                     out += self._seen(peaks)
         return out
@@ -71,13 +92,23 @@ class GeometryNode(Node):
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
         try:
-            view = self._stage.view(peaks)
+            view = self._stage.view(peaks, self._map_of(peaks))
         except ValueError as error:
             self._refusals.refuse("scan", error, f"scan {peaks.scan_id}")
             return []
         self._refusals.accept()
         self._bias_log.note(self._stage.yaw_rate_bias)
         return [Outgoing("perception/hidden_objects", view)]
+
+    def _map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:
+        """Return the map that peaks were detected in; one that the bus has dropped is counted."""
+        if self._stage.predictor is None:
+            return None
+        own = (item for item in self._maps if (item.stamp_ns, item.scan_id) == (peaks.stamp_ns, peaks.scan_id))
+        ra_map = next(own, None)
+        if ra_map is None:
+            self.shed.add("objects", "no map")
+        return ra_map
 
 
 class BiasLog:
@@ -97,7 +128,7 @@ class BiasLog:
 
 def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
     """Return the stage that parameters name; errors as `parts_of`."""
-    return ViewStage(*parts_of(params), params.memory, timed)
+    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params))
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
@@ -107,6 +138,17 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
     if params.confidence == "auto":
         return params, residual, FittedConfidences(fitted)
     return params, residual, fitted[0] if fitted else None
+
+
+def predictor_of(params: Params) -> ObjectPredictor | None:
+    """Return the object network that parameters name; raises `ValueError` naming a file that is missing or broken."""
+    if params.object_network == "none":
+        return None
+    # as the residual: the runtime comes along only where it is needed
+    from models.perception.objects.predictor import ObjectPredictor
+
+    path = learned_path(params.object_network, ".onnx")
+    return ObjectPredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
 
 
 def _learned_residual(path: Path) -> Residual:

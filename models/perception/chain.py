@@ -15,6 +15,7 @@ from models.perception.forming.stage import FormingStage
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams
+from models.perception.objects.predictor import ObjectPredictor
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
 from msgs.values.perception import BevFrame, Peaks
@@ -46,9 +47,12 @@ class Chain:
         residual: Residual | None = None,
         confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
+        predictor: ObjectPredictor | None = None,
     ) -> Chain:
-        """Return a chain of ready parts for one radar; None: default parameters, no learned residual or confidence."""
-        views = ViewStage(geometry, residual, confidence, memory)
+        """Return a chain of ready parts for one radar; None: default parameters, no learned residual, confidence or
+        object network.
+        """
+        views = ViewStage(geometry, residual, confidence, memory, predictor=predictor)
         chain = cls(FormingStage(forming), DetectionStage(lambda _: detector), views)
         chain.forming.set_up(setup)
         return chain
@@ -71,4 +75,4 @@ class Chain:
     def view(self, ra_map: RangeAzimuthMap) -> ScanView:
         """Return the view of a map, of this radar or of another sensor; maps come in the order of their stamps."""
         peaks = self.detection.detect(ra_map)
-        return ScanView(self.views.view(peaks), ra_map, peaks)
+        return ScanView(self.views.view(peaks, ra_map), ra_map, peaks)

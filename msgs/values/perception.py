@@ -131,6 +131,8 @@ class HiddenObject(msgspec.Struct, frozen=True, kw_only=True):
     #: Acquisition time of the beams that saw it (a moving object was there then).
     stamp_ns: int = 0
     points: int = 0
+    #: pedestrian, bicycle, car, van, truck or bus; empty: nobody judged it.
+    object_class: str = ""
 
 
 class Track(msgspec.Struct, frozen=True, kw_only=True):

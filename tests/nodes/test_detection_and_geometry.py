@@ -20,6 +20,7 @@ from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
 from models.perception.detection.ridge_matching import RidgeMatchingParams
 from models.perception.forming.ra_forming import RaFormer
+from models.perception.geometry.stage import made_up_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.perception import BevFrame, Peaks
@@ -28,6 +29,7 @@ from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
 from tests.models.perception.geometry.test_confidence import model, scan_of
+from tests.models.perception.objects.object_scenes import empty_map, object_network
 from tests.models.perception.tracking.test_yaw_rate_bias import drive, town, turns
 
 
@@ -269,3 +271,30 @@ def test_a_map_of_which_no_powers_follow_is_refused(method: str, cell: float, no
     assert node.step([received(bad, "radar/ra_map")], 0) == []
     assert node.health()[0] is NodeState.DEGRADED
     assert len(node.step([received(good, "radar/ra_map")], 0)) == 1
+
+
+def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Path) -> None:
+    """With an object network it listens to maps too. A scan whose map comes with it, one whose map came before another,
+    and one whose map the bus has dropped: the last is clustered as without a network, and counted.
+    """
+    path = object_network(tmp_path / "by_hand.onnx")
+    node = geometry.create(geometry.Params(object_network=str(path)))
+    assert "radar/ra_map" in node.inputs
+    assert "radar/ra_map" not in geometry.create(geometry.Params()).inputs
+    objects = []
+    for scan, maps in ((0, [0]), (1, [1, 2]), (9, [])):
+        peaks = msgspec.structs.replace(made_up_peaks(), scan_id=scan)
+        inputs = [received(peaks, "perception/peaks")]
+        inputs += [received(empty_map(scan_id=one), "radar/ra_map") for one in maps]
+        (out,) = node.step(inputs, 0)
+        assert isinstance(out.message, BevFrame)
+        objects.append(out.message.objects)
+    assert objects[0]
+    assert objects[1] == objects[0]
+    assert objects[2] == geometry.view_stage(geometry.Params()).view(made_up_peaks()).objects != objects[0]
+    assert [(count.what, count.reason, count.count) for count in node.shed.counts()] == [("objects", "no map", 1)]
+
+
+def test_a_missing_object_network_shows_at_start() -> None:
+    with pytest.raises(ValueError, match=r"nowhere\.json"):
+        geometry.create(geometry.Params(object_network="nowhere"))

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from models.training.data.object_samples import SampleMaker
     from models.training.train_objects import ObjectEpoch, ObjectTraining
 
-#: In the run folder: curves as a picture, samples of training and validation.
+#: In the run folder: network with its card, curves as a picture, samples of training and validation.
+MODEL_FILE = "object_unet.onnx"
 CURVES_PICTURE, TRAIN_SAMPLES, VALIDATION_SAMPLES = "curves.png", "samples-train", "samples-validation"
 
 
@@ -39,7 +40,7 @@ def objects(
     seed: Annotated[int, typer.Option(min=0, help="First weights, order and augmentation of the samples.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Files of samples made at a time.")] = 1,
-    json: Annotated[bool, typer.Option("--json", help="Print the best epoch as JSON.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the card as JSON.")] = False,
 ) -> None:
     """Train the network that judges what each cell of a map would be if a wall had mirrored it."""
     import msgspec
@@ -50,6 +51,7 @@ def objects(
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.encoding import ObjectEncoding
     from models.training.data.frames import DataSet
+    from models.training.export.objects import export_objects_run
     from models.training.ranks import joined_ranks
     from models.training.run_folder import adopt_config
     from models.training.schedules import ScheduleConfig
@@ -76,11 +78,15 @@ def objects(
         chosen_by = _samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
         training = ObjectTraining(config, train, chosen_by, out, ranks)
         best = _run(training, progress)
+    command = "".join(f" --data {path}" for path in data) + "".join(f" --validation {path}" for path in validation)
+    command = f"mirrorwave train objects{command} --out {out} --model {detector.name} --epochs {epochs}"
+    command += f" --batch-size {batch_size} --learning-rate {learning_rate:g} --seed {seed}"
+    card = export_objects_run(out, chosen_by, out / MODEL_FILE, command)
     draw_object_curves(training.reports, out / CURVES_PICTURE)
     if json:
-        print_json(msgspec.to_builtins(best))
+        print_json(msgspec.to_builtins(card))
         return
-    print_line(f"{out}: best in epoch {best.epoch}: {_summary_line(best)}")
+    print_line(f"{out / MODEL_FILE}: epoch {best.epoch}: {_summary_line(best)}")
 
 
 def _check_data(scenes: Sequence[DataSet], judges: Sequence[DataSet]) -> None:

@@ -25,11 +25,13 @@ from models.perception.geometry.rejection import hidden_mask
 from models.perception.geometry.walls import WallParams, find_walls
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy, xy_from_polar
-from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, PathClass, Peaks, Wall
+from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, PathClass, Peaks, Wall
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by the walls of earlier scans.
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
+#: Walls and direct returns of a scan -> its hidden objects, in place of clusters of folded positions.
+ObjectJudge = Callable[[list[Wall], DirectReturns], tuple[HiddenObject, ...]]
 
 
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -91,8 +93,11 @@ def recover_bev(
     residual: Residual | None = None,
     confidence: Confidence | None = None,
     wall_prior: WallPrior | None = None,
+    judge: ObjectJudge | None = None,
 ) -> BevFrame:
-    """Form hidden points and objects from peaks by way of folded positions; tracks are added by `ScanMemory`."""
+    """Form hidden points and objects from peaks by way of folded positions, or objects as `judge` sees them; tracks are
+    added by `ScanMemory`.
+    """
     scan = fold_scan(peaks, params, residual, confidence, wall_prior)
     hidden = scan.recovered.take(scan.hidden)
     return BevFrame(
@@ -100,7 +105,7 @@ def recover_bev(
         scan_id=peaks.scan_id,
         walls=tuple(scan.walls),
         points=hidden.as_hidden_points(),
-        objects=form_objects(hidden, scan.walls, params.objects),
+        objects=judge(scan.walls, scan.returns) if judge else form_objects(hidden, scan.walls, params.objects),
         los_points_m=scan.returns.points_m.astype(np.float32),
         grid=params.grid,
         visibility=observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility),

@@ -151,6 +151,7 @@ def hidden_objects(reports: Detections, stamp_ns: np.ndarray) -> tuple[HiddenObj
             score=float(reports.score[index]),
             cov_m2=tuple(map(tuple, reports.covariance_m2[index].tolist())),  # type: ignore[arg-type]
             stamp_ns=int(stamp_ns[index]),
+            object_class=CLASSES[reports.object_class[index]],
         )
         for index in range(len(reports))
     )

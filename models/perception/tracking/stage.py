@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from functools import partial
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
-from models.perception.geometry.stage import GeometryParams, recover_bev, warm
+from models.perception.geometry.stage import GeometryParams, ObjectJudge, recover_bev, warm
 from models.perception.state_history import StateHistory
 from models.perception.timing import Timed
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.yaw_rate_bias import BiasEstimate
 from msgs.values.perception import BevFrame, Peaks
+from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
+
+if TYPE_CHECKING:
+    # its runtime is loaded where a network is in use
+    from models.perception.objects.predictor import ObjectPredictor
 
 
 class ViewStage:
@@ -27,7 +34,9 @@ class ViewStage:
         confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
         timed: Timed = nullcontext,
+        predictor: ObjectPredictor | None = None,
     ) -> None:
+        self.predictor = predictor
         self._params, self._residual, self._confidence = params or GeometryParams(), residual, confidence
         self._memory, self._states = ScanMemory(memory or MemoryParams()), StateHistory()
         self._timed = timed
@@ -43,11 +52,21 @@ class ViewStage:
         self._states.add(state)
         self._memory.add(state)
 
-    def view(self, peaks: Peaks) -> BevFrame:
-        """Return the view of one scan, with tracks and the vehicle's motion; `ValueError` for too many peaks."""
+    def view(self, peaks: Peaks, ra_map: RangeAzimuthMap | None = None) -> BevFrame:
+        """Return the view of one scan, with tracks and the vehicle's motion; `ValueError` for too many peaks.
+
+        Objects are those that the network sees in the scan's map; without either they are clusters of places.
+        """
         with self._timed("geometry"):
             earlier_walls = self._memory.walls_at(peaks)
-            frame = recover_bev(peaks, self._params, self._residual, self._confidence, earlier_walls)
+            judge = self._judge(peaks, ra_map)
+            frame = recover_bev(peaks, self._params, self._residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar)
         return msgspec.structs.replace(frame, ego=self._states.at(peaks.stamp_ns))
+
+    def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None) -> ObjectJudge | None:
+        """Return what sees the objects of a scan; None: no network does."""
+        if self.predictor is None or ra_map is None or not self.predictor.suits(ra_map):
+            return None
+        return partial(self.predictor.objects, ra_map, peaks)

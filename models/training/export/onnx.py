@@ -25,6 +25,7 @@ from models.perception.detection.onnx_model import ClassScores, DensePredictor, 
 from models.perception.detection.peaks import PeakParams, pursued_points
 from models.perception.detection.pursuit import PursuitParams
 from models.perception.geometry.residual_model import ResidualCard
+from models.perception.objects.predictor import ObjectCard
 from models.training.calibration import fit_table, peak_outcomes
 from models.training.data.frames import DataSet, Frame, fixed_splits
 from models.training.data.samples import point_labels
@@ -217,7 +218,7 @@ def export_run(
     return card
 
 
-def write_card(card: ModelCard | ResidualCard, model_path: Path) -> None:
+def write_card(card: ModelCard | ResidualCard | ObjectCard, model_path: Path) -> None:
     """Write the card beside its network file."""
     card_path(model_path).write_bytes(json_lines(card))
 

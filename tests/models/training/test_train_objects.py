@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 import torch
 
+from models.evaluation.object_metrics import ReportRow, ScanRow
 from models.perception.detection.encoding import Encoding
+from models.perception.detection.score_calibration import calibrated
 from models.perception.geometry.mirrors import WallArrays
 from models.perception.objects.answers import ANSWERS
 from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import HYPOTHESES
+from models.perception.objects.predictor import ObjectPredictor, load_object_card
 from models.training.data.frames import FrameLabels
 from models.training.data.object_samples import ObjectSample, ObjectTargets
 from models.training.data.object_store import StoredSample, save_samples
+from models.training.export.objects import calibration, export_objects_run
+from models.training.object_scoring import ObjectTally
 from models.training.objectives.objects import (
     ObjectLossConfig,
     TrueHypotheses,
@@ -94,6 +99,12 @@ def test_it_learns_where_objects_are(files: list[Path], tmp_path: Path) -> None:
     with torch.no_grad():
         answer = network(torch.zeros(1, *ENCODING.shape))
     assert answer.shape == (1, HYPOTHESES * ANSWERS, *ENCODING.shape[1:])
+    exported = tmp_path / "object_unet.onnx"
+    card = export_objects_run(tmp_path / "run", files[1:], exported, "mirrorwave train objects")
+    assert (card.name, card.training["chosen_epoch"], card.scores["scans"]) == ("object_unet", best.epoch, 16.0)
+    # finer thresholds than the run's own choose at least as well
+    assert card.scores["loss_per_scan"] <= best.loss_per_scan + 1e-4
+    assert ObjectPredictor(exported).card == card == load_object_card(exported)
 
 
 @pytest.mark.slow
@@ -155,3 +166,16 @@ def test_a_batch_larger_than_the_data_is_refused(files: list[Path], tmp_path: Pa
     save_samples(tmp_path / "few.npz", [stored(np.random.default_rng(1))] * 3)
     with pytest.raises(ValueError, match="batch_size must be at most the 3 scans, got 8"):
         ObjectTraining(config(1), [tmp_path / "few.npz"], files[1:], tmp_path / "run")
+
+
+def test_calibration_counts_reports_that_are_objects() -> None:
+    """200 reports at 0.3 of which 60 are objects, 200 at 0.7 of which 160 are: those shares, one of each kind added."""
+    tally = ObjectTally(ENCODING, [0.1])
+    for score, true in ((0.3, 60), (0.7, 160)):
+        reports = [
+            ReportRow(score=score, found=index < true, error_m=None, centre_m=None, box_m=None) for index in range(200)
+        ]
+        tally.rows[0.1].append(ScanRow(place=len(tally.rows[0.1]), scan=0, hidden=[], reports=reports))
+    table = calibration(tally)
+    at = calibrated(table, np.array([0.3, 0.7]))
+    np.testing.assert_allclose(at, [0.3, 0.8], atol=0.05)

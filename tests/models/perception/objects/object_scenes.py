@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import torch
 
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import WallArrays
-from models.perception.objects.encoding import ObjectEncoding
-from models.perception.objects.hypotheses import CellHypotheses, cell_hypotheses
+from models.perception.objects.answers import ANSWERS, CLASS, CLASSES
+from models.perception.objects.encoding import BINS, PEAK_CHANNELS, ObjectEncoding
+from models.perception.objects.hypotheses import HYPOTHESES, CellHypotheses, cell_hypotheses
+from models.perception.objects.predictor import ObjectCard
+from models.training.export.onnx import write_card, write_onnx
+from models.training.files import file_sha256
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthMap
 
 ENCODING = ObjectEncoding()
 GRID = ENCODING.cells
@@ -49,3 +58,40 @@ def centre(row: int, column: int) -> np.ndarray:
     """Position of a cell's centre."""
     azimuth_rad = GRID.azimuth_rad[column]
     return GRID.range_m[row] * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad)])
+
+
+def object_network(path: Path, gain: float = 40.0) -> Path:
+    """Write a network that calls every peak of an image an object by its first hypothesis, exactly where the cell's
+    centre is, as a car, with a standard deviation of 1 m; with `gain` 0 it sees nothing.
+    """
+    channels, rows, columns = ENCODING.shape
+    layer = torch.nn.Conv2d(channels, HYPOTHESES * ANSWERS, 1)
+    with torch.no_grad():
+        layer.weight.zero_()
+        layer.bias.zero_()
+        layer.bias[::ANSWERS] = -10.0
+        first = BINS * (len(ENCODING.levels.channels) + len(PEAK_CHANNELS) * PathClass.MIRRORED)
+        layer.weight[0, first : first + BINS] = gain
+        layer.bias[CLASS.start + CLASSES.index("car")] = 1.0
+    write_onnx(layer, (torch.zeros(1, channels, rows, columns),), path, input_names=["cells"], output_names=["answer"])
+    write_card(object_card(path), path)
+    return path
+
+
+def object_card(path: Path) -> ObjectCard:
+    """The card of such a network."""
+    _, rows, columns = ENCODING.shape
+    return ObjectCard(
+        name=path.stem, sha256=file_sha256(path), parameters=0, encoding=ENCODING, input_shape=(1, *ENCODING.shape),
+        output_shape=(1, HYPOTHESES * ANSWERS, rows, columns), threshold=0.5, calibration=(), scores={}, data={},
+        training={},
+    )  # fmt: skip
+
+
+def empty_map(**values: object) -> RangeAzimuthMap:
+    """A map of no echoes, whose columns were measured a millisecond after each other."""
+    plain = {
+        "stamp_ns": 0, "scan_id": 0, "values": np.full((512, 256), 1e-9, np.complex64), "noise_power_mw": 1e-14,
+        "azimuth_stamp_ns": np.arange(256) * 1_000_000, "incoherent": np.zeros(512, bool),
+    }  # fmt: skip
+    return RangeAzimuthMap(**plain | values)  # type: ignore[arg-type]

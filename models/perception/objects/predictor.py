@@ -1,0 +1,138 @@
+"""Inference with the object network on the vehicle: an ONNX file and the card that describes it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from models.perception.cards import card_path, learned_path, read_card
+from models.perception.detection.onnx_model import open_session
+from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table
+from models.perception.geometry.association import DirectReturns
+from models.perception.geometry.mirrors import wall_arrays
+from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, Detections, detections, hidden_objects
+from models.perception.objects.encoding import ObjectEncoding, encode_objects
+from models.perception.objects.hypotheses import HYPOTHESES
+from msgs.values.arrays import require_within
+from msgs.values.perception import HiddenObject, Peaks, Wall
+from msgs.values.radar import RangeAzimuthMap
+
+#: The network in use where parameters say `default`.
+DEFAULT_OBJECTS = learned_path("object_unet", ".onnx")
+#: Answers of a hypothesis that change sign when left and right are exchanged.
+_ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
+
+
+class ObjectCard(msgspec.Struct, frozen=True, kw_only=True):
+    """Description of an object network file: how it was made, its input, its scores; a JSON file beside it."""
+
+    name: str
+    sha256: str
+    parameters: int
+    encoding: ObjectEncoding
+    input_shape: tuple[int, ...]
+    output_shape: tuple[int, ...]
+    #: Least answer that is reported: that of the least loss on the validation scans.
+    threshold: float
+    #: From answers to the share of such reports that are a hidden object within a metre (validation scans).
+    calibration: ScoreTable
+    #: On the validation scans, which chose epoch, threshold and calibration.
+    scores: dict[str, float]
+    #: Data sets of training and validation, and the detector.
+    data: dict[str, str]
+    #: Chosen epoch and the resolved configuration of the run.
+    training: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        check_table("card.calibration", self.calibration)
+        require_within("card.threshold", 0.0, 1.0, self.threshold)
+        _, rows, columns = self.encoding.shape
+        expected = {"input": (1, *self.encoding.shape), "output": (1, HYPOTHESES * ANSWERS, rows, columns)}
+        for end, shape in expected.items():
+            if getattr(self, f"{end}_shape") != shape:
+                raise ValueError(f"card.{end}_shape must be {shape}, got {getattr(self, f'{end}_shape')}")
+
+
+def load_object_card(model_path: Path) -> ObjectCard:
+    """Read the card of an object network; raises `ValueError` naming the file and the field that is wrong."""
+    return read_card(card_path(model_path), ObjectCard)
+
+
+class ObjectPredictor:
+    """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
+
+    The session is warm when the constructor returns. `threshold`: least answer that is reported; None: the card's.
+    `flip_test` takes the mean of the answers to a scan and to its mirror image. Raises `ValueError` when the file, its
+    card and its shapes do not belong together.
+    """
+
+    def __init__(
+        self,
+        model_path: Path = DEFAULT_OBJECTS,
+        threads: int = 1,
+        threshold: float | None = None,
+        flip_test: bool = False,
+    ) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self._path = Path(model_path)
+        self.card = load_object_card(self._path)
+        self._threshold = self.card.threshold if threshold is None else threshold
+        require_within("threshold", 0.0, 1.0, self._threshold)
+        self._session = open_session(self._path, self.card.sha256, threads)
+        self._odd_channels = self.card.encoding.odd_channels if flip_test else None
+        self._check_shapes()
+        self.answer(np.zeros(self.card.input_shape[1:], np.float32))
+
+    def suits(self, ra_map: RangeAzimuthMap) -> bool:
+        """Return whether the network was trained on maps of this kind."""
+        return ra_map.grid == self.card.encoding.grid and ra_map.mode != "photons"
+
+    def objects(
+        self, ra_map: RangeAzimuthMap, peaks: Peaks, walls: list[Wall], returns: DirectReturns
+    ) -> tuple[HiddenObject, ...]:
+        """Return the hidden objects of a scan, likeliest first; scores are probabilities where the card says how.
+
+        Raises `ValueError` for a map that does not suit the network.
+        """
+        if not self.suits(ra_map):
+            raise ValueError(f"map.grid must be the {self.card.name} card's, got {ra_map.grid} of {ra_map.mode}")
+        reports = self.detections(ra_map, peaks, walls, returns)
+        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad))
+
+    def detections(
+        self, ra_map: RangeAzimuthMap, peaks: Peaks, walls: list[Wall], returns: DirectReturns
+    ) -> Detections:
+        """Return the same as arrays."""
+        cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
+        grid = self.card.encoding.cells
+        reports = detections(self.answer(cells), hypotheses, grid, wall_arrays(walls), self._threshold)
+        return replace(reports, score=calibrated(self.card.calibration, reports.score))
+
+    def answer(self, cells: np.ndarray) -> np.ndarray:
+        """Return the network's answer to one input [channels, rows, columns]."""
+        answer = self._infer(cells)
+        if self._odd_channels is None:
+            return answer
+        flipped = cells[..., ::-1].copy()
+        flipped[self._odd_channels] *= -1.0
+        mirrored = self._infer(flipped)[..., ::-1].reshape(HYPOTHESES, ANSWERS, *answer.shape[1:]).copy()
+        mirrored[:, _ODD_ANSWERS] *= -1.0
+        return 0.5 * (answer + mirrored.reshape(answer.shape))
+
+    def _infer(self, cells: np.ndarray) -> np.ndarray:
+        answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: cells[None]})[0][0]
+        if not np.isfinite(answer).all():
+            raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")
+        return answer
+
+    def _check_shapes(self) -> None:
+        """Raise `ValueError` unless file and card agree on every shape."""
+        expected = [self.card.input_shape, self.card.output_shape]
+        actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
+        if actual != expected:
+            raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")

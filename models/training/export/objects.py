@@ -1,0 +1,123 @@
+"""Export of a trained object network to the file and the card that the vehicle loads."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+
+from models.evaluation.object_metrics import ObjectReport, Ratio
+from models.networks.object_unet import ObjectUNet
+from models.perception.detection.score_calibration import ScoreTable
+from models.perception.objects.predictor import ObjectCard, ObjectPredictor
+from models.training.calibration import fit_table
+from models.training.data.object_store import StoredSample, load_samples
+from models.training.export.onnx import require_onnx, write_card, write_onnx
+from models.training.files import file_sha256
+from models.training.object_scoring import ObjectTally
+from models.training.train_objects import ObjectRunConfig, load_best_objects
+
+#: Largest difference of an answer between torch and ONNX Runtime, relative to the largest answer.
+PARITY = 1e-4
+#: Scans of the parity check.
+PARITY_SCANS = 4
+#: Answers that may be thresholds; reports above the first one fit the calibration.
+THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(1, 16))
+
+
+def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path, command: str) -> ObjectCard:
+    """Export the best network of a run and write its card: threshold, calibration and scores by the exported file on
+    files of validation samples.
+
+    Raises `ValueError` if the folder holds no run, or where the file answers otherwise than torch.
+    """
+    require_onnx(model_path)
+    network, run, epoch = load_best_objects(run_dir)
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / model_path.name
+        write_onnx(
+            network, (torch.zeros(1, *run.encoding.shape),), file, input_names=["cells"], output_names=["answer"]
+        )
+        draft = _draft(network, run, epoch, file_sha256(file), model_path.stem, command)
+        write_card(draft, file)
+        predictor = ObjectPredictor(file)
+        _check_parity(model_path, network, predictor, validation)
+        tally = _tally(run, predictor, validation)
+        model_path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, model_path)
+    threshold, report = tally.best(run.training.false_cost)
+    card = msgspec.structs.replace(draft, threshold=threshold, calibration=calibration(tally), scores=_scores(report))
+    write_card(card, model_path)
+    return card
+
+
+def calibration(tally: ObjectTally) -> ScoreTable:
+    """Return the table from answers to the share of reports that are a hidden object, one to one; of all reports that
+    reach the lowest threshold.
+    """
+    reports = [report for row in tally.rows[min(tally.rows)] for report in row.reports]
+    score = np.array([report.score for report in reports], np.float64)
+    return fit_table(score, np.array([report.found for report in reports], bool))
+
+
+def _draft(network: ObjectUNet, run: ObjectRunConfig, epoch: int, sha256: str, name: str, command: str) -> ObjectCard:
+    """Return the card without scores."""
+    config = network.config
+    return ObjectCard(
+        name=name,
+        sha256=sha256,
+        parameters=sum(parameter.numel() for parameter in network.parameters()),
+        encoding=run.encoding,
+        input_shape=(1, config.in_channels, config.rows, config.columns),
+        output_shape=(1, config.hypotheses * config.answers, config.rows, config.columns),
+        threshold=0.0,
+        calibration=(),
+        scores={},
+        data=dict(run.data),
+        training={
+            "command": command,
+            "chosen_epoch": epoch,
+            "config": msgspec.json.decode(msgspec.json.encode(run.training)),
+        },
+    )
+
+
+def _check_parity(path: Path, network: ObjectUNet, predictor: ObjectPredictor, files: list[Path]) -> None:
+    for stored in load_samples(files[0])[:PARITY_SCANS]:
+        cells = stored.sample.cells.astype(np.float32)
+        with torch.no_grad():
+            wanted = network(torch.from_numpy(cells[None]))[0].numpy()
+        difference = float(np.abs(predictor.answer(cells) - wanted).max() / np.abs(wanted).max())
+        if not difference <= PARITY:
+            raise ValueError(f"{path}: answers must agree with torch within {PARITY}, differ by {difference}")
+
+
+def _tally(run: ObjectRunConfig, predictor: ObjectPredictor, files: list[Path]) -> ObjectTally:
+    tally = ObjectTally(run.encoding, THRESHOLDS)
+    for stored in _samples(files):
+        tally.add(stored, predictor.answer(stored.sample.cells.astype(np.float32)))
+    return tally
+
+
+def _samples(files: list[Path]) -> Iterator[StoredSample]:
+    for path in files:
+        yield from load_samples(path)
+
+
+def _scores(report: ObjectReport) -> dict[str, float]:
+    """Return the headline measures, those without a value left out."""
+    ratios: dict[str, Ratio] = {
+        "recall": report.recall,
+        "recall_single_25_db": report.recall_single_25_db,
+        "precision": report.precision,
+        "false_per_scan": report.false_per_scan,
+        "loss_per_scan": report.loss,
+    }
+    return {"scans": float(report.scans)} | {
+        name: round(ratio.value, 4) for name, ratio in ratios.items() if ratio.value is not None
+    }

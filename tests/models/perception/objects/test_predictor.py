@@ -1,0 +1,127 @@
+"""The object network on the vehicle: a network worked out by hand sees images where the mirror law puts them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.perception.cards import card_path
+from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks, recover_bev
+from models.perception.objects.predictor import ObjectPredictor, load_object_card
+from models.perception.tracking.stage import ViewStage
+from models.training.export.onnx import write_card
+from msgs.values.perception import BevFrame, HiddenObject
+from msgs.values.radar import RangeAzimuthGrid
+from tests.models.perception.objects.object_scenes import ENCODING, empty_map, object_network
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return object_network(tmp_path_factory.mktemp("network") / "by_hand.onnx")
+
+
+def view(predictor: ObjectPredictor | None, **values: object) -> BevFrame:
+    """The made-up street: a facade at x = 20 m, images at (27, -9), (27, -7) and (28, -4)."""
+    return ViewStage(predictor=predictor).view(made_up_peaks(), empty_map(**values))
+
+
+def near(objects: tuple[HiddenObject, ...], x_m: float, y_m: float) -> float:
+    return min(float(np.hypot(item.x_m - x_m, item.y_m - y_m)) for item in objects)
+
+
+def test_images_are_folded_by_the_walls_of_the_scan(network: Path) -> None:
+    """(27, -9) behind x = 20 is (13, -9). The network answers a cell's centre: half a cell, 0.1 m along the ray and
+    1.4 m across it at 28 m (32 columns of 120 degrees), and the wall's own error; images nearer to each other than
+    1.5 m would be one report.
+    """
+    objects = view(ObjectPredictor(network)).objects
+    assert {item.object_class for item in objects} == {"car"}
+    assert near(objects, 13.0, -9.0) < 1.2
+    assert near(objects, 12.0, -4.0) < 1.2
+    assert all(item.score > 0.9 for item in objects)
+
+
+def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Path) -> None:
+    """A LiDAR's map, a grid of other range bins, no map at all, no network: the same objects each time."""
+    predictor = ObjectPredictor(network)
+    plain = recover_bev(made_up_peaks(), GeometryParams()).objects
+    assert plain != view(predictor).objects
+    assert view(None).objects == plain
+    assert view(predictor, mode="photons").objects == plain
+    assert view(predictor, grid=RangeAzimuthGrid(range_bin_m=0.1)).objects == plain
+    assert ViewStage(predictor=predictor).view(made_up_peaks()).objects == plain
+
+
+def test_a_map_that_does_not_suit_is_refused(network: Path) -> None:
+    returns, walls = direct_structure(made_up_peaks(), GeometryParams())
+    with pytest.raises(ValueError, match=r"map\.grid must be the by_hand card's"):
+        ObjectPredictor(network).objects(empty_map(mode="photons"), made_up_peaks(), walls, returns)
+
+
+def test_objects_have_the_time_of_their_own_column(network: Path) -> None:
+    """Columns are 120 / 255 degrees and a millisecond apart, from -60 degrees on."""
+    stage = ViewStage(predictor=ObjectPredictor(network))
+    peaks = made_up_peaks()
+    stamps = {item.stamp_ns for item in stage.view(peaks, empty_map()).objects}
+    grid = ENCODING.grid
+    wanted = np.rint(grid.azimuth_index(ENCODING.cells.azimuth_rad)) * 1_000_000
+    assert stamps
+    assert all(np.abs(wanted - stamp).min() <= 1_000_000 for stamp in stamps)
+
+
+def test_with_the_flip_test_left_and_right_are_alike(network: Path, tmp_path: Path) -> None:
+    """Cells and their mirror image: answers of the other side, across with the other sign. Random weights."""
+    import torch
+
+    from models.networks.object_unet import ObjectUNet, ObjectUNetConfig
+    from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE
+    from models.perception.objects.hypotheses import HYPOTHESES
+    from models.training.export.onnx import write_onnx
+    from models.training.files import file_sha256
+
+    torch.manual_seed(0)
+    channels, rows, columns = ENCODING.shape
+    unet = ObjectUNet(
+        ObjectUNetConfig(
+            in_channels=channels, rows=rows, columns=columns, hypotheses=HYPOTHESES, answers=ANSWERS, widths=(8, 8)
+        )
+    ).eval()
+    path = tmp_path / "random.onnx"
+    write_onnx(unet, (torch.zeros(1, channels, rows, columns),), path, input_names=["cells"], output_names=["answer"])
+    write_card(msgspec.structs.replace(load_object_card(network), sha256=file_sha256(path)), path)
+    cells = np.random.default_rng(0).normal(size=ENCODING.shape).astype(np.float32)
+    flipped = cells[..., ::-1].copy()
+    flipped[ENCODING.odd_channels] *= -1.0
+    for flip_test in (True, False):
+        predictor = ObjectPredictor(path, flip_test=flip_test)
+        here, there = (predictor.answer(item).reshape(HYPOTHESES, ANSWERS, rows, columns) for item in (cells, flipped))
+        turned = there[..., ::-1].copy()
+        turned[:, [PLACE.start + 1, HEADING.start + 1, CENTRE.start + 1]] *= -1.0
+        assert np.allclose(here, turned, atol=1e-5) == flip_test
+
+
+def test_what_does_not_belong_together_is_refused_in_a_line(network: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nothing\.json"):
+        ObjectPredictor(tmp_path / "nothing.onnx")
+    with pytest.raises(ValueError, match=r"threshold must lie in 0\.\.1, got 1\.5"):
+        ObjectPredictor(network, threshold=1.5)
+    with pytest.raises(ValueError, match="threads must be at least 1"):
+        ObjectPredictor(network, threads=0)
+    path = tmp_path / "cut.onnx"
+    path.write_bytes(network.read_bytes()[:-20])
+    card_path(path).write_bytes(card_path(network).read_bytes())
+    with pytest.raises(ValueError, match="sha256 must be"):
+        ObjectPredictor(path)
+    card = msgspec.json.decode(card_path(network).read_bytes())
+    card_path(path).write_bytes(msgspec.json.encode(card | {"output_shape": [1, 2, 3, 4]}))
+    with pytest.raises(ValueError, match=r"card\.output_shape must be"):
+        ObjectPredictor(path)
+
+
+def test_answers_that_are_no_numbers_are_refused(network: Path, tmp_path: Path) -> None:
+    """Weights of infinity make NaN of zeros: known at start, not at the first scan."""
+    with pytest.raises(ValueError, match="answers must be finite"):
+        ObjectPredictor(object_network(tmp_path / "endless.onnx", gain=float("inf")))
