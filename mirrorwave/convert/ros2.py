@@ -203,7 +203,7 @@ class _Builder:
             z_m=0.5 * OBJECT_HEIGHT_M,
             scale_m=(hidden.length_m, hidden.width_m, OBJECT_HEIGHT_M),
             colour=OBJECT_COLOUR,
-            text=f"score {hidden.score:.6g}",
+            text=f"{hidden.object_class} score {hidden.score:.6g}".lstrip(),
         )
 
     def _marker(

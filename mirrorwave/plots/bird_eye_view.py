@@ -256,7 +256,7 @@ def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
         )
     )  # fmt: skip
     axes.annotate(
-        f"#{hidden.id}, score {hidden.score:.2f}", (hidden.y_m, hidden.x_m), (14, 14), textcoords="offset points",
+        f"{f'#{hidden.id} {hidden.object_class}'.rstrip()}, score {hidden.score:.2f}", (hidden.y_m, hidden.x_m), (14, 14), textcoords="offset points",
         fontsize=10, zorder=11,
         bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": RECOVERED, "alpha": 0.9},
     )  # fmt: skip

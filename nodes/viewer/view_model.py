@@ -272,6 +272,7 @@ def _object_json(item: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]
         "size": _metres((item.length_m, item.width_m)),
         "yaw": round(item.yaw_rad, 4),
         "score": round(item.score, 3),
+        "class": item.object_class,
         "ellipse": [round(part, 4) for part in ellipse(item.cov_m2)],
         "points": item.points,
     }

@@ -311,13 +311,17 @@ function noRow(columns, text) {
   return row(td);
 }
 
+function objectName(one) {
+  return one.class ? `#${one.id} ${one.class}` : `#${one.id}`;
+}
+
 function showObjects() {
   const { view } = state;
   const rows = view.objects.map((one) => {
     // the viewer says which hidden true object is nearest, and both errors (models/evaluation/object_error.py)
     const truth = one.nearest;
     return row(
-      cell(`#${one.id}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),
+      cell(objectName(one)), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),
       cell(one.score.toFixed(2)), cell(truth ? truth.class : "–"),
       cell(truth ? `${truth.face_error.toFixed(1)}, ${truth.centre_error.toFixed(1)} m` : "–"),
     );
@@ -849,7 +853,7 @@ function drawObjects(c, view, placed) {
     c.stroke();
     drawEllipse(c, one.at, one.ellipse, colours.sigma);
   }
-  for (const one of view.objects) drawLabel(c, one.at, 0.5 * Math.hypot(...one.size), `#${one.id}  ${one.score.toFixed(2)}`, colours.object, placed);
+  for (const one of view.objects) drawLabel(c, one.at, 0.5 * Math.hypot(...one.size), `${objectName(one)}  ${one.score.toFixed(2)}`, colours.object, placed);
 }
 
 function drawTracks(c, view, placed) {

@@ -42,7 +42,7 @@ S = 1_000_000_000
 def hidden(identity: int = 0, x_m: float = 11.6, y_m: float = 8.5, stamp_ns: int = 0) -> HiddenObject:
     cov = ((0.25, 0.0), (0.0, 1.0))
     return HiddenObject(
-        id=identity, x_m=x_m, y_m=y_m, length_m=4.4, width_m=1.8, yaw_rad=0.5, score=0.9134, cov_m2=cov,
+        id=identity, x_m=x_m, y_m=y_m, length_m=4.4, width_m=1.8, yaw_rad=0.5, score=0.9134, cov_m2=cov, object_class="van",
         stamp_ns=stamp_ns, points=3,
     )  # fmt: skip
 
@@ -112,7 +112,7 @@ def test_a_view_is_told_exactly() -> None:
         {
             # 0.6 m and 0.8 m from the car's centre at (11, 9.3): 1 m by Pythagoras, and no face of it is visible
             "nearest": {"class": "car", "face_error": 1.0, "centre_error": 1.0},
-            "id": 0, "at": [11.6, 8.5], "size": [4.4, 1.8], "yaw": 0.5, "score": 0.913,
+            "id": 0, "at": [11.6, 8.5], "size": [4.4, 1.8], "yaw": 0.5, "score": 0.913, "class": "van",
             "ellipse": [2.0, 1.0, 1.5708], "points": 3,
         }
     ]  # fmt: skip
