@@ -255,8 +255,9 @@ def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
             linestyle="--", linewidth=1.3, zorder=9, **_once(f"its centre, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
         )
     )  # fmt: skip
+    name = f"#{hidden.id} {hidden.object_class}".rstrip()
     axes.annotate(
-        f"{f'#{hidden.id} {hidden.object_class}'.rstrip()}, score {hidden.score:.2f}", (hidden.y_m, hidden.x_m), (14, 14), textcoords="offset points",
+        f"{name}, score {hidden.score:.2f}", (hidden.y_m, hidden.x_m), (14, 14), textcoords="offset points",
         fontsize=10, zorder=11,
         bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": RECOVERED, "alpha": 0.9},
     )  # fmt: skip

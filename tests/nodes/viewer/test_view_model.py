@@ -42,8 +42,8 @@ S = 1_000_000_000
 def hidden(identity: int = 0, x_m: float = 11.6, y_m: float = 8.5, stamp_ns: int = 0) -> HiddenObject:
     cov = ((0.25, 0.0), (0.0, 1.0))
     return HiddenObject(
-        id=identity, x_m=x_m, y_m=y_m, length_m=4.4, width_m=1.8, yaw_rad=0.5, score=0.9134, cov_m2=cov, object_class="van",
-        stamp_ns=stamp_ns, points=3,
+        id=identity, x_m=x_m, y_m=y_m, length_m=4.4, width_m=1.8, yaw_rad=0.5, score=0.9134, cov_m2=cov,
+        stamp_ns=stamp_ns, points=3, object_class="van",
     )  # fmt: skip
 
 
