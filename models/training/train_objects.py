@@ -33,6 +33,9 @@ class TrainObjectsConfig:
     schedule: ScheduleConfig = field(default_factory=lambda: ScheduleConfig(weight_decay=1e-2, clip_norm=5.0))
     seed: int = 0
     threads: int = 1
+    #: Half the bits in forward and backward passes: five times as fast where the processor multiplies bfloat16 itself,
+    #: ten times as slow where it does not.
+    mixed_precision: bool = True
     #: A false report costs so many missed objects in the score that selects the checkpoint.
     false_cost: float = 1.0
 
@@ -105,7 +108,8 @@ class ObjectTraining:
         self._train, self._validation = list(train), list(validation)
         torch.set_num_threads(self.config.threads)
         torch.manual_seed(self.config.seed)
-        self.network = ObjectUNet(config.network).to(self.ranks.device, memory_format=torch.channels_last)
+        self._layout = torch.channels_last if self.config.mixed_precision else torch.contiguous_format
+        self.network = ObjectUNet(config.network).to(self.ranks.device, memory_format=self._layout)
         scans = sum(count_samples(path) for path in self._train)
         self.steps_per_epoch = scans // self.config.schedule.batch_size
         if not self.steps_per_epoch:
@@ -166,8 +170,8 @@ class ObjectTraining:
         """Return the loss of a batch and the answers to it."""
         device = self.ranks.device
         cells = torch.from_numpy(np.stack([sample.cells for sample in batch])).float().to(device)
-        with torch.autocast(device.type, torch.bfloat16, enabled=self.network.training):
-            answer = self.network(cells.contiguous(memory_format=torch.channels_last))
+        with torch.autocast(device.type, torch.bfloat16, enabled=self.network.training and self.config.mixed_precision):
+            answer = self.network(cells.contiguous(memory_format=self._layout))
         heat = torch.from_numpy(np.stack([sample.heat() for sample in batch])).to(device)
         return object_loss(answer, heat, true_hypotheses(batch, device), self.config.loss), answer
 
