@@ -31,13 +31,16 @@ class ObjectDistances:
     centre_m: np.ndarray
     #: To the true box, zero inside.
     box_m: np.ndarray
+    #: Squared Mahalanobis distance of the point that a report means, of a visible face or the centre, whichever is
+    #: nearest by its covariance; no unit.
+    mahalanobis2: np.ndarray
 
 
 def object_distances(
     objects: Sequence[HiddenObject], truth: SceneTruth, true_objects: Sequence[TruthObject]
 ) -> ObjectDistances:
     """Measure every reported object against every wanted object of the truth."""
-    shape = (len(objects), len(true_objects), 3)
+    shape = (len(objects), len(true_objects), 4)
     faces_m = [_visible_faces_m(true_object, truth) for true_object in true_objects]
     rows = [
         _distances_m(report, true_object, faces_m[j], truth)
@@ -60,8 +63,10 @@ def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
 
 def _distances_m(
     report: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
-) -> tuple[float, float, float]:
-    """Return face error, centre error and distance to the box, at the reported object's time."""
+) -> tuple[float, float, float, float]:
+    """Return face error, centre error, distance to the box and squared Mahalanobis distance, at the reported object's
+    time.
+    """
     # an object without a stamp of its own was measured at the scene's
     elapsed_s = s_from_ns(report.stamp_ns - scene.stamp_ns) if report.stamp_ns else 0.0
     moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
@@ -70,4 +75,14 @@ def _distances_m(
     outside_m = np.maximum(np.abs(in_box_m) - 0.5 * np.array([truth.length_m, truth.width_m]), 0.0)
     centre_m = float(np.linalg.norm(in_box_m))
     to_faces_m = segment_distance_m(at_m, faces_m[:, 0], faces_m[:, 1])
-    return float(min(centre_m, to_faces_m.min(initial=np.inf))), centre_m, float(np.linalg.norm(outside_m))
+    error_m = float(min(centre_m, to_faces_m.min(initial=np.inf)))
+    marks_m = np.concatenate([faces_m, np.full((1, 2, 2), [truth.x_m, truth.y_m])]) - at_m
+    return error_m, centre_m, float(np.linalg.norm(outside_m)), _mahalanobis2(marks_m, np.array(report.cov_m2))
+
+
+def _mahalanobis2(sides_m: np.ndarray, covariance_m2: np.ndarray) -> float:
+    """Return the least squared Mahalanobis distance of sides [N, 2 ends, 2] from the origin."""
+    variances, axes = np.linalg.eigh(covariance_m2)
+    # a report that claims to be exact is not: a centimetre
+    white = sides_m @ axes / np.sqrt(np.maximum(variances, 1e-4))
+    return float(segment_distance_m(np.zeros((1, 2)), white[:, 0], white[:, 1]).min()) ** 2

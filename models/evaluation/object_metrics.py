@@ -31,9 +31,12 @@ FALSE_M, NOTHING_M = 2.0, 2.5
 #: Edges of the bands of image SNR, dB.
 BAND_EDGES_DB = (15.0, 25.0, 40.0)
 BANDS = ("no image", "< 15 dB", "15-25 dB", "25-40 dB", "> 40 dB")
+#: Squared Mahalanobis distance within which 95 % of the truths lie (chi-squared, two degrees of freedom).
+ELLIPSE_95 = -2.0 * math.log(0.05)
 #: Edges of the bins of scores.
 SCORE_EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99, 1.0)
 VEHICLES = ("car", "van", "truck", "bus")
+VULNERABLE = ("pedestrian", "bicycle")
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
 
 
@@ -58,6 +61,8 @@ class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
     centre_m: float | None
     #: Found one to one if the distance of centres alone counts.
     found_by_centre: bool
+    #: Squared Mahalanobis distance of the truth by the covariance of the report that found it.
+    mahalanobis2: float | None = None
 
 
 class ReportRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -90,6 +95,7 @@ def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, ima
     out_of_sight = [index for index, image in enumerate(images) if not image.direct]
     distances = object_distances(objects, truth, truth.objects)
     error_m, centre_m = distances.error_m[:, out_of_sight], distances.centre_m[:, out_of_sight]
+    mahalanobis2 = distances.mahalanobis2[:, out_of_sight]
     mirrored = np.array([images[index].mirrored for index in out_of_sight], bool)
     by = {int(column): int(row) for row, column in _matched(error_m, mirrored)}
     by_centre = {int(column) for _, column in _matched(centre_m, mirrored)}
@@ -100,6 +106,7 @@ def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, ima
             error_m=float(error_m[by[column], column]) if column in by else None,
             centre_m=float(centre_m[by[column], column]) if column in by else None,
             found_by_centre=column in by_centre,
+            mahalanobis2=float(mahalanobis2[by[column], column]) if column in by else None,
         )
         for column, index in enumerate(out_of_sight)
     ]
@@ -170,6 +177,10 @@ class ObjectScores:
         """Return the number of askable objects for which a condition holds, by place [P]."""
         return self._count([row for row, item in self.asked if holds(item)])
 
+    def sum_of_objects(self, value: Callable[[HiddenRow], float]) -> np.ndarray:
+        """Return the sum of a value over the askable objects, by place [P]."""
+        return self._count([row for row, _ in self.asked], [float(value(item)) for _, item in self.asked])
+
     def of_reports(self, value: Callable[[ReportRow], float]) -> np.ndarray:
         """Return the sum of a value over the reports, by place [P]."""
         return self._count([row for row, _ in self.reports], [float(value(report)) for _, report in self.reports])
@@ -220,8 +231,11 @@ class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
     recall_by_class: dict[str, Ratio]
     recall_vehicles: Ratio
     recall_by_band: dict[str, Ratio]
-    #: Of objects that one mirror alone shows at 25 dB or more.
+    #: Of objects that one mirror alone shows at 25 dB or more, at 15 to 25 dB; of pedestrians and bicycles among the
+    #: first.
     recall_single_25_db: Ratio
+    recall_single_15_db: Ratio
+    recall_vulnerable_25_db: Ratio
     #: Objects out of sight that no mirror shows; they are not to be found.
     not_mirrored: int
     reports: int
@@ -231,11 +245,17 @@ class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
     false_per_scan: Ratio
     nothing: Ratio
     nothing_per_scan: Ratio
+    #: Of these the rest: something stands there, but not out of sight.
+    in_sight_per_scan: Ratio
     #: Quantiles [m] of found objects; and of all reports in places with an object out of sight, whatever their error.
     error_found_m: dict[str, Estimate]
     centre_found_m: dict[str, Estimate]
     error_ungated_m: dict[str, Estimate]
     centre_ungated_m: dict[str, Estimate]
+    #: Share of the objects found whose truth lies within the 95 % ellipse of its report, and the mean squared
+    #: Mahalanobis distance: at most 2 where covariances are right, for the nearest point of a face counts.
+    inside_ellipse: Ratio
+    nees: Ratio
     scores: list[ScoreBin]
     #: Mean distance of score and share found over the bins, weighted by their reports.
     calibration_error: float | None
@@ -267,7 +287,13 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         ),
         recall_vehicles=draw.recall(lambda item: item.object_class in VEHICLES),
         recall_by_band=draw.recalls(lambda item: band(item.image), BANDS),
-        recall_single_25_db=draw.recall(_strong_single),
+        recall_single_25_db=draw.recall(lambda item: _single_reaches(item, BAND_EDGES_DB[1])),
+        recall_single_15_db=draw.recall(
+            lambda item: _single_reaches(item, BAND_EDGES_DB[0]) and not _single_reaches(item, BAND_EDGES_DB[1])
+        ),
+        recall_vulnerable_25_db=draw.recall(
+            lambda item: item.object_class in VULNERABLE and _single_reaches(item, BAND_EDGES_DB[1])
+        ),
         not_mirrored=scores.unseen,
         reports=len(scores.reports),
         precision=draw.ratio(scores.of_reports(lambda item: item.found), reports),
@@ -275,10 +301,13 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         false_per_scan=draw.ratio(false, scans),
         nothing=draw.ratio(nothing, reports),
         nothing_per_scan=draw.ratio(nothing, scans),
+        in_sight_per_scan=draw.ratio(scores.of_reports(lambda item: is_false(item) and not is_nothing(item)), scans),
         error_found_m=draw.quantiles([(place, row.error_m) for place, row in scores.asked]),
         centre_found_m=draw.quantiles([(place, row.centre_m) for place, row in scores.asked]),
         error_ungated_m=draw.quantiles([(place, row.error_m) for place, row in scores.reports]),
         centre_ungated_m=draw.quantiles([(place, row.centre_m) for place, row in scores.reports]),
+        inside_ellipse=draw.ratio(scores.of_objects(_is_inside), found_count),
+        nees=draw.ratio(scores.sum_of_objects(lambda item: item.mahalanobis2 or 0.0), found_count),
         scores=bins,
         calibration_error=_calibration_error(bins),
         false_cost=false_cost,
@@ -290,8 +319,13 @@ def _is_found(row: HiddenRow) -> bool:
     return row.error_m is not None
 
 
-def _strong_single(row: HiddenRow) -> bool:
-    return row.image.single_snr_db is not None and row.image.single_snr_db >= BAND_EDGES_DB[1]
+def _is_inside(row: HiddenRow) -> bool:
+    return row.mahalanobis2 is not None and row.mahalanobis2 <= ELLIPSE_95
+
+
+def _single_reaches(row: HiddenRow, snr_db: float) -> bool:
+    """Return whether one mirror alone shows an object at so much."""
+    return row.image.single_snr_db is not None and row.image.single_snr_db >= snr_db
 
 
 class _Draws:

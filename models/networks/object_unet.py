@@ -47,7 +47,7 @@ class ObjectUNet(nn.Module):
         super().__init__()
         self.config = config
         widths, steps = config.widths, list(pairwise(config.widths))
-        self.stem = _convolution(config.in_channels, widths[0])
+        self.stem = _of_each_cell(config.in_channels, widths[0])
         self.encode = nn.ModuleList(ResidualBlock(width) for width in widths[:-1])
         self.down = nn.ModuleList(halved(fine, coarse) for fine, coarse in steps)
         cells = config.rows * config.columns // 4 ** len(steps)
@@ -58,7 +58,7 @@ class ObjectUNet(nn.Module):
         self.up = nn.ModuleList(nn.ConvTranspose2d(coarse, fine, 2, stride=2) for fine, coarse in reversed(steps))
         self.decode = nn.ModuleList(ResidualBlock(width) for width in reversed(widths[:-1]))
         last = nn.Conv2d(config.head_width, config.hypotheses * config.answers, 1)
-        self.head = nn.Sequential(_convolution(widths[0], config.head_width), last)
+        self.head = nn.Sequential(_of_each_cell(widths[0], config.head_width), last)
         nn.init.normal_(last.weight, std=0.01)
         nn.init.zeros_(last.bias)
         with torch.no_grad():
@@ -78,7 +78,6 @@ class ObjectUNet(nn.Module):
         return self.head(x)
 
 
-def _convolution(channels: int, width: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(channels, width, 3, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU(inplace=True)
-    )
+def _of_each_cell(channels: int, width: int) -> nn.Sequential:
+    """Return a layer of each cell alone: a cell's hypotheses say little about those of its neighbours."""
+    return nn.Sequential(nn.Conv2d(channels, width, 1, bias=False), nn.BatchNorm2d(width), nn.ReLU(inplace=True))

@@ -5,14 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
-from msgs.values.radar import RadarBeam
+from msgs.values.radar import PRESETS, RadarBeam
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_scan import Labels, label_points, stronger
-from sim_player.dataset.shards import draw_gain_db, scene_seed
+from sim_player.dataset.shards import draw_gain_db, scene_seed, shift_rng
+from sim_player.generate.domain_shift import BoardFaults, Shift, domain_shifted_scene, draw_faults
+from sim_player.generate.drives import draw_drive
 from sim_player.generate.places import draw_place
 from sim_player.player import ScenePlayer
+from sim_player.scene.description import Scene
+from sim_player.signal.levels import Terms
 from sim_player.trace.truth import hidden_objects
+
+
+class FaultyBoardPlayer(ScenePlayer):
+    """A player whose board has faults: the echoes of a beam times its gain, the receiver's noise as it was."""
+
+    def __init__(self, *args: Any, faults: BoardFaults, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.faults = faults
+
+    def echoes(self, scan: int, index: int) -> Terms:
+        """Return the terms of one beam's echoes as the board's own gain leaves them."""
+        beats, carrier, basis = super().echoes(scan, index)
+        return self.faults.gain[index] * beats, carrier, basis
 
 
 @dataclass(frozen=True)
@@ -24,17 +42,36 @@ class LabelledPlace:
     effects: str = "auto"
     #: Radar and road users move, as `sim_player.generate.places.random_place` sets them in motion.
     moving: bool = False
+    #: More than one: a drive of so many scans (`sim_player.generate.drives`), which moves in any case.
+    scans: int = 1
+    #: As of `sim dataset --shift`: rougher and fuller, seen by a board with faults, whose dead beams never come.
+    shift: Shift = "none"
+
+    @property
+    def scene(self) -> Scene:
+        """The scene alone, without paths."""
+        if self.scans > 1:
+            duration_s = self.scans * PRESETS["xband"].radar.scan_period_s
+            scene = draw_drive(self.seed, self.index, "xband", duration_s).scene
+        else:
+            scene = draw_place(self.seed, self.index, "xband", None, self.moving).scene
+        return scene if self.shift == "none" else domain_shifted_scene(scene, shift_rng(self.seed, self.index, 0))
 
     @cached_property
     def player(self) -> ScenePlayer:
         """Player of its beams; a scan takes some tenths of a second."""
-        scene = draw_place(self.seed, self.index, "xband", None, self.moving).scene
+        scene, seed = self.scene, scene_seed(self.seed, self.index)
         setup = stronger(scene.setup, ratio_from_db(draw_gain_db(self.seed, self.index)))
-        return ScenePlayer(scene, scene_seed(self.seed, self.index), setup, effects=self.effects)
+        if self.shift == "none":
+            return ScenePlayer(scene, seed, setup, effects=self.effects)
+        faults = draw_faults(shift_rng(self.seed, self.index, 1), len(setup.beams))
+        return FaultyBoardPlayer(scene, seed, setup, effects=self.effects, faults=faults)
 
-    def beams(self) -> Iterator[RadarBeam]:
-        """Yield the beams of one scan, in order."""
-        return (self.player.beam(0, index) for index in range(len(self.player.setup.beams)))
+    def beams(self, scan: int = 0) -> Iterator[RadarBeam]:
+        """Yield the beams of one scan that come, in order."""
+        player = self.player
+        dead = player.faults.dead if isinstance(player, FaultyBoardPlayer) else ()
+        return (player.beam(scan, index) for index in range(len(player.setup.beams)) if not (len(dead) and dead[index]))
 
     @cached_property
     def labels(self) -> Labels:

@@ -273,7 +273,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         scan_seed = scene_seed(seed, index)
         scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db)
         if recipe.shift == "hard":
-            boards.append(draw_faults(_shift_rng(seed, index, 1), len(scan.profiles)))
+            boards.append(draw_faults(shift_rng(seed, index, 1), len(scan.profiles)))
             scan = replace(scan, profiles=faulty_profiles(scan.profiles, boards[-1], scene.setup, scan_seed))
         profiles.append(scan.profiles)
         labels.append(scan.labels)
@@ -344,7 +344,7 @@ def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, 
         place = draw_place(seed, index, recipe.preset, recipe.kind)
         scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
     if recipe.shift == "hard":
-        scene = domain_shifted_scene(scene, _shift_rng(seed, index, 0))
+        scene = domain_shifted_scene(scene, shift_rng(seed, index, 0))
     return scene, facts
 
 
@@ -378,7 +378,7 @@ def _plan_line(recipe: Recipe, scan: LabelledScan | DriveScan) -> bytes:
     return msgspec.json.encode(line)
 
 
-def _shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
+def shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
     """Return the generator of a scene's shift, apart from those of the scene: part 0 its place, 1 its board."""
     return np.random.default_rng([seed, index, 11, part])
 

@@ -134,10 +134,12 @@ def _set_report(
         "places": plan.set.places,
         "moving": plan.set.moving,
         "effects": plan.set.effects,
+        "scans": plan.set.scans,
+        "shift": plan.set.shift,
         "scenes_sha256": scenes_sha256(results),
         "profiles": {
             profile.value: object_report(
-                ObjectScores([result.rows[profile.value] for result in results]), weights, false_cost
+                ObjectScores([row for result in results for row in result.rows[profile.value]]), weights, false_cost
             )
             for profile in plan.profiles
         },
@@ -147,13 +149,16 @@ def _set_report(
 def tables(results: Mapping[str, Any]) -> Iterator[Table]:
     """All tables of a report, for a terminal or a page."""
     for name, set_report in results["sets"].items():
-        motion = "in motion" if set_report["moving"] else "at rest"
+        motion = "in motion" if set_report["moving"] or set_report["scans"] > 1 else "at rest"
+        motion += f", {set_report['scans']} scans each" if set_report["scans"] > 1 else ""
+        motion += f", shifted ({set_report['shift']})" if set_report["shift"] != "none" else ""
         reports: dict[str, ObjectReport] = set_report["profiles"]
         title = f"{name}: {set_report['places']} places {motion}, seed {set_report['seed']}"
         title += f", effects {set_report['effects']}"
         yield f"{title}; scenes {set_report['scenes_sha256'][:16]}...", HEADINGS, [
             _headline(profile, report) for profile, report in reports.items()
         ]  # fmt: skip
+        yield _aims(name, reports)
         yield _recalls(f"{name}: found by the SNR of the strongest image", BANDS, reports, "recall_by_band")
         classes = sorted({kind for report in reports.values() for kind in report.recall_by_class})
         yield _recalls(f"{name}: found by class", classes, reports, "recall_by_class")
@@ -180,6 +185,26 @@ def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
         _rate(report.false_per_scan),
         _rate(report.loss),
     )
+
+
+def _aims(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """Return what a driver asks: objects that one mirror shows well, reports of nothing, how sure of it."""
+    columns = ("profile", "one mirror, 25 dB on", "15 to 25 dB", "pedestrians, bicycles, 25 dB on",
+               "nothing there, a scan", "in plain sight, a scan", "in the 95 % ellipse", "NEES")  # fmt: skip
+    rows = [
+        (
+            profile,
+            str(report.recall_single_25_db),
+            _short(report.recall_single_15_db),
+            _short(report.recall_vulnerable_25_db),
+            _rate(report.nothing_per_scan),
+            _rate(report.in_sight_per_scan),
+            str(report.inside_ellipse),
+            _rate(report.nees),
+        )
+        for profile, report in reports.items()
+    ]
+    return f"{name}: shown by one mirror alone; false reports by kind; covariances", columns, rows
 
 
 def _short(ratio: Ratio) -> str:

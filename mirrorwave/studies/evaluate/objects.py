@@ -24,6 +24,8 @@ from nodes.process.launch_file import read_yaml_mapping
 from nodes.process.validation import convert_at
 from sim_player.dataset.executors import map_jobs
 from sim_player.dataset.labelled_beams import LabelledPlace
+from sim_player.dataset.shards import MAX_SCANS
+from sim_player.generate.domain_shift import Shift
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import scene_sha256
 from sim_player.trace.truth import object_images
@@ -33,13 +35,17 @@ SETS = LAUNCH / "evaluation" / "object_sets.yaml"
 
 
 class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Places 0..places-1 of the series of a seed, one scan each."""
+    """Places 0..places-1 of the series of a seed, one scan each, or drives."""
 
     seed: int
     places: int
     #: Radar and road users move.
     moving: bool = False
     effects: str = "all"
+    #: More than one: drives of so many scans, in motion.
+    scans: int = 1
+    #: As of `sim dataset --shift`.
+    shift: Shift = "none"
     #: Over the SHA-256 of each scene (`scene_sha256`); empty: not checked.
     scenes_sha256: str = ""
 
@@ -48,6 +54,12 @@ class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError(f"places must be at least 1, got {self.places}")
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}")
+        if not 1 <= self.scans <= MAX_SCANS:
+            raise ValueError(f"scans must be 1..{MAX_SCANS}, got {self.scans}")
+
+    def place(self, index: int) -> LabelledPlace:
+        """Return one place of the set."""
+        return LabelledPlace(self.seed, index, self.effects, self.moving, self.scans, self.shift)
 
 
 class ObjectSets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -65,11 +77,11 @@ class ObjectPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class PlaceResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Results of all profiles at one place."""
+    """Results of all profiles at one place, a row a scan."""
 
     place: int
     scene_sha256: str
-    rows: dict[str, ScanRow]
+    rows: dict[str, list[ScanRow]]
 
 
 def read_sets(path: Path = SETS) -> ObjectSets:
@@ -104,30 +116,34 @@ def scenes_sha256(results: Sequence[PlaceResult]) -> str:
 
 
 def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
-    """Play one scan of a place and let every profile look at the same beams."""
+    """Play the scans of a place and let every profile look at the same beams."""
     plan, index = job
-    place = LabelledPlace(plan.set.seed, index, plan.set.effects, plan.set.moving)
+    place = plan.set.place(index)
     # sums split among threads round in another way: rows would tell how many there were
     with threadpool_limits(1, "blas"):
         player = place.player
-        truth, images = player.truth(0), image_truth(player)
-        reports = _reports(player, plan.profiles)
+        truths = [(player.truth(scan), image_truth(player, scan)) for scan in range(place.scans)]
+        reports = _reports(place, plan.profiles)
     return PlaceResult(
         place=index,
         scene_sha256=scene_sha256(player.scene),
-        rows={name: scan_row(index, objects, truth, images) for name, objects in reports.items()},
+        rows={
+            name: [scan_row(index, views.get(truth.scan_id, ()), truth, images) for truth, images in truths]
+            for name, views in reports.items()
+        },
     )
 
 
-def _reports(player: ScenePlayer, settings: Sequence[Setting]) -> dict[str, Sequence[HiddenObject]]:
-    """Objects that each profile reports of the first scan; none where it gives no view."""
+def _reports(place: LabelledPlace, settings: Sequence[Setting]) -> dict[str, dict[int, Sequence[HiddenObject]]]:
+    """Objects that each profile reports of each scan that it has a view of; the vehicle's states are the true ones."""
     chains: dict[str, Chain] = {setting.value: _parts(msgspec.json.encode(setting)).chain() for setting in settings}
-    reports: dict[str, Sequence[HiddenObject]] = dict.fromkeys(chains, ())
-    state = player.vehicle_state(player.stamp_ns(0))
-    for beam in (player.beam(0, index) for index in range(len(player.setup.beams))):
+    reports: dict[str, dict[int, Sequence[HiddenObject]]] = {name: {} for name in chains}
+    for beam in (beam for scan in range(place.scans) for beam in place.beams(scan)):
+        state = place.player.vehicle_state(beam.stamp_ns)
         for name, chain in chains.items():
-            for view in chain.add(beam, state):
-                reports[name] = view.frame.objects
+            reports[name] |= {view.frame.scan_id: view.frame.objects for view in chain.add(beam, state)}
+    for name, chain in chains.items():
+        reports[name] |= {view.frame.scan_id: view.frame.objects for view in chain.flush()}
     return reports
 
 
@@ -137,9 +153,9 @@ def _parts(setting: bytes) -> SharedParts:
     return SharedParts.of(msgspec.json.decode(setting, type=Setting).params, RadarSetup())
 
 
-def image_truth(player: ScenePlayer) -> list[ImageTruth]:
-    """Return the visible truth of each object of a scene when its first scan begins."""
-    paths = player.paths(s_from_ns(player.stamp_ns(0) - player.setup.stamp_ns))
+def image_truth(player: ScenePlayer, scan: int = 0) -> list[ImageTruth]:
+    """Return the visible truth of each object of a scene when a scan begins."""
+    paths = player.paths(s_from_ns(player.stamp_ns(scan) - player.setup.stamp_ns), scan)
     images = object_images(player.setup, paths, len(player.scene.objects))
     return [
         ImageTruth(direct=bool(direct), mirrored=bool(mirrored), snr_db=_known(snr_db), single_snr_db=_known(single))

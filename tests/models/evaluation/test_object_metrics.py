@@ -208,3 +208,41 @@ def test_an_interval_of_many_places_is_as_wide_as_the_binomial_law_says() -> Non
 def test_weights_of_other_places_are_refused() -> None:
     with pytest.raises(ValueError, match=r"weights must have shape \[draws, 2\] for places, got \(1, 3\)"):
         object_report(two_places(), np.ones((1, 3)), 1.0)
+
+
+def test_distances_in_standard_deviations_are_to_the_mark_that_the_covariance_calls_nearest() -> None:
+    """From (7.4, 10) with 0.2 m along x and 3 m along y: the face x = 8 lies 3 sigma off, its square is 9; the centre
+    (10, 10) 13. With 2 m along x: 0.3 sigma. Turned by 90 degrees about the report the same.
+    """
+    for (xx, yy), wanted in (((0.04, 9.0), 9.0), ((4.0, 9.0), 0.09)):
+        item = msgspec.structs.replace(report(7.4, 10.0), cov_m2=((xx, 0.0), (0.0, yy)))
+        assert object_distances([item], truth(), truth().objects[1:2]).mahalanobis2[0, 0] == pytest.approx(wanted)
+    # no variance at all: a centimetre is believed, 0.6 m are 60 of them
+    exact = msgspec.structs.replace(report(7.4, 10.0), cov_m2=((0.0, 0.0), (0.0, 0.0)))
+    assert object_distances([exact], truth(), truth().objects[1:2]).mahalanobis2[0, 0] == pytest.approx(3600.0)
+
+
+def test_aims_by_hand() -> None:
+    """Four cars and a bicycle: at 30 dB one inside its ellipse (d2 4), one outside (d2 9), the bicycle missed; at 20 dB
+    one found of two. Reports: one at nothing, one on what stands in plain sight.
+    """
+    rows = [
+        msgspec.structs.replace(hidden(0.4), mahalanobis2=4.0),
+        msgspec.structs.replace(hidden(0.4), mahalanobis2=9.0),
+        hidden(None, "bicycle"),
+        msgspec.structs.replace(hidden(0.4, snr_db=20.0), mahalanobis2=1.0),
+        hidden(None, snr_db=20.0),
+    ]
+    reports = [said(0.9, 7.0, box_m=7.0), said(0.9, 7.0, box_m=0.5)]
+    result = object_report(ObjectScores([ScanRow(place=0, scan=0, hidden=rows, reports=reports)]), np.ones((1, 1)), 1.0)
+    shares = {
+        name: (ratio.part, ratio.whole)
+        for name in ("recall_single_25_db", "recall_single_15_db", "recall_vulnerable_25_db", "nothing_per_scan",
+                     "in_sight_per_scan", "inside_ellipse", "nees")
+        for ratio in [getattr(result, name)]
+    }  # fmt: skip
+    assert shares == {
+        "recall_single_25_db": (2.0, 3.0), "recall_single_15_db": (1.0, 2.0), "recall_vulnerable_25_db": (0.0, 1.0),
+        "nothing_per_scan": (1.0, 1.0), "in_sight_per_scan": (1.0, 1.0), "inside_ellipse": (2.0, 3.0),
+        "nees": (14.0, 3.0),
+    }  # fmt: skip

@@ -50,13 +50,17 @@ def test_report_counts_what_the_rows_hold(made: Path) -> None:
     rows = [json.loads(path.read_text()) for path in sorted((made / "drawn" / "places").glob("*.json"))]
     assert [row["place"] for row in rows] == list(range(PLACES))
     for profile in ("cfar", "fast"):
-        hidden = [one for row in rows for one in row["rows"][profile]["hidden"] if one["image"]["mirrored"]]
+        hidden = [
+            one for row in rows for scan in row["rows"][profile] for one in scan["hidden"] if one["image"]["mirrored"]
+        ]
         found = [one["error_m"] for one in hidden if one["error_m"] is not None]
         assert hidden
         assert max(found, default=0.0) <= FOUND_M
         recall = one["profiles"][profile]["recall"]
         assert (recall["part"], recall["whole"]) == (len(found), len(hidden))
-        assert one["profiles"][profile]["reports"] == sum(len(row["rows"][profile]["reports"]) for row in rows)
+        assert one["profiles"][profile]["reports"] == sum(
+            len(scan["reports"]) for row in rows for scan in row["rows"][profile]
+        )
     digests = b"".join(bytes.fromhex(scene_sha256(draw_place(SEED, index).scene)) for index in range(PLACES))
     assert one["scenes_sha256"] == hashlib.sha256(digests).hexdigest()
 
@@ -110,13 +114,18 @@ def test_places_that_are_not_those_of_the_set_are_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_every_committed_set_still_draws_the_places_that_were_hashed() -> None:
-    """All 620 scenes of the sets, drawn without simulating them."""
-    for name, one in read_sets().sets.items():
+def test_the_smaller_committed_sets_still_draw_the_places_that_were_hashed() -> None:
+    """Of each kind one: at rest, in motion, shifted, drives; without simulating them. An evaluation refuses the others
+    where they differ.
+    """
+    small = {name: one for name, one in read_sets().sets.items() if one.places <= 100}
+    assert {(one.moving, one.shift, one.scans) for one in small.values()} >= {
+        (True, "none", 1), (False, "hard", 1), (False, "none", 12)
+    }  # fmt: skip
+    for name, one in small.items():
         digest = hashlib.sha256()
         for index in range(one.places):
-            scene = draw_place(one.seed, index, "xband", None, one.moving).scene
-            digest.update(bytes.fromhex(scene_sha256(scene)))
+            digest.update(bytes.fromhex(scene_sha256(one.place(index).scene)))
         assert digest.hexdigest() == one.scenes_sha256, name
 
 
@@ -135,7 +144,7 @@ def test_motion_reaches_the_chain() -> None:
     assert player.scene.moves
     result = measure_place((plan, 0))
     out_of_sight = [one for one in image_truth(player) if not one.direct]
-    assert [one.image for one in result.rows["cfar"].hidden] == out_of_sight
+    assert [one.image for one in result.rows["cfar"][0].hidden] == out_of_sight
 
 
 def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
