@@ -70,6 +70,7 @@ def objects(
         data={
             "train": " ".join(map(str, data)),
             "validation": " ".join(map(str, validation)),
+            "detector": detector.name,
             "detector_sha256": load_card(detector).sha256,
         },
     )
@@ -81,16 +82,13 @@ def objects(
         chosen_by = _samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
         training = ObjectTraining(config, train, chosen_by, out, ranks)
         best = _run(training, progress)
-    command = "".join(f" --data {path}" for path in data) + "".join(f" --validation {path}" for path in validation)
-    command = f"mirrorwave train objects{command} --out {out} --model {detector.name} --epochs {epochs}"
-    command += f" --batch-size {batch_size} --learning-rate {learning_rate:g} --seed {seed}"
-    command += " --full-precision" if full_precision else ""
-    card = export_objects_run(out, chosen_by, out / MODEL_FILE, command)
+    file = out / MODEL_FILE
+    card = export_objects_run(out, chosen_by, file)
     draw_object_curves(training.reports, out / CURVES_PICTURE)
     if json:
         print_json(msgspec.to_builtins(card))
         return
-    print_line(f"{out / MODEL_FILE}: epoch {best.epoch}: {_summary_line(best)}")
+    print_line(f"{file}: epoch {best.epoch}: {_summary_line(best)}")
 
 
 def _check_data(scenes: Sequence[DataSet], judges: Sequence[DataSet]) -> None:

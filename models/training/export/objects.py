@@ -30,7 +30,7 @@ PARITY_SCANS = 4
 THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(1, 16))
 
 
-def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path, command: str) -> ObjectCard:
+def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path) -> ObjectCard:
     """Export the best network of a run and write its card: threshold, calibration and scores by the exported file on
     files of validation samples.
 
@@ -43,7 +43,7 @@ def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path, 
         write_onnx(
             network, (torch.zeros(1, *run.encoding.shape),), file, input_names=["cells"], output_names=["answer"]
         )
-        draft = _draft(network, run, epoch, file_sha256(file), model_path.stem, command)
+        draft = _draft(network, run, epoch, file_sha256(file), model_path.stem, _command(run, run_dir))
         write_card(draft, file)
         predictor = ObjectPredictor(file)
         _check_parity(model_path, network, predictor, validation)
@@ -63,6 +63,18 @@ def calibration(tally: ObjectTally) -> ScoreTable:
     reports = [report for row in tally.rows[min(tally.rows)] for report in row.reports]
     score = np.array([report.score for report in reports], np.float64)
     return fit_table(score, np.array([report.found for report in reports], bool))
+
+
+def _command(run: ObjectRunConfig, run_dir: Path) -> str:
+    """Return the command of a run."""
+    schedule, data = run.training.schedule, run.data
+    folders = "".join(f" --data {path}" for path in data["train"].split())
+    folders += "".join(f" --validation {path}" for path in data["validation"].split())
+    options = (
+        f" --epochs {schedule.epochs} --batch-size {schedule.batch_size} --learning-rate {schedule.learning_rate:g}"
+    )
+    options += f" --seed {run.training.seed}{'' if run.training.mixed_precision else ' --full-precision'}"
+    return f"mirrorwave train objects{folders} --out {run_dir} --model {data['detector']}{options}"
 
 
 def _draft(network: ObjectUNet, run: ObjectRunConfig, epoch: int, sha256: str, name: str, command: str) -> ObjectCard:

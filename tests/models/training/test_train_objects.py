@@ -82,10 +82,13 @@ def files(tmp_path: Path) -> list[Path]:
     return paths
 
 
+DATA = {"train": "a b", "validation": "c", "detector": "peaks.onnx"}
+
+
 def config(epochs: int) -> ObjectRunConfig:
     schedule = ScheduleConfig(epochs=epochs, batch_size=8, learning_rate=1e-2, weight_decay=0.0, clip_norm=5.0)
     training = TrainObjectsConfig(widths=(8, 8, 16, 16), schedule=schedule)
-    return ObjectRunConfig(training=training, encoding=ENCODING, data={})
+    return ObjectRunConfig(training=training, encoding=ENCODING, data=DATA)
 
 
 @pytest.mark.slow
@@ -100,8 +103,12 @@ def test_it_learns_where_objects_are(files: list[Path], tmp_path: Path) -> None:
         answer = network(torch.zeros(1, *ENCODING.shape))
     assert answer.shape == (1, HYPOTHESES * ANSWERS, *ENCODING.shape[1:])
     exported = tmp_path / "object_unet.onnx"
-    card = export_objects_run(tmp_path / "run", files[1:], exported, "mirrorwave train objects")
+    card = export_objects_run(tmp_path / "run", files[1:], exported)
     assert (card.name, card.training["chosen_epoch"], card.scores["scans"]) == ("object_unet", best.epoch, 16.0)
+    assert card.training["command"] == (
+        f"mirrorwave train objects --data a --data b --validation c --out {tmp_path / 'run'} --model peaks.onnx"
+        " --epochs 40 --batch-size 8 --learning-rate 0.01 --seed 0"
+    )
     # finer thresholds than the run's own choose at least as well
     assert card.scores["loss_per_scan"] <= best.loss_per_scan + 1e-4
     assert ObjectPredictor(exported).card == card == load_object_card(exported)
