@@ -38,13 +38,13 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.accuracy.side_street import GATE_M, Said, as_object, lead_s, switches
+from benchmarks.accuracy.side_street import GATE_M, Said, lead_s, switches
 from benchmarks.accuracy.side_street_scenes import CROSSING, SideStreet, direct_sight, random_side_street
 from benchmarks.perception.geometry_switches import machine
 from mirrorwave.node_chain import NodeParams
 from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.metrics import match_objects
-from models.evaluation.object_error import object_distances
+from models.evaluation.object_error import as_object, object_distances
 from models.perception.chain import Chain
 from models.perception.forming.ra_forming import RaFormer
 from msgs.values.frames import Pose2

@@ -45,6 +45,7 @@ from benchmarks.accuracy.side_street_drives import (
 )
 from benchmarks.perception.geometry_switches import machine
 from models.evaluation.metrics import match_objects
+from models.evaluation.object_error import as_object
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
@@ -144,20 +145,6 @@ def view(chain: Chain, player: ScenePlayer | DrivePlayer, number: int, place: Od
     state = VehicleState(stamp_ns=stamp_ns, speed_mps=place.speed_mps, yaw_rate_rps=place.yaw_rate_rps)
     views = [one for index in range(len(player.setup.beams)) for one in chain.add(player.beam(number, index), state)]
     return views[0].frame
-
-
-def as_object(track: Track) -> HiddenObject:
-    """A track as an object measured at the scan's stamp."""
-    return HiddenObject(
-        id=track.id,
-        x_m=track.x_m,
-        y_m=track.y_m,
-        length_m=4.0,
-        width_m=2.0,
-        yaw_rad=0.0,
-        score=1.0,
-        cov_m2=track.cov_m2,
-    )
 
 
 def said(scan: Scan, objects: Sequence[HiddenObject], car: int, tracks: Sequence[Track] = ()) -> Said:

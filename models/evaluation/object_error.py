@@ -14,11 +14,25 @@ import numpy as np
 
 from models.physics.plane import segment_distance_m
 from msgs.values.frames import Pose2
-from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
+from msgs.values.perception import HiddenObject, SceneTruth, Track, TruthObject
 from msgs.values.units import s_from_ns
 
 #: A visible point this near a side of its object's box shows that side.
 ON_FACE_M = 0.1
+
+
+def as_object(track: Track) -> HiddenObject:
+    """Return a track as an object measured at the stamp of its scan; its size is not known."""
+    return HiddenObject(
+        id=track.id,
+        x_m=track.x_m,
+        y_m=track.y_m,
+        length_m=4.0,
+        width_m=2.0,
+        yaw_rad=0.0,
+        score=1.0,
+        cov_m2=track.cov_m2,
+    )
 
 
 @dataclass(frozen=True)

@@ -19,18 +19,18 @@ import msgspec
 import numpy as np
 
 from models.evaluation.frame_scores import INTERVAL, Estimate
-from models.evaluation.metrics import assign_within
-from models.evaluation.object_error import object_distances
-from msgs.values.perception import HiddenObject, SceneTruth
+from models.evaluation.object_rows import (
+    BAND_EDGES_DB,
+    BANDS,
+    HiddenRow,
+    ReportRow,
+    ScanRow,
+    band,
+    is_false,
+    is_nothing,
+    single_reaches,
+)
 
-#: Maximum position error of a found object.
-FOUND_M = 1.0
-#: A report further than this from every object out of sight is false; one further than that from the box of every
-#: object, in sight or out of it, has no object near.
-FALSE_M, NOTHING_M = 2.0, 2.5
-#: Edges of the bands of image SNR, dB.
-BAND_EDGES_DB = (15.0, 25.0, 40.0)
-BANDS = ("no image", "< 15 dB", "15-25 dB", "25-40 dB", "> 40 dB")
 #: Squared Mahalanobis distance within which 95 % of the truths lie (chi-squared, two degrees of freedom).
 ELLIPSE_95 = -2.0 * math.log(0.05)
 #: Edges of the bins of scores.
@@ -38,116 +38,6 @@ SCORE_EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99, 1.0)
 VEHICLES = ("car", "van", "truck", "bus")
 VULNERABLE = ("pedestrian", "bicycle")
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
-
-
-class ImageTruth(msgspec.Struct, frozen=True, kw_only=True):
-    """Visibility of one object before any detection; SNR None: no image lies in the map."""
-
-    direct: bool
-    #: Some mirror shows a part of it, wherever the image lies.
-    mirrored: bool
-    snr_db: float | None
-    #: Of images by one mirror.
-    single_snr_db: float | None
-
-
-class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One object out of direct sight and its result."""
-
-    object_class: str
-    image: ImageTruth
-    #: Of the report that found it, None without one: position error, distance of centres.
-    error_m: float | None
-    centre_m: float | None
-    #: Found one to one if the distance of centres alone counts.
-    found_by_centre: bool
-    #: Squared Mahalanobis distance of the truth by the covariance of the report that found it.
-    mahalanobis2: float | None = None
-
-
-class ReportRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One reported object."""
-
-    score: float
-    #: Whether it found a hidden object.
-    found: bool
-    #: Position error, and distance of centres, to the nearest object out of sight; None: there is none.
-    error_m: float | None
-    centre_m: float | None
-    #: Distance to the nearest box of any object; None: there is none.
-    box_m: float | None
-
-
-class ScanRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One scan of a place."""
-
-    place: int
-    scan: int
-    hidden: list[HiddenRow]
-    reports: list[ReportRow]
-
-
-def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, images: Sequence[ImageTruth]) -> ScanRow:
-    """Reduce a scan's reports and truth to a row; `images` are those of `truth.objects`, in order.
-
-    Objects that no mirror shows are listed too: they are not to be found, but a report there is not false.
-    """
-    out_of_sight = [index for index, image in enumerate(images) if not image.direct]
-    distances = object_distances(objects, truth, truth.objects)
-    error_m, centre_m = distances.error_m[:, out_of_sight], distances.centre_m[:, out_of_sight]
-    mahalanobis2 = distances.mahalanobis2[:, out_of_sight]
-    mirrored = np.array([images[index].mirrored for index in out_of_sight], bool)
-    by = {int(column): int(row) for row, column in _matched(error_m, mirrored)}
-    by_centre = {int(column) for _, column in _matched(centre_m, mirrored)}
-    hidden = [
-        HiddenRow(
-            object_class=truth.objects[index].object_class,
-            image=images[index],
-            error_m=float(error_m[by[column], column]) if column in by else None,
-            centre_m=float(centre_m[by[column], column]) if column in by else None,
-            found_by_centre=column in by_centre,
-            mahalanobis2=float(mahalanobis2[by[column], column]) if column in by else None,
-        )
-        for column, index in enumerate(out_of_sight)
-    ]
-    reports = [
-        ReportRow(
-            score=report.score,
-            found=row in by.values(),
-            error_m=_least(error_m[row]),
-            centre_m=_least(centre_m[row]),
-            box_m=_least(distances.box_m[row]),
-        )
-        for row, report in enumerate(objects)
-    ]
-    return ScanRow(place=place, scan=truth.scan_id, hidden=hidden, reports=reports)
-
-
-def _matched(distance_m: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
-    """Return pairs (report, object) within reach, one to one, of the objects [N] that a mirror shows."""
-    pairs = assign_within(distance_m[:, mirrored], FOUND_M)
-    return np.stack([pairs[:, 0], np.flatnonzero(mirrored)[pairs[:, 1]]], axis=1)
-
-
-def _least(values: np.ndarray) -> float | None:
-    return float(values.min()) if len(values) else None
-
-
-def band(image: ImageTruth) -> str:
-    """Return the name of the SNR band of an object's strongest image; a band holds its lower edge."""
-    if image.snr_db is None:
-        return BANDS[0]
-    return BANDS[1 + sum(image.snr_db >= edge for edge in BAND_EDGES_DB)]
-
-
-def is_false(report: ReportRow) -> bool:
-    """Return whether a report lies further than `FALSE_M` from every object out of sight."""
-    return report.error_m is None or report.error_m > FALSE_M
-
-
-def is_nothing(report: ReportRow) -> bool:
-    """Return whether a report lies further than `NOTHING_M` from every object whatever."""
-    return report.box_m is None or report.box_m > NOTHING_M
 
 
 class ObjectScores:
@@ -269,9 +159,7 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
 
     Raises `ValueError` without a scan or with weights of other places.
     """
-    if not scores.scans or weights.shape[1:] != (len(scores.places),):
-        raise ValueError(f"weights must have shape [draws, {len(scores.places)}] for places, got {weights.shape}")
-    draw = _Draws(scores, weights)
+    draw = Draws(scores, weights)
     asked, found_count = scores.of_objects(lambda item: True), scores.of_objects(_is_found)
     reports = scores.of_reports(lambda item: 1.0)
     false, nothing = scores.of_reports(is_false), scores.of_reports(is_nothing)
@@ -287,12 +175,12 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         ),
         recall_vehicles=draw.recall(lambda item: item.object_class in VEHICLES),
         recall_by_band=draw.recalls(lambda item: band(item.image), BANDS),
-        recall_single_25_db=draw.recall(lambda item: _single_reaches(item, BAND_EDGES_DB[1])),
+        recall_single_25_db=draw.recall(lambda item: single_reaches(item, BAND_EDGES_DB[1])),
         recall_single_15_db=draw.recall(
-            lambda item: _single_reaches(item, BAND_EDGES_DB[0]) and not _single_reaches(item, BAND_EDGES_DB[1])
+            lambda item: single_reaches(item, BAND_EDGES_DB[0]) and not single_reaches(item, BAND_EDGES_DB[1])
         ),
         recall_vulnerable_25_db=draw.recall(
-            lambda item: item.object_class in VULNERABLE and _single_reaches(item, BAND_EDGES_DB[1])
+            lambda item: item.object_class in VULNERABLE and single_reaches(item, BAND_EDGES_DB[1])
         ),
         not_mirrored=scores.unseen,
         reports=len(scores.reports),
@@ -323,15 +211,12 @@ def _is_inside(row: HiddenRow) -> bool:
     return row.mahalanobis2 is not None and row.mahalanobis2 <= ELLIPSE_95
 
 
-def _single_reaches(row: HiddenRow, snr_db: float) -> bool:
-    """Return whether one mirror alone shows an object at so much."""
-    return row.image.single_snr_db is not None and row.image.single_snr_db >= snr_db
-
-
-class _Draws:
+class Draws:
     """Quotients and quantiles of scores with their intervals under bootstrap draws."""
 
     def __init__(self, scores: ObjectScores, weights: np.ndarray) -> None:
+        if not scores.scans or weights.shape[1:] != (len(scores.places),):
+            raise ValueError(f"weights must have shape [draws, {len(scores.places)}] for places, got {weights.shape}")
         self._scores, self._weights = scores, np.asarray(weights, np.float64)
 
     def ratio(self, part: np.ndarray, whole: np.ndarray) -> Ratio:
@@ -376,7 +261,7 @@ def _interval(draws: np.ndarray) -> tuple[float | None, float | None]:
     return float(low), float(high)
 
 
-def _score_bin(draw: _Draws, low: float, high: float) -> ScoreBin:
+def _score_bin(draw: Draws, low: float, high: float) -> ScoreBin:
     """Return the reports of one bin of scores."""
     scores = draw._scores
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.evaluation.object_metrics import ImageTruth, ObjectReport, ObjectScores, ScanRow, object_report, scan_row
+from models.evaluation.object_metrics import ObjectReport, ObjectScores, object_report
+from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.objects.answers import detections, hidden_objects
 from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import CellHypotheses

@@ -20,12 +20,9 @@ from mirrorwave.studies.evaluate.objects import (
 )
 from mirrorwave.studies.report import table
 from mirrorwave.studies.tradeoff.settings import profile_setting
+from models.evaluation.drive_metrics import DriveReport, drive_report
 from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.object_metrics import (
-    BANDS,
-    FALSE_M,
-    FOUND_M,
-    NOTHING_M,
     ObjectReport,
     ObjectScores,
     Ratio,
@@ -33,6 +30,7 @@ from models.evaluation.object_metrics import (
     mean_loss,
     object_report,
 )
+from models.evaluation.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M
 
 #: Title, columns, rows.
 Table = tuple[str, Sequence[str], Sequence[Sequence[object]]]
@@ -50,6 +48,12 @@ DEFINITIONS = {
     "without the gate": "error of every report against the nearest object out of sight, in places that hold one",
     "true": f"share of the reports of a score that found an object; within {FALSE_M:g} m: that are not false",
     "loss": "missed objects + false cost x false reports, a scan",
+    "after 1 s in view": "of objects that mirrors have shown for 1 s without a gap, scan by scan, those that a "
+    f"confirmed track stands on, one to one, within {FOUND_M:g} m",
+    "false track": "one that in most of its scans is false and has nothing there; in plain sight: false, but something "
+    "is there",
+    "lead": "of objects that come into direct sight, from the first track on them; the most possible: from the first "
+    "image of 10 dB or more",
     "interval": "95 % percentile interval over places drawn with replacement; all profiles share the draws",
 }
 
@@ -129,6 +133,10 @@ def _set_report(
 ) -> dict[str, Any]:
     """Measures of all profiles on one set."""
     weights = bootstrap_weights(plan.set.places, request.draws, request.seed)
+    of_profiles = {
+        profile.value: ObjectScores([row for result in results for row in result.rows[profile.value]])
+        for profile in plan.profiles
+    }
     return {
         "seed": plan.set.seed,
         "places": plan.set.places,
@@ -137,12 +145,8 @@ def _set_report(
         "scans": plan.set.scans,
         "shift": plan.set.shift,
         "scenes_sha256": scenes_sha256(results),
-        "profiles": {
-            profile.value: object_report(
-                ObjectScores([row for result in results for row in result.rows[profile.value]]), weights, false_cost
-            )
-            for profile in plan.profiles
-        },
+        "profiles": {name: object_report(scores, weights, false_cost) for name, scores in of_profiles.items()},
+        "tracks": {name: drive_report(scores, weights) for name, scores in of_profiles.items() if plan.set.scans > 1},
     }
 
 
@@ -164,6 +168,8 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         yield _recalls(f"{name}: found by class", classes, reports, "recall_by_class")
         yield _errors(name, reports)
         yield _scores(name, reports)
+        if set_report["tracks"]:
+            yield _tracks(name, set_report["tracks"])
     if len(results["sets"]) > 1:
         rows = [(profile, f"{loss:.3f}") for profile, loss in results["mean_loss"].items()]
         yield f"mean loss over the sets, false cost {results['false_cost']:g}", ("profile", "loss a scan"), rows
@@ -205,6 +211,32 @@ def _aims(name: str, reports: Mapping[str, ObjectReport]) -> Table:
         for profile, report in reports.items()
     ]
     return f"{name}: shown by one mirror alone; false reports by kind; covariances", columns, rows
+
+
+def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
+    """Return what is said of objects over a drive."""
+    columns = ("profile", "after 1 s in view", "by one mirror, 25 dB on", "false tracks a minute",
+               "in plain sight, a minute", "id switches an object", "velocity error, first scan: p50, p90 [m/s]",
+               "after 1 s", "lead of the most possible [s]")  # fmt: skip
+    rows = [
+        (
+            profile,
+            str(report.recall_after_1_s),
+            str(report.recall_25_db_after_1_s),
+            _rate(report.false_tracks_per_minute),
+            _rate(report.in_sight_tracks_per_minute),
+            _short(report.id_switches),
+            _quantile_pair(report.first_velocity_error_mps),
+            _quantile_pair(report.later_velocity_error_mps),
+            str(report.lead),
+        )
+        for profile, report in reports.items()
+    ]
+    return f"{name}: confirmed tracks", columns, rows
+
+
+def _quantile_pair(estimates: Mapping[str, Estimate]) -> str:
+    return ", ".join(f"{estimates[name].value:.2f}" for name in ("p50", "p90")) if estimates else "-"
 
 
 def _short(ratio: Ratio) -> str:

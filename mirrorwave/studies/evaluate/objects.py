@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.studies.resumable import ResumableRun
 from mirrorwave.studies.tradeoff.settings import Setting
-from models.evaluation.object_metrics import ImageTruth, ScanRow, scan_row
+from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.chain import Chain
 from msgs.files.shipped import LAUNCH
-from msgs.values.perception import HiddenObject
+from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from nodes.process.launch_file import read_yaml_mapping
@@ -123,28 +123,33 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
     with threadpool_limits(1, "blas"):
         player = place.player
         truths = [(player.truth(scan), image_truth(player, scan)) for scan in range(place.scans)]
-        reports = _reports(place, plan.profiles)
+        views = _views(place, plan.profiles)
     return PlaceResult(
         place=index,
         scene_sha256=scene_sha256(player.scene),
         rows={
-            name: [scan_row(index, views.get(truth.scan_id, ()), truth, images) for truth, images in truths]
-            for name, views in reports.items()
+            name: [_row(index, frames.get(truth.scan_id), truth, images) for truth, images in truths]
+            for name, frames in views.items()
         },
     )
 
 
-def _reports(place: LabelledPlace, settings: Sequence[Setting]) -> dict[str, dict[int, Sequence[HiddenObject]]]:
-    """Objects that each profile reports of each scan that it has a view of; the vehicle's states are the true ones."""
+def _row(place: int, frame: BevFrame | None, truth: SceneTruth, images: Sequence[ImageTruth]) -> ScanRow:
+    """Result of one scan; without a view nothing is reported."""
+    return scan_row(place, frame.objects if frame else (), truth, images, frame.tracks if frame else ())
+
+
+def _views(place: LabelledPlace, settings: Sequence[Setting]) -> dict[str, dict[int, BevFrame]]:
+    """Views that each profile has of the scans; the vehicle's states are the true ones."""
     chains: dict[str, Chain] = {setting.value: _parts(msgspec.json.encode(setting)).chain() for setting in settings}
-    reports: dict[str, dict[int, Sequence[HiddenObject]]] = {name: {} for name in chains}
+    views: dict[str, dict[int, BevFrame]] = {name: {} for name in chains}
     for beam in (beam for scan in range(place.scans) for beam in place.beams(scan)):
         state = place.player.vehicle_state(beam.stamp_ns)
         for name, chain in chains.items():
-            reports[name] |= {view.frame.scan_id: view.frame.objects for view in chain.add(beam, state)}
+            views[name] |= {view.frame.scan_id: view.frame for view in chain.add(beam, state)}
     for name, chain in chains.items():
-        reports[name] |= {view.frame.scan_id: view.frame.objects for view in chain.flush()}
-    return reports
+        views[name] |= {view.frame.scan_id: view.frame for view in chain.flush()}
+    return views
 
 
 @lru_cache(maxsize=64)

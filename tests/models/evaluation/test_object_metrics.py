@@ -9,17 +9,15 @@ import pytest
 from models.evaluation.frame_scores import bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import object_distances
-from models.evaluation.object_metrics import (
+from models.evaluation.object_metrics import ObjectScores, mean_loss, object_report
+from models.evaluation.object_rows import (
     HiddenRow,
     ImageTruth,
-    ObjectScores,
     ReportRow,
     ScanRow,
     band,
     is_false,
     is_nothing,
-    mean_loss,
-    object_report,
     scan_row,
 )
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.evaluation.object_metrics import ReportRow, ScanRow
+from models.evaluation.object_rows import ReportRow, ScanRow
 from models.perception.detection.encoding import Encoding
 from models.perception.detection.score_calibration import calibrated
 from models.perception.geometry.mirrors import WallArrays

@@ -21,7 +21,7 @@ from mirrorwave.studies.evaluate.objects import (
     run_objects,
 )
 from mirrorwave.studies.tradeoff.settings import profile_setting
-from models.evaluation.object_metrics import FOUND_M
+from models.evaluation.object_rows import FOUND_M
 from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.generate.places import draw_place
 from sim_player.scene.description import scene_sha256
