@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 from msgs.values.radar import PRESETS, RadarBeam
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_scan import Labels, label_points, stronger
 from sim_player.dataset.shards import draw_gain_db, scene_seed, shift_rng
+from sim_player.foreign.player import ForeignPlayer
 from sim_player.generate.domain_shift import BoardFaults, Shift, domain_shifted_scene, draw_faults
 from sim_player.generate.drives import draw_drive
 from sim_player.generate.places import draw_place
@@ -18,6 +19,9 @@ from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene
 from sim_player.signal.levels import Terms
 from sim_player.trace.truth import hidden_objects
+
+#: Tracer of a place.
+TracedBy = Literal["own", "foreign"]
 
 
 class FaultyBoardPlayer(ScenePlayer):
@@ -46,6 +50,8 @@ class LabelledPlace:
     scans: int = 1
     #: As of `sim dataset --shift`: rougher and fuller, seen by a board with faults, whose dead beams never come.
     shift: Shift = "none"
+    #: "foreign": objects are reached by the paths of another tracer (`sim_player.foreign.player`), at rest.
+    world: TracedBy = "own"
 
     @property
     def scene(self) -> Scene:
@@ -62,6 +68,8 @@ class LabelledPlace:
         """Player of its beams; a scan takes some tenths of a second."""
         scene, seed = self.scene, scene_seed(self.seed, self.index)
         setup = stronger(scene.setup, ratio_from_db(draw_gain_db(self.seed, self.index)))
+        if self.world == "foreign":
+            return ForeignPlayer(scene, seed, setup)
         if self.shift == "none":
             return ScenePlayer(scene, seed, setup, effects=self.effects)
         faults = draw_faults(shift_rng(self.seed, self.index, 1), len(setup.beams))

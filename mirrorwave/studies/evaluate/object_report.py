@@ -144,6 +144,7 @@ def _set_report(
         "effects": plan.set.effects,
         "scans": plan.set.scans,
         "shift": plan.set.shift,
+        "world": plan.set.world,
         "scenes_sha256": scenes_sha256(results),
         "profiles": {name: object_report(scores, weights, false_cost) for name, scores in of_profiles.items()},
         "tracks": {name: drive_report(scores, weights) for name, scores in of_profiles.items() if plan.set.scans > 1},
@@ -156,6 +157,7 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         motion = "in motion" if set_report["moving"] or set_report["scans"] > 1 else "at rest"
         motion += f", {set_report['scans']} scans each" if set_report["scans"] > 1 else ""
         motion += f", shifted ({set_report['shift']})" if set_report["shift"] != "none" else ""
+        motion += ", traced by a foreign tracer" if set_report["world"] == "foreign" else ""
         reports: dict[str, ObjectReport] = set_report["profiles"]
         title = f"{name}: {set_report['places']} places {motion}, seed {set_report['seed']}"
         title += f", effects {set_report['effects']}"

@@ -23,7 +23,7 @@ from msgs.values.units import s_from_ns
 from nodes.process.launch_file import read_yaml_mapping
 from nodes.process.validation import convert_at
 from sim_player.dataset.executors import map_jobs
-from sim_player.dataset.labelled_beams import LabelledPlace
+from sim_player.dataset.labelled_beams import LabelledPlace, TracedBy
 from sim_player.dataset.shards import MAX_SCANS
 from sim_player.generate.domain_shift import Shift
 from sim_player.player import ScenePlayer
@@ -46,6 +46,8 @@ class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     scans: int = 1
     #: As of `sim dataset --shift`.
     shift: Shift = "none"
+    #: "foreign": traced by the foreign tracer (extra `foreign`), at rest and not shifted.
+    world: TracedBy = "own"
     #: Over the SHA-256 of each scene (`scene_sha256`); empty: not checked.
     scenes_sha256: str = ""
 
@@ -56,10 +58,12 @@ class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError(f"seed must not be negative, got {self.seed}")
         if not 1 <= self.scans <= MAX_SCANS:
             raise ValueError(f"scans must be 1..{MAX_SCANS}, got {self.scans}")
+        if self.world == "foreign" and (self.moving or self.scans > 1 or self.shift != "none"):
+            raise ValueError("world: foreign needs places at rest without a shift, got others")
 
     def place(self, index: int) -> LabelledPlace:
         """Return one place of the set."""
-        return LabelledPlace(self.seed, index, self.effects, self.moving, self.scans, self.shift)
+        return LabelledPlace(self.seed, index, self.effects, self.moving, self.scans, self.shift, self.world)
 
 
 class ObjectSets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

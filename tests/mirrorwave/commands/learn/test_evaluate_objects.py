@@ -122,6 +122,7 @@ def test_the_smaller_committed_sets_still_draw_the_places_that_were_hashed() -> 
     assert {(one.moving, one.shift, one.scans) for one in small.values()} >= {
         (True, "none", 1), (False, "hard", 1), (False, "none", 12)
     }  # fmt: skip
+    assert {one.world for one in small.values()} == {"own", "foreign"}
     for name, one in small.items():
         digest = hashlib.sha256()
         for index in range(one.places):
@@ -195,3 +196,9 @@ def test_progress_is_counted_for_every_place(tmp_path: Path) -> None:
     tick: Callable[[], None] = lambda: ticks.append(None)  # noqa: E731
     run_objects(plan, tmp_path, on_place=tick)
     assert len(ticks) == 2
+
+
+def test_a_foreign_world_is_at_rest_and_not_shifted() -> None:
+    for wrong in ({"moving": True}, {"scans": 3}, {"shift": "hard"}):
+        with pytest.raises(ValueError, match="world: foreign needs places at rest without a shift"):
+            ObjectSet(seed=SEED, places=1, world="foreign", **wrong)  # type: ignore[arg-type]
