@@ -19,7 +19,7 @@ from sim_player.trace.paths import Paths
 class ForeignPlayer(ScenePlayer):
     """A player whose paths to objects, of two reflections at most, are those of the foreign tracer.
 
-    Walls and the ground as echoes of their own, mixtures of two one_way_paths, antenna, sweep and receiver are ours; what the
+    Walls and the ground as echoes of their own, mixtures of two ways, antenna, sweep and receiver are ours; what the
     foreign tracer does not know (diffraction, roughness, foliage, transmission, clutter) is not there. Raises
     `ValueError` for a scene that moves, `ForeignTracerMissingError` without the tracer.
     """
