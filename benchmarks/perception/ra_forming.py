@@ -207,7 +207,7 @@ def _closing_level(folder: BeamFolder, approach_m: np.ndarray) -> float:
         samples=np.rint(np.stack([beat.real, beat.imag], axis=-1)).astype(np.int16),
         full_scale_dbm=SETUP.full_scale_dbm,
     )
-    profile, _, _ = folder.fold(beam)
+    profile = folder.fold(beam).profile
     return float(np.abs(profile).max() / (1000.0 * np.sqrt(SETUP.milliwatt_per_code_squared)))
 
 

@@ -64,11 +64,18 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     detector: str = ""
     #: Pose of the radar on the vehicle with which the map was formed.
     vehicle_from_radar: Pose2 = Pose2()
+    #: Radial speed of each peak, positive away from the radar, over ground where ego motion was compensated, and its
+    #: standard deviation, float64 [N]; NaN: not measured. None: of none.
+    radial_speed_mps: np.ndarray | None = None
+    radial_speed_std_mps: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         count = len(self.range_m) if isinstance(self.range_m, np.ndarray) and self.range_m.ndim == 1 else None
         for name in ("range_m", "azimuth_rad", "score", "snr_db"):
             require_array(f"peaks.{name}", getattr(self, name), "<f8", (count,))
+        for name in ("radial_speed_mps", "radial_speed_std_mps"):
+            if getattr(self, name) is not None:
+                require_array(f"peaks.{name}", getattr(self, name), "<f8", (count,))
         require_array("peaks.path_class", self.path_class, "|u1", (count,))
         require_array("peaks.covariance", self.covariance, "<f8", (count, 2, 2))
         require_array("peaks.peak_stamp_ns", self.peak_stamp_ns, "<i8", (count,))

@@ -382,6 +382,11 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mode: str = "coherent"
     #: Names in `MAP_FAULTS` of the hardware faults visible in the scan.
     faults: tuple[str, ...] = ()
+    #: Radial speed of each cell, positive away from the radar, over ground where ego motion was compensated; NaN in
+    #: noise; float16 [range, azimuth]. None: not measured.
+    radial_speed_mps: np.ndarray | None = None
+    #: Standard deviation of these at an SNR of 1; it falls with the root of a cell's SNR.
+    radial_speed_unit_std_mps: float = 0.0
 
     def __post_init__(self) -> None:
         require_array("map.values", self.values, "<c8", self.grid.shape)
@@ -391,6 +396,9 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_stamps("map.azimuth_stamp_ns", self.azimuth_stamp_ns)
         if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
             raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
+        if self.radial_speed_mps is not None:
+            require_array("map.radial_speed_mps", self.radial_speed_mps, "<f2", self.grid.shape)
+        require_within("map.radial_speed_unit_std_mps", 0.0, 1e6, self.radial_speed_unit_std_mps)
         require_within("map.saturated_share", 0.0, 1.0, self.saturated_share)
         if self.mode not in MAP_MODES:
             raise ValueError(f"map.mode must be one of {', '.join(MAP_MODES)}, got {self.mode!r}")

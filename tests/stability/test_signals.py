@@ -114,7 +114,7 @@ def _fold(setup: RadarSetup, samples: np.ndarray, **params: Any) -> tuple[np.nda
         stamp_ns=0, scan_id=0, beam_index=middle, beam_count=len(setup.beams), azimuth_rad=0.0, samples=samples,
         full_scale_dbm=setup.full_scale_dbm,
     )  # fmt: skip
-    profile, noise_power_mw, _ = RaFormer(setup, FormingParams(**params)).folder.fold(beam)
+    profile, noise_power_mw, *_ = RaFormer(setup, FormingParams(**params)).folder.fold(beam)
     return profile, noise_power_mw
 
 
@@ -496,7 +496,7 @@ def test_float32_fft_of_a_hundred_decibel_scene() -> None:
     beam = RadarBeam(
         stamp_ns=0, scan_id=0, beam_index=12, beam_count=25, azimuth_rad=0.0, samples=samples, full_scale_dbm=-20.0
     )
-    profile, _, _ = former.folder.fold(beam)
+    profile = former.folder.fold(beam).profile
     weak = profile[160] / np.sqrt(setup.milliwatt_per_code_squared)
     exact = 0.3 * range_profile(radar, lengths_m[1:], 512)[0, 160]
     assert abs(weak - exact) <= 0.05

@@ -123,6 +123,7 @@ def peaks_at(
     power = echo_power(ra_map)
     range_index = _refined_range(power, cells, fractional[:, 0])
     snr_db = _snr_db(power, cells, ra_map.noise_power_mw)
+    speed_mps, std_mps = _radial_speeds(ra_map, cells, snr_db)
     return Peaks(
         stamp_ns=ra_map.stamp_ns,
         scan_id=ra_map.scan_id,
@@ -138,7 +139,20 @@ def peaks_at(
         saturated_share=ra_map.saturated_share,
         faults=ra_map.faults,
         vehicle_from_radar=ra_map.vehicle_from_radar,
+        radial_speed_mps=speed_mps,
+        radial_speed_std_mps=std_mps,
     )
+
+
+def _radial_speeds(
+    ra_map: RangeAzimuthMap, cells: np.ndarray, snr_db: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """Return the radial speeds of peaks and their standard deviations, None where the map has none."""
+    if ra_map.radial_speed_mps is None:
+        return None, None
+    speed_mps = ra_map.radial_speed_mps[cells[:, 0], cells[:, 1]].astype(np.float64)
+    std_mps = ra_map.radial_speed_unit_std_mps * 10.0 ** (-0.05 * snr_db)
+    return speed_mps, np.where(np.isfinite(speed_mps), std_mps, np.nan)
 
 
 def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.ndarray:

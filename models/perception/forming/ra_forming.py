@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 import scipy.fft
 from scipy.special import gammaincinv
 
-from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest, require_tractable
+from models.perception.forming.coarray import SEEN_SPACINGS, AzimuthInterpolator, CoherenceTest, require_tractable
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
@@ -24,6 +25,7 @@ from models.perception.forming.map_quality import (
     lost_chirps,
     silent_beams,
 )
+from models.perception.forming.radial_speed import HEARD, MIN_GROUPS, beam_speeds, cell_speeds, unit_std_mps
 from models.perception.forming.slow_time_sums import fold_chirps, group_edges
 from models.physics.waveform import WINDOW_TAPS
 from msgs.values.arrays import require_array, require_positive
@@ -108,6 +110,9 @@ class ScanProfiles:
     faults: tuple[str, ...] = ()
     #: Azimuth each beam looked at as seen from the map's pose, [beams, range]; None: ego motion was not taken out.
     look_azimuth_rad: np.ndarray | None = None
+    #: Radial speed in each beam, float32 [beams, range], and its standard deviation at an SNR of 1; None: not measured.
+    radial_speed_mps: np.ndarray | None = None
+    radial_speed_unit_std_mps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,21 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
         ego_compensated=looks is not None,
         mode=mode,
         faults=(*scan.faults, "array_error") if deviates else scan.faults,
+        radial_speed_mps=_cell_speeds(scan, interpolator),
+        radial_speed_unit_std_mps=scan.radial_speed_unit_std_mps,
     )
+
+
+def _cell_speeds(scan: ScanProfiles, interpolator: AzimuthInterpolator) -> np.ndarray | None:
+    """Return the radial speed of every cell, float16 [range, azimuth]; None where beams have none."""
+    if scan.radial_speed_mps is None:
+        return None
+    power = scan.profiles.real**2 + scan.profiles.imag**2
+    beams = interpolator.setup.beams.azimuth_rad
+    looked_rad = beams if scan.look_azimuth_rad is None else scan.look_azimuth_rad[:, -1]
+    apart_rad = np.abs(np.subtract.outer(interpolator.grid.azimuth_rad, looked_rad))
+    reach_rad = SEEN_SPACINGS * float(np.median(np.abs(np.diff(beams))))
+    return cell_speeds(scan.radial_speed_mps, power, scan.noise_power_mw, apart_rad <= reach_rad)
 
 
 def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: np.ndarray) -> bool:
@@ -179,6 +198,19 @@ def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np
     elapsed_ns = elapsed_ns[order]
     elapsed_ns = np.interp(interpolator.grid.azimuth_rad, azimuth_rad[order], elapsed_ns)
     return scan.stamp_ns + np.rint(elapsed_ns).astype(np.int64)
+
+
+class FoldedBeam(NamedTuple):
+    """One beam folded over slow time."""
+
+    #: complex64 [range].
+    profile: np.ndarray
+    #: Per bin.
+    noise_power_mw: float
+    #: Number of samples at full scale.
+    saturated: int
+    #: float32 [range], NaN in noise; None: slow time is not resolved.
+    radial_speed_mps: np.ndarray | None
 
 
 class BeamFolder:
@@ -212,10 +244,8 @@ class BeamFolder:
         self.duration_s = self.chirps * radar.repetition_interval_s
         self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.repetition_interval_s - 0.5 * self.duration_s
 
-    def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> tuple[np.ndarray, float, int]:
-        """Return the range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated
-        samples.
-        """
+    def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> FoldedBeam:
+        """Return a beam folded over slow time."""
         sums, saturated = fold_chirps(beam.samples[: self.chirps], self.groups)
         series = self._beats(sums, beam.beam_index)
         if ego is not None:
@@ -224,16 +254,45 @@ class BeamFolder:
             series = series.reshape(self.groups, self.samples, -1).sum(axis=2)
         spectra = scipy.fft.fft(series, axis=1, overwrite_x=True, workers=1)
         spectra *= np.float32(self._amplitude(beam.full_scale_dbm))
+        speed_mps = None
         if self.params.mode == "welch":
             profile, noise_power_mw = self._welch(spectra)
         else:
             noise_power_mw = self._noise_power_mw(spectra)
-            profile = self.strongest_doppler(
-                _windowed(spectra, 0, self.grid.range_bins, self._taps), noise_power_mw, ego
-            )
+            profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
+            doppler = self._doppler(profiles, ego)
+            profile, row = self._strongest(doppler, noise_power_mw)
+            if self.measures_speed:
+                heard = np.take_along_axis(doppler, row[None], axis=0)[0]
+                speed_mps = self._radial_speed_mps(profiles, row, np.abs(heard) ** 2 > HEARD * noise_power_mw, ego)
         if self.params.decimation > 1:
             profile = profile * self._undrooped
-        return profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated
+        return FoldedBeam(profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated, speed_mps)
+
+    @property
+    def _middle_wavelength_m(self) -> float:
+        """Wavelength at the chirp's middle: there a windowed bin has its phase."""
+        radar = self.setup.radar
+        return SPEED_OF_LIGHT_MPS / (
+            radar.carrier_hz + 0.5 * radar.chirp_slope_hz_per_s * radar.samples_per_chirp / radar.sample_rate_hz
+        )
+
+    @property
+    def measures_speed(self) -> bool:
+        """True where slow time is resolved."""
+        return self.params.mode != "welch" and self.groups >= MIN_GROUPS
+
+    def _radial_speed_mps(
+        self, profiles: np.ndarray, row: np.ndarray, heard: np.ndarray, ego: EgoCorrection | None
+    ) -> np.ndarray:
+        """Return the radial speed of each bin that is heard, NaN in the others, float32 [range]; `row` is that of the
+        strongest Doppler.
+        """
+        speed_mps = np.full(profiles.shape[1], np.nan, np.float32)
+        series = profiles[:, heard] if ego is None else profiles[:, heard] * ego.group_phase[:, None]
+        coarse_rad_ps = 2.0 * np.pi * self._doppler_hz[row[heard]]
+        speed_mps[heard] = beam_speeds(series, coarse_rad_ps, self.group_time_s, self._middle_wavelength_m)
+        return speed_mps
 
     def _beats(self, sums: np.ndarray, beam_index: int) -> np.ndarray:
         """Return the sums as complex64 [groups, samples], without background, positive frequencies for positive
@@ -256,22 +315,27 @@ class BeamFolder:
 
         `profiles` [groups, range] are those of the slow-time sums, windowed; they add up to the beam's mean.
         """
+        return self._strongest(self._doppler(profiles, ego), noise_power_mw)[0]
+
+    def _doppler(self, profiles: np.ndarray, ego: EgoCorrection | None) -> np.ndarray:
         transform = self._doppler_matrix if ego is None else self._doppler_matrix * ego.group_phase
-        return self._strongest(transform @ profiles, noise_power_mw)
+        return np.asarray(transform @ profiles)
 
     def _noise_power_mw(self, spectra: np.ndarray) -> float:
         """Return the noise power per bin of the mean over all chirps."""
         return _median_power(np.abs(_windowed(spectra.sum(axis=0), *self._noise_bins, self._taps)) ** 2, 1)
 
-    def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> np.ndarray:
-        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
+    def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one; and the number
+        of the strongest row in any case [range].
+        """
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
         best_power = np.take_along_axis(power, best[None], axis=0)[0]
         stronger = best_power > ratio_from_db(self.params.doppler_excess_db) * power[0]
         audible = best_power > ratio_from_db(self.params.doppler_snr_db) * noise_power_mw
-        best[~(stronger & audible)] = 0
-        return np.take_along_axis(doppler, best[None], axis=0)[0]
+        taken = np.where(stronger & audible, best, 0)
+        return np.take_along_axis(doppler, taken[None], axis=0)[0], best
 
     def _welch(self, spectra: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the root of the power averaged over single chirps, as complex64 without imaginary part."""
@@ -305,13 +369,17 @@ class BeamFolder:
     @cached_property
     def _doppler_matrix(self) -> np.ndarray:
         """Slow-time DFT about the beam's middle, zero first; complex64 [Doppler, groups]."""
+        return np.exp(-2j * np.pi * np.multiply.outer(self._doppler_hz, self.group_time_s)).astype(np.complex64)
+
+    @cached_property
+    def _doppler_hz(self) -> np.ndarray:
+        """Frequencies of the rows of that matrix [Doppler]."""
         radar, params = self.setup.radar, self.params
         step_hz = 1.0 / (params.doppler_padding * self.duration_s)
         limit = int(2.0 * params.doppler_limit_mps / radar.wavelength_m / step_hz)
         # beyond half the rate of the sums Doppler repeats
         limit = min(limit, (self.groups - 1) * params.doppler_padding // 2)
-        bins = np.concatenate([np.arange(limit + 1), -np.arange(1, limit + 1)])
-        return np.exp(-2j * np.pi * step_hz * np.multiply.outer(bins, self.group_time_s)).astype(np.complex64)
+        return step_hz * np.concatenate([np.arange(limit + 1), -np.arange(1, limit + 1)])
 
 
 def _check_grid(range_bin_m: float, samples: int, grid: RangeAzimuthGrid) -> None:
@@ -501,6 +569,7 @@ class _OpenScan:
         self._state = state if state is not None and state.valid else None
         self._profiles = np.zeros((beams, folder.grid.range_bins), np.complex64)
         self._looks = np.zeros(self._profiles.shape)
+        self._speed_mps = np.full(self._profiles.shape, np.nan, np.float32)
         self._noise_power_mw = np.full(beams, np.nan)
         self._beam_stamp_ns = self.stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64)
         self._saturated = 0
@@ -522,11 +591,14 @@ class _OpenScan:
         if not np.isnan(self._noise_power_mw[index]):
             return False
         ego = self._ego(beam)
-        self._profiles[index], self._noise_power_mw[index], saturated = self._folder.fold(beam, ego)
+        folded = self._folder.fold(beam, ego)
+        self._profiles[index], self._noise_power_mw[index] = folded.profile, folded.noise_power_mw
+        if folded.radial_speed_mps is not None:
+            self._speed_mps[index] = folded.radial_speed_mps
         if ego is not None:
             self._looks[index] = ego.look_azimuth_rad
         self._beam_stamp_ns[index] = beam.stamp_ns
-        self._saturated += saturated
+        self._saturated += folded.saturated
         self._lost_chirps += lost_chirps(beam.samples[: self._folder.chirps])
         return True
 
@@ -569,4 +641,6 @@ class _OpenScan:
             saturated_share=self._saturated / samples,
             faults=tuple(name for name, holds in faults.items() if holds),
             look_azimuth_rad=None if self._state is None else self._looks,
+            radial_speed_mps=self._speed_mps if self._folder.measures_speed else None,
+            radial_speed_unit_std_mps=unit_std_mps(radar.wavelength_m, self._folder.duration_s),
         )

@@ -212,7 +212,7 @@ def test_the_recorded_burst_shows_what_its_note_says() -> None:
         stamp_ns=0, scan_id=0, beam_index=0, beam_count=1, azimuth_rad=0.0, samples=samples,
         full_scale_dbm=setup.full_scale_dbm,
     )  # fmt: skip
-    profile, _, saturated = BeamFolder(setup, FormingParams(mode="welch"), grid).fold(beam)
+    profile, _, saturated, _ = BeamFolder(setup, FormingParams(mode="welch"), grid).fold(beam)
     level_db = 20.0 * np.log10(np.abs(profile))
     assert saturated == 0
     strongest_m = grid.range_bin_m * int(level_db[8:].argmax() + 8)

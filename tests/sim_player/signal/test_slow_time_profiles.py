@@ -96,7 +96,7 @@ def test_profiles_through_the_former_are_its_own() -> None:
         samples=codes,
         full_scale_dbm=float(20.0 * np.log10(10.0 * peak)),
     )
-    wanted, noise_power_mw, _ = folder.fold(beam, ego)
+    wanted, noise_power_mw, *_ = folder.fold(beam, ego)
     profiles = group_profiles(setup, terms, folder.group_edges, NOISELESS, front_end, ego.sample_phase)
     got = folder.strongest_doppler(profiles, noise_power_mw, ego) * ego.bin_phase
     assert np.abs(got - wanted).max() < 1e-4 * np.abs(wanted).max()
