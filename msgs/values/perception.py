@@ -124,6 +124,15 @@ class HiddenPoint(msgspec.Struct, frozen=True, kw_only=True):
     wall: int
 
 
+class RadialSpeed(msgspec.Struct, frozen=True, kw_only=True):
+    """The part of a velocity over ground that Doppler shows: along one direction, in the plane of the radar."""
+
+    #: Direction away from the radar by way of the mirrors, at the object.
+    azimuth_rad: float
+    speed_mps: float
+    std_mps: float
+
+
 class HiddenObject(msgspec.Struct, frozen=True, kw_only=True):
     """A recovered object: oriented box, score, covariance of its centre."""
 
@@ -140,6 +149,8 @@ class HiddenObject(msgspec.Struct, frozen=True, kw_only=True):
     points: int = 0
     #: pedestrian, bicycle, car, van, truck or bus; empty: nobody judged it.
     object_class: str = ""
+    #: None: not measured.
+    radial_speed: RadialSpeed | None = None
 
 
 class Track(msgspec.Struct, frozen=True, kw_only=True):

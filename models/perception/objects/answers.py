@@ -6,6 +6,7 @@ cell's centre, in metres: what the walls' errors do to an image is then in the m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.special import expit
 from models.perception.geometry.mirrors import RADAR, WallArrays, hits
 from models.perception.objects.hypotheses import HYPOTHESES, CellGrid, CellHypotheses
 from msgs.values.array_table import ArrayTable
-from msgs.values.perception import HiddenObject
+from msgs.values.perception import HiddenObject, RadialSpeed
 
 #: Classes in the order of their logits.
 CLASSES = ("pedestrian", "bicycle", "car", "van", "truck", "bus")
@@ -45,8 +46,10 @@ class Detections(ArrayTable):
     yaw_rad: np.ndarray
     #: Index into `CLASSES`.
     object_class: np.ndarray
-    #: Azimuth of the image.
+    #: Range and azimuth of the image; azimuth of the way on at the object, as the mirrors turn it.
+    range_m: np.ndarray
     azimuth_rad: np.ndarray
+    away_rad: np.ndarray
 
     def __len__(self) -> int:
         return len(self.score)
@@ -97,7 +100,9 @@ def _folded(
         size_m=np.exp(np.clip(values[:, LOG_SIZE], *LOG_SIZE_LIMITS)),
         yaw_rad=np.arctan2(heading[:, 1, 0], heading[:, 0, 0]),
         object_class=values[:, CLASS].argmax(axis=1),
+        range_m=range_m,
         azimuth_rad=azimuth_rad,
+        away_rad=np.arctan2(axes[:, 1, 0], axes[:, 0, 0]),
     )
 
 
@@ -138,8 +143,10 @@ def _distinct(reports: Detections) -> np.ndarray:
     return np.array(kept, int)
 
 
-def hidden_objects(reports: Detections, stamp_ns: np.ndarray) -> tuple[HiddenObject, ...]:
-    """Return detections as a view reports them, measured at the times [N]."""
+def hidden_objects(
+    reports: Detections, stamp_ns: np.ndarray, radial_speeds: Sequence[RadialSpeed | None] | None = None
+) -> tuple[HiddenObject, ...]:
+    """Return detections as a view reports them, measured at the times [N], with the radial speeds [N] if any."""
     return tuple(
         HiddenObject(
             id=index,
@@ -152,6 +159,7 @@ def hidden_objects(reports: Detections, stamp_ns: np.ndarray) -> tuple[HiddenObj
             cov_m2=tuple(map(tuple, reports.covariance_m2[index].tolist())),  # type: ignore[arg-type]
             stamp_ns=int(stamp_ns[index]),
             object_class=CLASSES[reports.object_class[index]],
+            radial_speed=radial_speeds[index] if radial_speeds else None,
         )
         for index in range(len(reports))
     )

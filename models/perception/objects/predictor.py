@@ -17,6 +17,7 @@ from models.perception.geometry.mirrors import wall_arrays
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, Detections, detections, hidden_objects
 from models.perception.objects.encoding import ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
+from models.perception.objects.radial_speed import radial_speeds
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
 from msgs.values.radar import RangeAzimuthMap
@@ -102,7 +103,7 @@ class ObjectPredictor:
         if not self.suits(ra_map):
             raise ValueError(f"map.grid must be the {self.card.name} card's, got {ra_map.grid} of {ra_map.mode}")
         reports = self.detections(ra_map, peaks, walls, returns)
-        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad))
+        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
 
     def detections(
         self, ra_map: RangeAzimuthMap, peaks: Peaks, walls: list[Wall], returns: DirectReturns
