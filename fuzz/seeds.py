@@ -27,6 +27,7 @@ from msgs.values.perception import (
     HiddenObject,
     HiddenPoint,
     Peaks,
+    RadialSpeed,
     SceneTruth,
     Track,
     TruthObject,
@@ -71,7 +72,8 @@ def _peaks(scan_id: int) -> Peaks:
     return Peaks(
         stamp_ns=1000, scan_id=scan_id, range_m=column, azimuth_rad=column, score=column, snr_db=column,
         path_class=np.array([0, 1], np.uint8), covariance=np.zeros((2, 2, 2)), peak_stamp_ns=np.arange(2),
-        missing_beams=(2,), faults=("interference",),
+        missing_beams=(2,), faults=("interference",), radial_speed_mps=np.array([np.nan, -2.0]),
+        radial_speed_std_mps=np.array([np.nan, 0.5]),
     )  # fmt: skip
 
 
@@ -79,6 +81,7 @@ def _map(scan_id: int) -> RangeAzimuthMap:
     return RangeAzimuthMap(
         stamp_ns=1000, scan_id=scan_id, grid=GRID, values=np.full(GRID.shape, 1j, np.complex64), noise_power_mw=1e-9,
         azimuth_stamp_ns=np.arange(4, dtype=np.int64), incoherent=np.array([True, False] * 2), missing_beams=(1,),
+        radial_speed_cmps=np.full(GRID.shape, -200, np.int16), radial_speed_unit_std_mps=8.0,
     )  # fmt: skip
 
 
@@ -89,7 +92,10 @@ def _view(scan_id: int) -> BevFrame:
         walls=(Wall(normal=(-1.0, 0.0), offset_m=9.0, ends_m=((9.0, -1.0), (9.0, 1.0)), inliers=4),),
         points=(HiddenPoint(x_m=1.0, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0),),
         objects=(
-            HiddenObject(id=1, x_m=1.0, y_m=2.0, length_m=4.0, width_m=2.0, yaw_rad=0.1, score=0.9, cov_m2=_COVARIANCE),
+            HiddenObject(
+                id=1, x_m=1.0, y_m=2.0, length_m=4.0, width_m=2.0, yaw_rad=0.1, score=0.9, cov_m2=_COVARIANCE,
+                object_class="car", radial_speed=RadialSpeed(azimuth_rad=0.3, speed_mps=-2.0, std_mps=0.5),
+            ),
         ),
         tracks=(
             Track(

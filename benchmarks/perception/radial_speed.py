@@ -22,7 +22,7 @@ from models.perception.forming.coarray import SEEN_SPACINGS, AzimuthInterpolator
 from models.perception.forming.ra_forming import BeamFolder, FormingParams
 from models.perception.forming.radial_speed import HEARD, beam_speeds, cell_speeds, unit_std_mps
 from models.physics.antenna import element_field, setup_weights, two_way_pattern
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import NO_RADIAL_SPEED, RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 
 SETUP = RadarSetup()
@@ -58,8 +58,8 @@ def trial_errors(snr_db: float, trials: int, seed: int) -> dict[str, float]:
     beams = SETUP.beams.azimuth_rad
     near = np.abs(np.subtract.outer(azimuth_rad, beams)) <= SEEN_SPACINGS * float(np.median(np.diff(beams)))
     # a cell of its own for each echo: the diagonal
-    cells = np.diagonal(cell_speeds(speeds, power, 1.0, near)).astype(np.float64)
-    error = cells - speed_mps
+    cells = np.diagonal(cell_speeds(speeds, power, 1.0, near))
+    error = np.where(cells == NO_RADIAL_SPEED, np.nan, 0.01 * cells) - speed_mps
     kept = np.abs(error) <= 0.25 * wavelength_m / folder.duration_s
     unit = unit_std_mps(wavelength_m, folder.duration_s)
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -355,6 +356,10 @@ MAP_MODES = (*FORMING_MODES, "photons")
 MAP_FAULTS = ("lost_chirps", "silent_beams", "drowned_beams", "spurs", "array_error")
 
 
+#: Code of a cell whose radial speed is not known.
+NO_RADIAL_SPEED = -(1 << 15)
+
+
 class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Complex range-azimuth map of one scan (topic `radar/ra_map`); |values|^2 is milliwatt per bin."""
 
@@ -382,9 +387,9 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     mode: str = "coherent"
     #: Names in `MAP_FAULTS` of the hardware faults visible in the scan.
     faults: tuple[str, ...] = ()
-    #: Radial speed of each cell, positive away from the radar, over ground where ego motion was compensated; NaN in
-    #: noise; float16 [range, azimuth]. None: not measured.
-    radial_speed_mps: np.ndarray | None = None
+    #: Radial speed of each cell in cm/s, positive away from the radar, over ground where ego motion was compensated;
+    #: `NO_RADIAL_SPEED` in noise; int16 [range, azimuth]. None: not measured.
+    radial_speed_cmps: np.ndarray | None = None
     #: Standard deviation of these at an SNR of 1; it falls with the root of a cell's SNR.
     radial_speed_unit_std_mps: float = 0.0
 
@@ -396,14 +401,21 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_stamps("map.azimuth_stamp_ns", self.azimuth_stamp_ns)
         if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
             raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
-        if self.radial_speed_mps is not None:
-            require_array("map.radial_speed_mps", self.radial_speed_mps, "<f2", self.grid.shape)
+        if self.radial_speed_cmps is not None:
+            require_array("map.radial_speed_cmps", self.radial_speed_cmps, "<i2", self.grid.shape)
         require_within("map.radial_speed_unit_std_mps", 0.0, 1e6, self.radial_speed_unit_std_mps)
         require_within("map.saturated_share", 0.0, 1.0, self.saturated_share)
         if self.mode not in MAP_MODES:
             raise ValueError(f"map.mode must be one of {', '.join(MAP_MODES)}, got {self.mode!r}")
         if not set(self.faults) <= set(MAP_FAULTS):
             raise ValueError(f"map.faults must be among {', '.join(MAP_FAULTS)}, got {self.faults!r}")
+
+    def radial_speed_mps(self, cells: tuple[Any, ...]) -> np.ndarray:
+        """Return the radial speed of cells, an index of `values`, in m/s, NaN where it is not known; float64."""
+        if self.radial_speed_cmps is None:
+            return np.full(self.values[cells].shape, np.nan)
+        codes = self.radial_speed_cmps[cells]
+        return np.where(codes == NO_RADIAL_SPEED, np.nan, 0.01 * codes)
 
     def stamps_at(self, azimuth_rad: np.ndarray) -> np.ndarray:
         """Return the acquisition times [N] of azimuths [N], those beyond the map at its edges; int64."""

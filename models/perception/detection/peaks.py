@@ -148,9 +148,9 @@ def _radial_speeds(
     ra_map: RangeAzimuthMap, cells: np.ndarray, snr_db: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
     """Return the radial speeds of peaks and their standard deviations, None where the map has none."""
-    if ra_map.radial_speed_mps is None:
+    if ra_map.radial_speed_cmps is None:
         return None, None
-    speed_mps = ra_map.radial_speed_mps[cells[:, 0], cells[:, 1]].astype(np.float64)
+    speed_mps = ra_map.radial_speed_mps((cells[:, 0], cells[:, 1]))
     std_mps = ra_map.radial_speed_unit_std_mps * 10.0 ** (-0.05 * snr_db)
     return speed_mps, np.where(np.isfinite(speed_mps), std_mps, np.nan)
 

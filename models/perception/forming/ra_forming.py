@@ -158,13 +158,13 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
         ego_compensated=looks is not None,
         mode=mode,
         faults=(*scan.faults, "array_error") if deviates else scan.faults,
-        radial_speed_mps=_cell_speeds(scan, interpolator),
+        radial_speed_cmps=_cell_speeds(scan, interpolator),
         radial_speed_unit_std_mps=scan.radial_speed_unit_std_mps,
     )
 
 
 def _cell_speeds(scan: ScanProfiles, interpolator: AzimuthInterpolator) -> np.ndarray | None:
-    """Return the radial speed of every cell, float16 [range, azimuth]; None where beams have none."""
+    """Return the radial speed of every cell as the map has it; None where beams have none."""
     if scan.radial_speed_mps is None:
         return None
     power = scan.profiles.real**2 + scan.profiles.imag**2

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from msgs.values.radar import NO_RADIAL_SPEED
 from msgs.values.units import ratio_from_db
 
 #: Fewer slow-time sums say nothing of a speed that is not ambiguous.
@@ -53,8 +54,8 @@ def unit_std_mps(wavelength_m: float, duration_s: float) -> float:
 
 
 def cell_speeds(speed_mps: np.ndarray, power_mw: np.ndarray, noise_power_mw: float, near: np.ndarray) -> np.ndarray:
-    """Return the radial speed of every cell, NaN where no beam near it stands out of the noise, float16 [range,
-    azimuth].
+    """Return the radial speed of every cell in cm/s, `NO_RADIAL_SPEED` where no beam near it stands out of the noise,
+    int16 [range, azimuth].
 
     `speed_mps` and `power_mw` [beams, range], power zero where a beam is missing; `near` bool [azimuth, beams].
     """
@@ -62,5 +63,6 @@ def cell_speeds(speed_mps: np.ndarray, power_mw: np.ndarray, noise_power_mw: flo
     shares = near.astype(np.float32)
     power, moment = shares @ weight, shares @ (weight * np.nan_to_num(speed_mps))
     heard = (power > ratio_from_db(LEAST_SNR_DB) * noise_power_mw) & (power > 0.0)
-    cells = np.divide(moment, power, out=np.full_like(power, np.nan), where=heard)
-    return np.ascontiguousarray(cells.T.astype(np.float16))
+    speed_cmps = np.rint(100.0 * np.divide(moment, power, out=np.zeros_like(power), where=heard))
+    codes = np.where(heard, np.clip(speed_cmps, NO_RADIAL_SPEED + 1, -NO_RADIAL_SPEED - 1), NO_RADIAL_SPEED)
+    return np.ascontiguousarray(codes.T.astype(np.int16))

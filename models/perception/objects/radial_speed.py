@@ -22,7 +22,7 @@ def radial_speeds(reports: Detections, ra_map: RangeAzimuthMap) -> list[RadialSp
     """Return the radial speed over ground of each detection; None where the map did not measure it, or not over
     ground.
     """
-    if ra_map.radial_speed_mps is None or not ra_map.ego_compensated:
+    if ra_map.radial_speed_cmps is None or not ra_map.ego_compensated:
         return [None] * len(reports)
     rows = np.rint(ra_map.grid.range_index(reports.range_m)).astype(np.int64)
     columns = np.rint(ra_map.grid.azimuth_index(reports.azimuth_rad)).astype(np.int64)
@@ -34,16 +34,16 @@ def radial_speeds(reports: Detections, ra_map: RangeAzimuthMap) -> list[RadialSp
 
 def _radial_speed(ra_map: RangeAzimuthMap, row: int, column: int, away_rad: float) -> RadialSpeed | None:
     """Return the radial speed of the loudest cell about one; None where that is noise or outside the map."""
-    assert ra_map.radial_speed_mps is not None
     first_row, first_column = max(row - REACH_BINS, 0), max(column - REACH_CELLS, 0)
     near = np.s_[first_row : max(row + REACH_BINS + 1, 0), first_column : max(column + REACH_CELLS + 1, 0)]
-    level = np.where(np.isfinite(ra_map.radial_speed_mps[near]), np.abs(ra_map.values[near]), 0.0)
+    speed_mps = ra_map.radial_speed_mps(near)
+    level = np.where(np.isfinite(speed_mps), np.abs(ra_map.values[near]), 0.0)
     if not level.size or not level.max() > 0.0:
         return None
     loudest = np.unravel_index(int(level.argmax()), level.shape)
     std_mps = ra_map.radial_speed_unit_std_mps * np.sqrt(ra_map.noise_power_mw) / float(level[loudest])
     return RadialSpeed(
         azimuth_rad=away_rad,
-        speed_mps=float(ra_map.radial_speed_mps[near][loudest]),
+        speed_mps=float(speed_mps[loudest]),
         std_mps=max(float(std_mps), LEAST_STD_MPS),
     )

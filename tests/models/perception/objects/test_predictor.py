@@ -15,7 +15,7 @@ from models.perception.objects.predictor import ObjectPredictor, load_object_car
 from models.perception.tracking.stage import ViewStage
 from models.training.export.onnx import write_card
 from msgs.values.perception import BevFrame, HiddenObject
-from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import NO_RADIAL_SPEED, RangeAzimuthGrid, RangeAzimuthMap
 from tests.models.perception.objects.object_scenes import ENCODING, empty_map, object_network
 
 
@@ -76,9 +76,9 @@ def test_objects_have_the_time_of_their_own_column(network: Path) -> None:
 def moving_map(cell_speed_mps: float, **values: Any) -> RangeAzimuthMap:
     """A map of 20 dB of SNR whose every cell moves at one radial speed, compensated unless said otherwise."""
     still = empty_map(ego_compensated=True, **values)
-    speed = np.full(still.grid.shape, cell_speed_mps, np.float16)
+    speed = np.full(still.grid.shape, NO_RADIAL_SPEED if np.isnan(cell_speed_mps) else 100 * cell_speed_mps, np.int16)
     loud = np.full(still.grid.shape, 10.0 * np.sqrt(still.noise_power_mw), np.complex64)
-    return msgspec.structs.replace(still, values=loud, radial_speed_mps=speed, radial_speed_unit_std_mps=8.0)
+    return msgspec.structs.replace(still, values=loud, radial_speed_cmps=speed, radial_speed_unit_std_mps=8.0)
 
 
 def test_an_objects_radial_speed_is_along_the_ray_that_the_wall_turns(network: Path) -> None:
