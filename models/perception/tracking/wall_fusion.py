@@ -143,8 +143,8 @@ class _Fusion:
     def add(self, prior: PlacedPrior) -> None:
         """Take in a prior: correct and extend the walls that it agrees with, else add it, else leave it out."""
         same = [entry for entry in self._entries if self._agrees(prior, entry)]
-        others = [entry for entry in self._entries if not any(entry is item for item in same)]
-        is_trusted = not any(self._contradicts(prior, entry) for entry in others)
+        rivals = (entry for entry in self._entries if not any(entry is item for item in same))
+        is_trusted = not any(self._contradicts(prior, entry) for entry in rivals)
         is_trusted = is_trusted and not self._is_seen_through(prior.line, same)
         if is_trusted and same:
             self._join(prior, same)

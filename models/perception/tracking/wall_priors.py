@@ -45,12 +45,12 @@ class WallPriorStore:
 
         Messages older than `max_age_s`, and those from another odometry frame, are left out.
         """
-        placed: list[PlacedPrior] = []
+        priors: list[PlacedPrior] = []
         for messages in self._messages.values():
             message = self._newest(messages, stamp_ns)
             if message is not None:
-                placed += self._placed(message, stamp_ns, pose_at, vehicle_from_radar)
-        return placed
+                priors += self._placed(message, stamp_ns, pose_at, vehicle_from_radar)
+        return priors
 
     def _newest(self, messages: deque[WallPriors], stamp_ns: int) -> WallPriors | None:
         """Return the message with the last stamp in time; of two with the same, the one that came later."""
