@@ -20,6 +20,7 @@ from msgs.bus.interface import Envelope
 from msgs.recording.mcap import Losses, RecordingWriter, TopicLoss
 from msgs.recording.sigmf import write_capture
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.perception import (
     BevFrame,
@@ -111,6 +112,11 @@ def _view(scan_id: int) -> BevFrame:
     )  # fmt: skip
 
 
+def _walls() -> WallPriors:
+    wall = PriorWall(ends_m=((20.0, -5.0), (20.0, 5.0)), offset_std_m=0.1, angle_std_rad=0.01, end_std_m=0.5)
+    return WallPriors(stamp_ns=1000, source="map", walls=(wall, wall))
+
+
 def _truth(scan_id: int) -> SceneTruth:
     return SceneTruth(
         stamp_ns=1000,
@@ -146,6 +152,7 @@ def messages(scan_id: int = 0) -> list[tuple[str, msgspec.Struct]]:
         ("radar/ra_map", _map(scan_id)),
         ("perception/peaks", _peaks(scan_id)),
         ("perception/hidden_objects", _view(scan_id)),
+        ("environment/walls", _walls()),
         ("sim/truth", _truth(scan_id)),
         ("diagnostics/node", status),
         ("log", LogRecord(stamp_ns=1, node="a", level="info", text="wall found: 12 m")),

@@ -15,6 +15,7 @@ from mirrorwave.node_chain import NodeParams
 from models.perception.chain import ScanView
 from models.perception.forming.photon_map import PhotonFormer
 from models.perception.timing import Timed
+from msgs.values.environment import WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
@@ -60,6 +61,8 @@ class Pipeline:
                 self._photons.set_up(message)
             case VehicleState():
                 self.chain.add_state(message)
+            case WallPriors():
+                self.chain.add_walls(message)
             case RadarBeam():
                 self._last_beam_ns = offset_ns
                 views += self._of_beam(message)

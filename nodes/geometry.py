@@ -19,6 +19,7 @@ from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import WEIGHTS
 from msgs.values.diagnostics import NodeState
+from msgs.values.environment import WallPriors
 from msgs.values.perception import Peaks
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -57,10 +58,10 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 class GeometryNode(Node):
     """perception/peaks -> perception/hidden_objects, with tracks and the vehicle's motion at the time of the scan; an
-    object network needs radar/ra_map too.
+    object network needs radar/ra_map too. Walls on environment/walls, if any, are fused with those of the scans.
     """
 
-    inputs: tuple[str, ...] = ("perception/peaks", "vehicle/state")
+    inputs: tuple[str, ...] = ("perception/peaks", "vehicle/state", "environment/walls")
     outputs = ("perception/hidden_objects",)
 
     def __init__(self, params: Params) -> None:
@@ -80,6 +81,8 @@ class GeometryNode(Node):
             match received.message:
                 case VehicleState() as state:
                     self._stage.add_state(state)
+                case WallPriors() as walls:
+                    self._stage.add_walls(walls)
                 case RangeAzimuthMap() as ra_map:
                     self._maps.append(ra_map)
                 case Peaks() as peaks:

@@ -6,7 +6,7 @@ import itertools
 import logging
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import msgspec
 
@@ -15,7 +15,7 @@ from msgs.bus.interface import Outgoing, Received
 from msgs.bus.topics import SENSOR_TOPICS
 from msgs.files.shipped import CHECKOUT
 from msgs.values.lidar import LidarSetup, PhotonHistograms
-from msgs.values.units import ns_from_s
+from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset, require_rest
@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-#: What the sensors say, and the truth. All else in a recording is the graph's own work and is done again.
-SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", "sim/truth")
+WALLS_TOPIC = "environment/walls"
+#: What the sensors say, walls known from elsewhere, and the truth. All else in a recording is the graph's own work and
+#: is done again.
+SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", WALLS_TOPIC, "sim/truth")
 #: What is said once, before all else.
 SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
 #: What must be known before a beam.
@@ -66,6 +68,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     budget_db: float = -20.0
     #: What effects "auto" keep: samples, peaks or objects.
     purpose: str = "samples"
+    #: Walls of a scene to publish once a scan, as a map knows them: none, true, or noisy (`MapErrors`).
+    walls: Literal["none", "true", "noisy"] = "none"
     #: False where a car on a CAN bus says how the vehicle moves.
     publish_vehicle_state: bool = True
     #: Added to the stamps of a capture's vehicle states: what `mirrorwave calibrate clock` finds.
@@ -76,6 +80,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError("player needs exactly one of scene and capture")
         if not self.rate > 0.0:
             raise ValueError(f"player.rate must be positive, got {self.rate!r}")
+        if self.capture is not None and self.walls != "none":
+            raise ValueError(f"player.walls are those of a scene, a capture has its own: got {self.walls!r}")
         if self.scans is not None and self.scans < 0:
             raise ValueError(f"player.scans must not be negative, got {self.scans!r}")
         require_rest("player.settle_s", self.settle_s)
@@ -212,6 +218,27 @@ def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
             yield Event(due_ns, Outgoing("radar/beam", beam))
         yield Event(due_ns, Outgoing("sim/truth", player.truth(scan)))
         scan += 1
+
+
+def with_walls(events: Iterator[Event], player: ScenePlayer | LidarPlayer, params: Params) -> Iterator[Event]:
+    """Yield the messages of a scene, with its walls at the start of each scan where `params.walls` asks for them."""
+    if params.walls == "none":
+        yield from events
+        return
+    from sim_player.scene.world import radar_pose
+    from sim_player.wall_priors import POOR, scene_walls
+
+    errors = POOR if params.walls == "noisy" else None
+    scan = 0
+    for event in events:
+        yield event
+        # a scan begins with the vehicle's state at its stamp
+        message, stamp_ns = event.outgoing.message, player.stamp_ns(scan)
+        if isinstance(message, VehicleState) and message.stamp_ns == stamp_ns:
+            pose = radar_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
+            walls = scene_walls(player.scene, pose, stamp_ns, params.seed, errors)
+            yield event._replace(outgoing=Outgoing(WALLS_TOPIC, walls))
+            scan += 1
 
 
 def _wait_ns(setup: RadarSetup, beam: RadarBeam) -> int:
@@ -362,7 +389,8 @@ def events_of(params: Params) -> Iterator[Event]:
     Raises `ValueError` naming a capture that holds nothing to play.
     """
     if params.scene is not None:
-        events = scene_events(scene_player(params), params.scans)
+        player = scene_player(params)
+        events = with_walls(scene_events(player, params.scans), player, params)
     else:
         events = _not_empty(capture_events(Path(params.capture or "")), params.capture)
     if not params.publish_vehicle_state:

@@ -33,6 +33,8 @@ WINDOW_S = 3.0
 _SLOW = 0.7
 #: Topics that a graph does without: their absence is said, and is no failure.
 _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
+#: Topics that most graphs do without: their absence is not said.
+_OPTIONAL_TOPICS = frozenset({"environment/walls"})
 _LOG_BYTES = 1 << 18
 _ROOM_WARNING_BYTES, _ROOM_FAILED_BYTES = 5 * _GIB, 200 * _MIB
 _LOST = ("lost", "rejected")
@@ -208,6 +210,8 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
         if topic in ("diagnostics/node", "log") or not (readers or publishers) or _is_spare_sensor(graph, topic):
             continue
         spare = Status.WARNING if topic in _SPARE_TOPICS else Status.FAILED
+        if not publishers and topic in _OPTIONAL_TOPICS:
+            continue
         if not publishers:
             yield Finding(f"topic {topic}", spare, f"no publisher; {', '.join(readers)} reads it")
         elif facts.rate_hz:
@@ -266,7 +270,7 @@ def _inputs_of(graph: _Graph, name: str) -> list[str]:
     if graph.entries.get(name, {}).get("module") == "nodes.link":
         return []
     rows = topic_rows(graph.heard[name])
-    return [row["topic"] for row in rows if row["way"] == "in" and row["topic"] not in _SPARE_TOPICS]
+    return [row["topic"] for row in rows if row["way"] == "in" and row["topic"] not in _SPARE_TOPICS | _OPTIONAL_TOPICS]
 
 
 def _is_silent(graph: _Graph, topic: str) -> bool:

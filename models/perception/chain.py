@@ -18,6 +18,7 @@ from models.perception.geometry.stage import GeometryParams
 from models.perception.objects.predictor import ObjectPredictor
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
+from msgs.values.environment import WallPriors
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -61,6 +62,10 @@ class Chain:
         """Take in a state of the vehicle: its stamp says which beams and scans it counts for."""
         self.forming.add_state(state)
         self.views.add_state(state)
+
+    def add_walls(self, message: WallPriors) -> None:
+        """Take in walls from a map or another sensor."""
+        self.views.add_walls(message)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[ScanView]:
         """Fold a beam; the last one of a scan brings its view. Raises `ValueError` for what a stage cannot take."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from msgs.values.diagnostics import LogRecord, NodeStatus
+from msgs.values.environment import WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
@@ -70,6 +71,8 @@ _ALL = (
         newest_only=True,
     ),
     Topic(name="vehicle/state", type=VehicleState, rate_hz=50.0, max_bytes=4096, history_bytes=1 * MIB),
+    # neither latched nor newest only: a wall without its time is none, and one source must not displace another
+    Topic(name="environment/walls", type=WallPriors, rate_hz=0.0, max_bytes=MIB // 8, history_bytes=4 * MIB),
     Topic(name="sim/truth", type=SceneTruth, rate_hz=1 / 0.3, max_bytes=4 * MIB, history_bytes=32 * MIB),
     Topic(name="diagnostics/node", type=NodeStatus, rate_hz=2.0, max_bytes=MIB // 4, history_bytes=4 * MIB),
     Topic(name="log", type=LogRecord, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=4 * MIB),

@@ -27,6 +27,7 @@ from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.frames import xy_from_polar
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.perception import (
@@ -211,11 +212,19 @@ def no_peaks(scan_id: int, stamp_ns: int) -> Peaks:
     return msgspec.structs.replace(one, **{name: getattr(one, name)[:0] for name in columns})
 
 
+def walls(stamp_ns: int) -> WallPriors:
+    """Walls of a map: on the facade, and beside it."""
+    stds = {"offset_std_m": 0.1, "angle_std_rad": 0.01, "end_std_m": 0.5}
+    ends = (((20.1, -12.0), (20.1, 14.0)), ((5.0, 15.0), (25.0, 15.0)))
+    return WallPriors(stamp_ns=stamp_ns, source="map", walls=tuple(PriorWall(ends_m=two, **stds) for two in ends))
+
+
 def peaks_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
     out: list[Said] = []
     for scan in range(4):
         at_ns = stamp_ns + scan * PERIOD_NS
         out += [Said("vehicle/state", state(at_ns + ms * 10**6)) for ms in (0, 100, 200)]
+        out.append(Said("environment/walls", walls(at_ns)))
         out.append(Said("perception/peaks", peaks(scan_id + scan, at_ns)))
     return [*out, Said("perception/peaks", no_peaks(scan_id + 4, stamp_ns + 4 * PERIOD_NS))]
 
@@ -301,6 +310,7 @@ def all_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
             Said("radar/ra_map", ra_map(scan, at_ns)),
             Said("perception/peaks", peaks(scan, at_ns)),
             Said("perception/hidden_objects", view(scan, at_ns)),
+            Said("environment/walls", walls(at_ns)),
             Said("sim/truth", truth(scan, at_ns)),
             Said("diagnostics/node", status(at_ns)),
             Said("log", LogRecord(stamp_ns=at_ns, node="ra_former", level="INFO", text="ready")),

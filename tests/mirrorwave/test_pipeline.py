@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -19,7 +20,7 @@ from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph, Node, load_node
-from nodes.player import Params, capture_events, scene_events, scene_player
+from nodes.player import Params, capture_events, scene_events, scene_player, with_walls
 
 DRIVE, SPAD = "launch/drives/side_street.yaml", "launch/scenes/hidden_car_spad.yaml"
 CFAR = ["dense_predictor.method=cfar"]
@@ -56,17 +57,23 @@ def plain(frame: BevFrame) -> bytes:
 
 
 def recorded(
-    path: Path, scene: str, scans: int, drop: Sequence[tuple[int, int]] = (), pause: int | None = None
+    path: Path,
+    scene: str,
+    scans: int,
+    drop: Sequence[tuple[int, int]] = (),
+    pause: int | None = None,
+    walls: Literal["none", "noisy"] = "none",
 ) -> Path:
     """A scene's recording without some beams (scan, index), silent for a second before beam `pause` of scan 1.
 
     Vehicle states come 40 ms late, and a beam of another radar comes between.
     """
     effects = {} if scene == SPAD else {"chirps_per_beam": 4}
-    player = scene_player(Params(scene=scene, **effects))
+    params = Params(scene=scene, walls=walls, **effects)
+    player = scene_player(params)
     late_ns = 0
     with RecordingWriter(path, {}) as writer:
-        for number, event in enumerate(scene_events(player, scans)):
+        for number, event in enumerate(with_walls(scene_events(player, scans), player, params)):
             topic, message = event.outgoing
             if isinstance(message, RadarBeam):
                 if (message.scan_id, message.beam_index) in drop:
@@ -89,9 +96,11 @@ def recorded(
         (DRIVE, {}),
         (DRIVE, {"drop": [(0, 24), (1, 0), (2, 24)]}),
         (DRIVE, {"pause": 12}),
+        (DRIVE, {"walls": "noisy"}),
+        (SPAD, {"walls": "noisy"}),
         (SPAD, {}),
     ],
-    ids=["whole", "beams missing", "silent within a scan", "lidar"],
+    ids=["whole", "beams missing", "silent within a scan", "walls known", "lidar with walls known", "lidar"],
 )
 def test_the_chain_gives_the_bytes_of_the_nodes(scene: str, change: dict[str, object], tmp_path: Path) -> None:
     capture = recorded(tmp_path / "capture.mcap", scene, 1 if scene == SPAD else 3, **change)  # type: ignore[arg-type]

@@ -23,6 +23,7 @@ from models.perception.forming.ra_forming import RaFormer
 from models.perception.geometry.stage import made_up_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
+from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -298,3 +299,20 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
 def test_a_missing_object_network_shows_at_start() -> None:
     with pytest.raises(ValueError, match=r"nowhere\.json"):
         geometry.create(geometry.Params(object_network="nowhere"))
+
+
+def test_the_geometry_node_fuses_walls_from_elsewhere() -> None:
+    """Walls that come with the peaks of their scan, whichever comes first in a step; none change nothing."""
+    wall = PriorWall(ends_m=((4.0, 13.0), (14.0, 13.0)), offset_std_m=0.1, angle_std_rad=0.01, end_std_m=0.5)
+    walls = received(WallPriors(stamp_ns=0, source="map", walls=(wall,)), "environment/walls")
+    peaks = received(made_up_peaks(), "perception/peaks")
+    views = []
+    for inputs in ([peaks], [walls, peaks], [peaks, walls]):
+        node = geometry.create(geometry.Params())
+        assert "environment/walls" in node.inputs
+        (view,) = node.step(inputs, 0)
+        assert isinstance(view.message, BevFrame)
+        views.append(view.message)
+    alone, first, last = (view.walls for view in views)
+    assert len(first) == len(alone) + 1
+    assert first == last

@@ -12,11 +12,12 @@ from mirrorwave.commands.sim.group import write_recording, write_sigmf
 from msgs.bus.local import LocalNetwork
 from msgs.recording.mcap import RecordingWriter
 from msgs.recording.sigmf import write_capture
+from msgs.values.environment import WallPriors
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
-from nodes.player import SENSED_TOPICS, Params, capture_events, create, scene_events, scene_of, scene_player
+from nodes.player import SENSED_TOPICS, Params, capture_events, create, scene_events, scene_of, scene_player, with_walls
 from sim_player.player import ScenePlayer
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
@@ -182,3 +183,45 @@ def test_garbage_as_a_capture_is_one_line(tmp_path: Path, name: str, content: by
 def test_params_refuse_unknown_fields() -> None:
     with pytest.raises(msgspec.ValidationError, match="sceen"):
         msgspec.convert({"sceen": "x"}, Params)
+
+
+@pytest.mark.parametrize("scene", [SCENE, "launch/scenes/facade_across_lane_77ghz.yaml"])
+def test_walls_of_a_scene_are_sent_once_a_scan(scene: str) -> None:
+    """With the stamp of its first beam, as the vehicle sees them then; stamps move with the bus clock's."""
+    messages, _ = played(params(scene=scene, scans=2, walls="true", ego_speed_mps=5.0))
+    walls = [message for message in messages if isinstance(message, WallPriors)]
+    starts = [message.stamp_ns for message in messages if isinstance(message, RadarBeam) and message.beam_index == 0]
+    assert [message.stamp_ns for message in walls] == starts
+    first, second = (np.array([wall.ends_m for wall in message.walls]) for message in walls)
+    driven_m = 5.0 * 1e-9 * (starts[1] - starts[0])
+    np.testing.assert_allclose(first[..., 0] - second[..., 0], driven_m, atol=1e-9)
+
+
+def test_a_scene_sends_no_walls_unless_asked() -> None:
+    assert not [message for message in played(params())[0] if isinstance(message, WallPriors)]
+
+
+def test_noisy_walls_follow_the_seed() -> None:
+    def walls(seed: int) -> list[WallPriors]:
+        return [message for message in played(params(walls="noisy", seed=seed))[0] if isinstance(message, WallPriors)]
+
+    assert walls(1) == walls(1)
+    assert walls(1) != walls(2)
+
+
+def test_walls_are_those_of_a_scene() -> None:
+    with pytest.raises(ValueError, match=r"player.walls are those of a scene, a capture has its own: got 'true'"):
+        Params(capture="a.mcap", walls="true")
+
+
+def test_walls_in_a_recording_are_played_from_it(tmp_path: Path) -> None:
+    """Recorded with the beams, and sent again with the stamps that they had."""
+    scene = params(walls="noisy")
+    source = scene_player(scene)
+    path = tmp_path / "walls.mcap"
+    sent = [event.outgoing for event in with_walls(scene_events(source, 1), source, scene)]
+    write_recording(path, iter(sent), {})
+    (expected,) = (outgoing.message for outgoing in sent if outgoing.topic == "environment/walls")
+    assert [message for message in played(Params(capture=str(path)))[0] if isinstance(message, WallPriors)] == [
+        expected
+    ]

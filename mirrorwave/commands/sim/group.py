@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,6 +32,14 @@ for verb in (effects, paths, material, reflectance, wall, dataset, statistics, l
 app.add_typer(import_app, name="import")
 
 
+class Walls(StrEnum):
+    """What the recording tells of the scene's walls."""
+
+    NONE = "none"
+    TRUE = "true"
+    NOISY = "noisy"
+
+
 @app.command()
 def run(
     scene: Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)],
@@ -44,6 +53,9 @@ def run(
     choice: Effects = "auto",
     budget_db: Budget = -20.0,
     purpose: For = "samples",
+    walls: Annotated[
+        Walls, typer.Option(help="Record the scene's walls too, as a map knows them: exact, or with errors and gaps.")
+    ] = Walls.NONE,
 ) -> None:
     """Record what the radar or the LiDAR of a scene would measure, with the truth."""
     from rich.console import Console
@@ -54,6 +66,8 @@ def run(
     from sim_player.player import ScenePlayer
 
     require_new_file(out)
+    if walls is not Walls.NONE and out.suffix != ".mcap":
+        raise ValueError(f"--out {out}: SigMF has no place for --walls {walls.value}, they are recorded as NAME.mcap")
     if out.suffix not in ("", *_CAPTURES):
         raise ValueError(f"--out {out}: a capture's name must end in {' or '.join(_CAPTURES)}, got {out.suffix!r}")
     params = player.Params(
@@ -67,10 +81,15 @@ def run(
         effects=choice,
         budget_db=budget_db,
         purpose=purpose,
+        walls=walls.value,
     )
     with compile_line():
         source = player.scene_player(params)
-    total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
+    total = (
+        scans * (2 * len(source.setup.beams) + 1 + (walls is not Walls.NONE))
+        if isinstance(source, ScenePlayer)
+        else None
+    )
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
     if isinstance(source, ScenePlayer):
@@ -79,7 +98,8 @@ def run(
         typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
     bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
     with compile_line(), bar as progress:
-        events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
+        sent = player.with_walls(player.scene_events(source, scans), source, params)
+        events = progress.track((event.outgoing for event in sent), total=total)
         origin = {"scene": source.scene.name, "seed": str(seed)}
         if out.suffix == ".mcap":
             write_recording(out, iter(events), origin)

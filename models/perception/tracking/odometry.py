@@ -146,6 +146,10 @@ class ScanOdometry:
             # the clock was set back: waiting states from before would be used again later
             self._waiting = [state for state in self._waiting if state.stamp_ns <= last_query_ns]
         self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))
+        return self.before(stamp_ns)
+
+    def before(self, stamp_ns: int) -> OdometryPose | None:
+        """Return the vehicle's pose at a time no later than the last scan's, as `at` does; it takes in no state."""
         return self._odometry.at(stamp_ns) if self._has_state else stationary_pose()
 
     @property

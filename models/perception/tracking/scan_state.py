@@ -5,14 +5,18 @@ from __future__ import annotations
 from functools import partial
 
 import msgspec
+import numpy as np
 
 from models.perception.geometry.stage import WallPrior
 from models.perception.tracking.odometry import OdometryParams, ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker, TrackerParams
+from models.perception.tracking.wall_fusion import WallFusionParams
 from models.perception.tracking.wall_map import WallMap, WallMapParams
+from models.perception.tracking.wall_priors import WallPriorStore
 from models.perception.tracking.yaw_rate_bias import BiasEstimate
+from msgs.values.environment import WallPriors
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Peaks
+from msgs.values.perception import BevFrame, Peaks, Wall
 from msgs.values.vehicle import VehicleState
 
 
@@ -25,6 +29,8 @@ class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     odometry: OdometryParams = OdometryParams()
     tracker: TrackerParams = TrackerParams()
     walls: WallMapParams = WallMapParams()
+    #: Fusion with walls from elsewhere (topic `environment/walls`).
+    wall_priors: WallFusionParams = WallFusionParams()
 
 
 class ScanMemory:
@@ -34,10 +40,15 @@ class ScanMemory:
         self._odometry = ScanOdometry(params.odometry)
         self._tracker = Tracker(params.tracker) if params.tracking else None
         self._walls = WallMap(params.walls) if params.wall_map else None
+        self._priors = WallPriorStore(params.wall_priors)
 
     def add(self, state: VehicleState) -> None:
         """Take in a state of the vehicle; see `ScanOdometry` for the states that each scan uses."""
         self._odometry.add(state)
+
+    def add_walls(self, message: WallPriors) -> None:
+        """Take in walls from elsewhere; see `WallPriorStore` for the messages that each scan uses."""
+        self._priors.add(message)
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
@@ -45,7 +56,16 @@ class ScanMemory:
         return self._odometry.yaw_rate_bias
 
     def walls_at(self, peaks: Peaks) -> WallPrior | None:
-        """Return the wall prior for `recover_bev`; None where no walls are kept or no state has arrived."""
+        """Return the wall prior for `recover_bev`: walls of earlier scans, then those from elsewhere; None: neither."""
+        earlier = self._earlier_walls(peaks)
+        priors = self._priors.at(peaks.stamp_ns, self._odometry.before, peaks.vehicle_from_radar)
+        if not priors:
+            return earlier
+        elsewhere = partial(self._priors.fused, priors)
+        return elsewhere if earlier is None else partial(_in_turn, earlier, elsewhere)
+
+    def _earlier_walls(self, peaks: Peaks) -> WallPrior | None:
+        """Return the prior of earlier scans; None where no walls are kept or no state has arrived."""
         pose = self._odometry.at(peaks.stamp_ns)
         # a radar that only seems to stand would find every wall at several positions
         if self._walls is None or pose is None or pose == stationary_pose():
@@ -60,3 +80,16 @@ class ScanMemory:
             return view
         tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar)
         return msgspec.structs.replace(view, tracks=tracks)
+
+
+def _in_turn(
+    first: WallPrior,
+    second: WallPrior,
+    points_m: np.ndarray,
+    covariance_m2: np.ndarray,
+    walls: list[Wall],
+    wall_of_point: np.ndarray,
+) -> tuple[list[Wall], np.ndarray]:
+    """Return the walls of a scan after two wall priors, one after the other."""
+    walls, wall_of_point = first(points_m, covariance_m2, walls, wall_of_point)
+    return second(points_m, covariance_m2, walls, wall_of_point)

@@ -15,6 +15,7 @@ from models.perception.state_history import StateHistory
 from models.perception.timing import Timed
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.yaw_rate_bias import BiasEstimate
+from msgs.values.environment import WallPriors
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -51,6 +52,10 @@ class ViewStage:
         """Take in a state of the vehicle."""
         self._states.add(state)
         self._memory.add(state)
+
+    def add_walls(self, message: WallPriors) -> None:
+        """Take in walls from a map or another sensor; a scan uses those stamped at or before it."""
+        self._memory.add_walls(message)
 
     def view(self, peaks: Peaks, ra_map: RangeAzimuthMap | None = None) -> BevFrame:
         """Return the view of one scan, with tracks and the vehicle's motion; `ValueError` for too many peaks.

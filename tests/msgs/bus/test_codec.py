@@ -21,6 +21,7 @@ from msgs.bus.interface import Envelope
 from msgs.bus.topics import TOPICS
 from msgs.values.arrays import DTYPES, MAX_STAMP_NS
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
+from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
@@ -107,6 +108,14 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
     "perception/peaks": [peaks(0), peaks(5)],
     "perception/hidden_objects": [bev()],
     "vehicle/state": [VehicleState(stamp_ns=3, speed_mps=4.5, valid=False, reason="stale")],
+    "environment/walls": [
+        WallPriors(stamp_ns=4, source="map"),
+        WallPriors(
+            stamp_ns=5,
+            source="lidar",
+            walls=(PriorWall(ends_m=((1.0, 2.0), (3.0, 4.0)), offset_std_m=0.1, angle_std_rad=0.01, end_std_m=0.5),),
+        ),
+    ],
     "sim/truth": [
         SceneTruth(
             stamp_ns=1,
