@@ -101,7 +101,8 @@ def _view(scan_id: int) -> BevFrame:
         tracks=(
             Track(
                 id=1, x_m=1.0, y_m=2.0, velocity_x_mps=0.0, velocity_y_mps=1.0, age_s=1.0, cov_m2=_COVARIANCE,
-                time_to_appear_s=2.0, velocity_cov_m2ps2=_COVARIANCE,
+                time_to_appear_s=2.0, velocity_cov_m2ps2=_COVARIANCE, existence=0.9,
+                object_class="car",
             ),
         ),
         los_points_m=np.ones((2, 2), np.float32),

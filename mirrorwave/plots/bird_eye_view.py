@@ -273,8 +273,9 @@ def _draw_tracks(axes: Axes, frame: BevFrame) -> None:
             arrowprops={"arrowstyle": "->", "linewidth": 1.8, "color": TRACKED},
         )  # fmt: skip
         sight = "" if track.time_to_appear_s is None else f", in sight in {track.time_to_appear_s:.1f} s"
+        sure = "" if track.existence is None else f", {100.0 * track.existence:.0f} %"
         axes.annotate(
-            f"track {track.id}{sight}", (track.y_m, track.x_m), (14, -20), textcoords="offset points", fontsize=9,
+            f"track {track.id}{sure}{sight}", (track.y_m, track.x_m), (14, -20), textcoords="offset points", fontsize=9,
             zorder=11, color=TRACKED,
         )  # fmt: skip
 

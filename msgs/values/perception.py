@@ -169,6 +169,10 @@ class Track(msgspec.Struct, frozen=True, kw_only=True):
     velocity_cov_m2ps2: Covariance | None = None
     #: Scans since an object was last assigned to it.
     misses: int = 0
+    #: Probability that it is an object, 0 to 1; None if the writer of a recording did not give it.
+    existence: float | None = None
+    #: Likeliest class of its objects, as of `HiddenObject`; empty: nobody judged it.
+    object_class: str = ""
 
 
 class BevGrid(msgspec.Struct, frozen=True, kw_only=True):

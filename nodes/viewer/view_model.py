@@ -248,6 +248,12 @@ def _appears_s(track: Track) -> float | None:
     return None if appears_s is None or not math.isfinite(appears_s) else appears_s
 
 
+def _existence(track: Track) -> float | None:
+    """Return the existence of a track, None where the view does not give it."""
+    existence = track.existence
+    return None if existence is None or not math.isfinite(existence) else round(existence, 3)
+
+
 def _track_json(track: Track, past: Sequence[Past]) -> dict[str, Any]:
     appears_s, covariance = _appears_s(track), track.velocity_cov_m2ps2
     return {
@@ -259,6 +265,8 @@ def _track_json(track: Track, past: Sequence[Past]) -> dict[str, Any]:
         "age_s": round(track.age_s, 1),
         "appears_s": None if appears_s is None else round(appears_s, 1),
         "misses": track.misses,
+        "existence": _existence(track),
+        "class": track.object_class,
         "trail": _metres(trail_m(track.id, past).ravel()),
     }
 

@@ -263,6 +263,8 @@ def view(scan_id: int, stamp_ns: int) -> BevFrame:
                 cov_m2=covariance,
                 time_to_appear_s=1.5,
                 velocity_cov_m2ps2=covariance,
+                existence=0.9,
+                object_class="car",
             ),
         ),
         los_points_m=xy_from_polar(np.array([20.0, 21.0]), np.array([0.0, 0.1])).astype(np.float32),

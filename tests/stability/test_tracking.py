@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
+from models.perception.tracking.association import (
+    MAX_LOG_ODDS,
+    exact,
+    log_likelihoods,
+    marginal_probabilities,
+    propagated,
+)
+from models.perception.tracking.bernoulli import Bernoulli, updated
+from models.perception.tracking.estimate import MEASURED, Estimate, motion_noise
+from models.perception.tracking.measurements import Sighting
 from models.perception.tracking.odometry import Odometry, OdometryParams, stationary_pose
-from models.perception.tracking.tracker import MEASURED, Estimate, Tracker, motion_noise
+from models.perception.tracking.tracker import MAX_TRACKS, Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
 from msgs.values.vehicle import VehicleState, ego_motion
@@ -49,7 +60,7 @@ def vague(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.tracker.Estimate.updated",
+    where="models.perception.tracking.estimate.Estimate.updated",
     naive="(I - K H) P",
     bound=0.0,
     unit="of 2,000 updates",
@@ -70,7 +81,7 @@ def test_sharp_place_of_a_vague_object(errors: Errors) -> None:
 
 @pytest.mark.slow
 @pytest.mark.hard(
-    where="models.perception.tracking.tracker.Estimate",
+    where="models.perception.tracking.estimate.Estimate",
     naive="(I - K H) P",
     bound=0.0,
     unit="smallest eigenvalue below zero",
@@ -94,7 +105,7 @@ def test_twenty_thousand_scans_of_a_standing_object(errors: Errors) -> None:
 
 @pytest.mark.parametrize("elapsed_s", [-1e-6, -0.3, -30.0])
 @pytest.mark.hard(
-    where="models.perception.tracking.tracker.Estimate.at",
+    where="models.perception.tracking.estimate.Estimate.at",
     naive="noise of a negative time",
     bound=0.0,
     unit="m^2 below zero",
@@ -111,7 +122,7 @@ def test_back_in_time(errors: Errors, elapsed_s: float) -> None:
 
 @pytest.mark.parametrize("elapsed_ns", [0, 1], ids=["no time", "a nanosecond"])
 @pytest.mark.hard(
-    where="models.perception.tracking.tracker.Estimate",
+    where="models.perception.tracking.estimate.Estimate",
     naive="velocity as way over time",
     bound=8.0,
     unit="m/s",
@@ -148,6 +159,121 @@ def test_clock_jumps_between_two_scans(errors: Errors, jump_ns: int) -> None:
     assert [one.id for one in told] == [2]
     naive = abs(4.0 * (jump_ns * 1e-9))
     errors(naive=naive, ours=math.dist((told[0].x_m, told[0].y_m), (8.0, 1.2 * 8)))
+
+
+def crowd(stamp_ns: int, positions_m: np.ndarray) -> BevFrame:
+    """A scan of objects at positions [N, 2]."""
+    (item,) = frame(stamp_ns, 0.0, 0.0).objects
+    objects = [msgspec.structs.replace(item, x_m=float(x_m), y_m=float(y_m)) for x_m, y_m in positions_m]
+    return msgspec.structs.replace(frame(stamp_ns, 0.0, 0.0), objects=tuple(objects))
+
+
+@pytest.mark.parametrize("side_m", [0.0, 5.0, 200.0], ids=["one place", "a room", "a field"])
+def test_a_thousand_objects_in_every_scan(side_m: float) -> None:
+    """Far more than any street hides, all at one place, in one cluster or in many: hypotheses stay as few as stated,
+    the existence a probability, the covariances positive definite."""
+    rng, tracker = np.random.default_rng(9), Tracker()
+    for scan in range(4):
+        positions_m = np.array([30.0, 0.0]) + side_m * rng.random((1000, 2))
+        told = tracker.step(crowd(EPOCH_NS + scan * 300_000_000, positions_m), stationary_pose())
+        assert len(tracker._tracks) <= MAX_TRACKS
+        assert all(0.0 <= track.bernoulli.existence < 1.0 for track in tracker._tracks)
+        assert all(lack(track.estimate.covariance) == 0.0 for track in tracker._tracks)
+    assert len({one.id for one in told}) == len(told)
+    if side_m == 0.0:
+        # a thousand reports of one place are one object
+        assert len(told) == 1
+        assert math.dist((told[0].x_m, told[0].y_m), (30.0, 0.0)) < 0.01
+
+
+def test_two_tracks_on_one_object_become_one() -> None:
+    """Two objects run into each other at 4 m/s and stop: from then on one report, and in the end one track."""
+    tracker = Tracker()
+    for scan in range(20):
+        apart_m = max(9.0 - 1.2 * scan, 0.0)
+        places = np.array([[30.0, apart_m], [30.0, -apart_m]])[: 2 if apart_m > 0.0 else 1]
+        told = tracker.step(crowd(EPOCH_NS + scan * 300_000_000, places), stationary_pose())
+        assert all(math.isfinite(one.existence or math.nan) for one in told)
+        if scan == 4:
+            assert len(told) == 2
+    assert len(told) == 1
+
+
+@pytest.mark.hard(
+    where="models.perception.tracking.association.log_likelihoods",
+    naive="xx yy - xy^2 and its inverse",
+    bound=1e-6,
+    unit="of the squared distance",
+    source="a variance of 0.16 m2 beside 1e10 m2, of which float64 keeps 1e-6 m2",
+)
+def test_distance_across_a_needle(errors: Errors) -> None:
+    """An object known to 0.4 m across and 100 km along its ray, 30 deg off the axes, measured 0.4 m across from where
+    it is expected: the squared distance is 1."""
+    turn = np.array([[math.cos(math.pi / 6), -math.sin(math.pi / 6)], [math.sin(math.pi / 6), math.cos(math.pi / 6)]])
+    needle = turn @ np.diag([1e10, 0.16]) @ turn.T
+    offset = turn @ np.array([0.0, 0.4])
+    track = Estimate(0, np.zeros(4), np.zeros((4, 4)))
+    middle, aside = (
+        float(log_likelihoods([track], [Sighting(0, at, needle)], 2.0)[0, 0]) for at in (np.zeros(2), offset)
+    )
+    (xx, xy), (_, yy) = needle.tolist()
+    adjoint = np.array([[yy, -xy], [-xy, xx]], np.float32)
+    determinant = np.float32(xx) * np.float32(yy) - np.float32(xy) * np.float32(xy)
+    naive = float(offset @ adjoint @ offset / determinant) if determinant else math.inf
+    errors(naive=abs(naive - 1.0), ours=abs(2.0 * (middle - aside) - 1.0))
+
+
+def test_overwhelming_odds_leave_the_rest_as_it_is() -> None:
+    """Two tracks either of which surely has the first measurement, at odds of a = 1e34, and another at odds of 3.
+
+    Joint events weigh 1, a, a, 3, 3, 3 a and 3 a: each has the first with 4 a / 8 a, the other with 3 a / 8 a.
+    Propagation is approximate, 0.1; the sum of a and 3 less a would be nothing, and what is divided by it no number.
+    """
+    odds = np.array([[1e34, 3.0], [1e34, 3.0]])
+    np.testing.assert_allclose(exact(odds), [[0.5, 0.375]] * 2, rtol=1e-12)
+    np.testing.assert_allclose(propagated(odds), [[0.5, 0.375]] * 2, atol=0.1)
+
+
+def test_odds_without_bound_are_still_probabilities() -> None:
+    log_odds = np.array([[1e6, MAX_LOG_ODDS, -1e6], [1e6, 1e6, -np.inf], [-np.inf, 700.0, 0.0]])
+    for probability in (marginal_probabilities(log_odds), propagated(np.exp(np.minimum(log_odds, MAX_LOG_ODDS)))):
+        assert np.isfinite(probability).all()
+        assert probability.min() >= 0.0
+        assert probability.sum(axis=1).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.hard(
+    where="models.perception.tracking.bernoulli.updated",
+    naive="E[x x'] - m m'",
+    bound=0.0,
+    unit="m^2 below zero",
+    source="a covariance stays positive definite",
+)
+def test_moments_of_measurements_far_from_the_origin(errors: Errors) -> None:
+    """1,000 km from where odometry began, two reports a millimetre apart, known to a millimetre: the spread is not the
+    difference of squares of 1e6. A hundred places."""
+    rng, ours, naive = np.random.default_rng(8), 0.0, 0.0
+    for _ in range(100):
+        far = np.append(rng.uniform(-1e6, 1e6, 2), np.zeros(2))
+        track = Bernoulli(0.9, Estimate(0, far, 1e-6 * np.eye(4)))
+        pair = [Sighting(0, far[:2] + side, 1e-6 * np.eye(2)) for side in (-5e-4, 5e-4)]
+        after = updated(track, 0.6, np.array([0.5, 0.5]), pair, 0, 2.0).estimate
+        parts = [track.estimate.updated(item.position_m, item.covariance_m2) for item in pair]
+        second = np.mean([part.covariance + np.outer(part.mean, part.mean) for part in parts], axis=0)
+        mean = np.mean([part.mean for part in parts], axis=0)
+        ours, naive = max(ours, lack(after.covariance)), max(naive, lack(second - np.outer(mean, mean)))
+    errors(naive=naive, ours=ours)
+
+
+def test_a_track_that_is_known_exactly_stays_a_track() -> None:
+    """Singular covariance of track and measurement: what both say is kept, and nothing becomes infinite."""
+    exactly = Estimate(0, np.array([3.0, 4.0, 0.0, 0.0]), np.zeros((4, 4)))
+    report = Sighting(0, np.array([3.0, 4.0]), 0.16 * np.eye(2))
+    probability = marginal_probabilities(log_likelihoods([exactly, exactly], [report, report], 2.0))
+    assert np.isfinite(probability).all()
+    after = updated(Bernoulli(0.9, exactly), 0.6, probability[0], [report, report], 0, 2.0)
+    np.testing.assert_array_equal(after.estimate.mean, exactly.mean)
+    assert lack(after.estimate.covariance) == 0.0
 
 
 def test_a_scan_that_comes_twice_or_late_changes_nothing() -> None:

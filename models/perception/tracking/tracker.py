@@ -1,44 +1,47 @@
-"""Tracking of hidden objects over scans in an odometry frame: nearly-constant-velocity Kalman filters and assignment.
+"""Tracking of hidden objects over scans in an odometry frame: existence, not hits.
 
-Each object comes with its own covariance and its own time of measurement, so a track is predicted to that time, gated
-by Mahalanobis distance and assigned to at most one object of a scan (global nearest neighbour). A track is confirmed
-by M hits in N scans; ids are never used twice.
+A joint integrated probabilistic data association filter. Every object of a scan may be a track's, a new object or a
+false report; a scan begins a hypothesis with the object's own probability, and each scan raises or lowers the existence
+of all, a miss only where the scan would have reported the object (`measurements.detection_probabilities`). A track is
+published once its existence is high and two scans have measured it; ids are never used twice.
 
 No tracking library is used: Stone Soup 1.9.1 would bring plotly, rtree, pymap3d, utm, ruamel.yaml and ordered-set to
-the vehicle, FilterPy 2.0.0 has filters but no tracks, gates or assignment. The filter itself is 20 lines.
+the vehicle, FilterPy 2.0.0 has filters but no tracks, gates or assignment.
 """
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
+from models.perception.tracking.appearance import AppearanceParams, Outlook, RecentWalls, radar_ahead
+from models.perception.tracking.association import log_likelihoods, marginal_probabilities
+from models.perception.tracking.bernoulli import MAX_EXISTENCE, Bernoulli, born, is_same, log_odds_of_pairs, updated
+from models.perception.tracking.estimate import Estimate
+from models.perception.tracking.measurements import Sighting, detection_probabilities, rotation, sightings
 from models.perception.tracking.odometry import OdometryPose
-from models.physics.mirror import blocked
-from msgs.values.arrays import require_positive
+from msgs.values.arrays import require_positive, require_within
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Covariance, HiddenObject, Track, Wall
+from msgs.values.perception import BevFrame, Covariance, Track
 from msgs.values.units import ns_from_s, s_from_ns
-from msgs.values.vehicle import ego_motion
 
-#: Cost of a pair outside the gate: larger than any sum of those inside.
-FORBIDDEN = 1e9
-#: An object measured further from its scan's stamp does not belong to that scan.
-LONGEST_SCAN_NS = 2_000_000_000
 #: A radar at the reference point of the vehicle's motion.
 FRONT = Pose2()
-#: Measurement matrix of a state (x, y, vx, vy).
-MEASURED = np.eye(2, 4)
+#: Largest number of hypotheses that are kept, the likeliest: no street hides as many.
+MAX_TRACKS = 200
+#: Measurements until a track is published: one gives no velocity.
+LEAST_MEASUREMENTS = 2
+#: A published position is known to this standard deviation along its worst axis: a vaguer one points at nothing.
+MAX_POSITION_STD_M = 2.0
+#: A measurement counts as a track's where it is so probable.
+LIKELY = 0.5
 
 
 class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Motion model, track confirmation and deletion, and the horizon of the prediction."""
+    """Motion and measurement model, birth and death of objects, and the limits of existence."""
 
     #: Spectral density of the white acceleration: after 1 s the velocity has this variance more.
     acceleration_density_m2ps3: float = 2.0
@@ -46,83 +49,32 @@ class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     first_speed_std_mps: float = 8.0
     #: Added to each object's own: the centre of the visible part of a vehicle wanders over its face.
     place_std_m: float = 0.4
-    #: Square of the Mahalanobis distance: 99.7 % of true pairs in two dimensions.
-    gate: float = 11.8
-    confirm_hits: int = 3
-    confirm_scans: int = 5
-    #: A confirmed track is deleted after more misses in a row.
-    max_misses: int = 5
+    #: Probability that a scan reports an object that stands where its observability mask says it can.
+    detection_probability: float = 0.6
+    #: Density of the reports of a scan that are new objects; with their scores it gives that of false reports.
+    birth_density_per_m2: float = 3e-4
+    #: Probability that an object still exists, and hides, a second later.
+    survival_per_s: float = 0.8
+    #: A track is published from this existence on.
+    confirm_existence: float = 0.6
+    #: A track ends below this existence.
+    least_existence: float = 0.05
     #: All tracks are deleted where no scan arrived for longer, or the clock went back by more.
     max_gap_s: float = 2.0
-    horizon_s: float = 6.0
-    step_s: float = 0.1
-    #: An object comes into sight with its nose, so far ahead of the centre of its visible part.
-    nose_m: float = 2.0
-    #: Walls of scans this recent still block: a scan does not find every wall.
-    wall_memory_s: float = 1.5
-    #: Slower objects count as stationary: the time to appear then follows from the ego motion alone.
-    slow_mps: float = 0.5
+    appearance: AppearanceParams = AppearanceParams()
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
+        for name in self.__struct_fields__[:-1]:
             require_positive(f"tracker.{name}", getattr(self, name))
-        if self.confirm_hits > self.confirm_scans:
+        for name in ("survival_per_s", "confirm_existence", "least_existence"):
+            require_within(f"tracker.{name}", 0.0, 1.0, getattr(self, name))
+        require_within("tracker.detection_probability", 0.0, MAX_EXISTENCE, self.detection_probability)
+        require_within("tracker.birth_density_per_m2", 1e-12, 1.0, self.birth_density_per_m2)
+        if self.least_existence > self.confirm_existence:
             raise ValueError(
-                f"tracker.confirm_hits must be at most confirm_scans ({self.confirm_scans}), got {self.confirm_hits!r}"
+                f"tracker.least_existence must be at most confirm_existence ({self.confirm_existence}), "
+                f"got {self.least_existence!r}"
             )
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """State (x, y, vx, vy) [m, m/s] of an object in the odometry frame at a time, with its covariance [4, 4]."""
-
-    stamp_ns: int
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    def at(self, stamp_ns: int, density_m2ps3: float) -> Estimate:
-        """Return the state at another time, before or after; uncertainty grows either way."""
-        if stamp_ns == self.stamp_ns:
-            return self
-        elapsed_s = s_from_ns(stamp_ns - self.stamp_ns)
-        step = np.eye(4) + elapsed_s * np.eye(4, k=2)
-        covariance = step @ self.covariance @ step.T + motion_noise(elapsed_s, density_m2ps3)
-        return Estimate(stamp_ns, step @ self.mean, _symmetric(covariance))
-
-    def updated(self, position_m: np.ndarray, measurement_covariance_m2: np.ndarray) -> Estimate:
-        """Return the state after a position measurement; Joseph's form, a sum of squares whatever the gain's
-        rounding.
-        """
-        gain = _gain(self.covariance, measurement_covariance_m2)
-        rest = np.eye(4) - gain @ MEASURED
-        covariance = rest @ self.covariance @ rest.T + gain @ measurement_covariance_m2 @ gain.T
-        return Estimate(self.stamp_ns, self.mean + gain @ (position_m - self.mean[:2]), _symmetric(covariance))
-
-
-def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
-    """Return the covariance [4, 4] that white acceleration adds over a time, which may be negative."""
-    # back in time only the covariance of position and velocity changes its sign
-    length_s, cross = abs(elapsed_s), 0.5 * elapsed_s * abs(elapsed_s)
-    block = np.array([[length_s**3 / 3.0, cross], [cross, length_s]])
-    return density_m2ps3 * np.kron(block, np.eye(2))
-
-
-def _gain(covariance: np.ndarray, measurement_covariance_m2: np.ndarray) -> np.ndarray:
-    """Return the Kalman gain [4, 2] of a measured position."""
-    return np.linalg.solve(covariance[:2, :2] + measurement_covariance_m2, covariance[:2]).T
-
-
-def _symmetric(matrix: np.ndarray) -> np.ndarray:
-    return 0.5 * (matrix + matrix.T)
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """A hidden object in the odometry frame: position [2], covariance [2, 2], time of measurement."""
-
-    stamp_ns: int
-    position_m: np.ndarray
-    covariance_m2: np.ndarray
 
 
 @dataclass
@@ -131,22 +83,17 @@ class _TrackState:
 
     id: int
     first_ns: int
-    estimate: Estimate
-    #: Hit or miss in the last scans, newest last.
-    hits: deque[bool]
-    confirmed: bool = False
+    bernoulli: Bernoulli
+    #: Scans whose likeliest event has a measurement of it, and scans since the last of them.
+    measurements: int = 1
     misses: int = 0
     #: A wall hid it at some time: only then can it come into sight.
     was_blocked: bool = False
 
-
-@dataclass(frozen=True)
-class _ScanWalls:
-    """Walls of one scan, ends a and b [W, 2] in the odometry frame."""
-
-    stamp_ns: int
-    a: np.ndarray
-    b: np.ndarray
+    @property
+    def estimate(self) -> Estimate:
+        """Where it is if it exists."""
+        return self.bernoulli.estimate
 
 
 @dataclass
@@ -155,11 +102,14 @@ class Tracker:
 
     params: TrackerParams = field(default_factory=TrackerParams)
     _tracks: list[_TrackState] = field(default_factory=list, init=False)
-    _walls: list[_ScanWalls] = field(default_factory=list, init=False)
+    _walls: RecentWalls = field(init=False)
     _next_id: int = field(default=1, init=False)
     _last_ns: int | None = field(default=None, init=False)
     _frame: int | None = field(default=None, init=False)
     _messages: tuple[Track, ...] = field(default=(), init=False)
+
+    def __post_init__(self) -> None:
+        self._walls = RecentWalls(self.params.appearance.wall_memory_s)
 
     def step(self, frame: BevFrame, pose: OdometryPose | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
         """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
@@ -175,15 +125,16 @@ class Tracker:
             return self._messages
         if pose.frame != self._frame or self._is_gap(frame.stamp_ns):
             self._forget(pose.frame)
-        self._last_ns = frame.stamp_ns
         odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
-        self._follow(sightings(frame, odom_from_radar, self.params.place_std_m), frame.stamp_ns)
-        a, b = self._recent_walls(frame, odom_from_radar)
-        confirmed = [track for track in self._tracks if track.confirmed]
-        ahead_m = radar_ahead(pose, vehicle_from_radar, self.params)
-        self._messages = tuple(
-            self._to_message(track, frame.stamp_ns, odom_from_radar, ahead_m, a, b) for track in confirmed
-        )
+        self._follow(frame, odom_from_radar)
+        self._last_ns = frame.stamp_ns
+        a, b = self._walls.add(frame.stamp_ns, frame.walls, odom_from_radar)
+        confirmed = self._confirmed()
+        # an outlook takes as long as all the rest
+        radar_m = radar_ahead(pose, vehicle_from_radar, self.params.appearance) if confirmed else np.zeros((0, 2))
+        outlook = Outlook(radar_m, a, b, self.params.appearance)
+        messages = (self._to_message(track, frame.stamp_ns, odom_from_radar, outlook) for track in confirmed)
+        self._messages = tuple(message for message in messages if _position_std_m(message) <= MAX_POSITION_STD_M)
         return self._messages
 
     def _is_late(self, stamp_ns: int) -> bool:
@@ -196,67 +147,75 @@ class Tracker:
 
     def _forget(self, frame: int | None) -> None:
         """End all tracks; the next id stays."""
-        self._tracks, self._walls, self._last_ns, self._frame, self._messages = [], [], None, frame, ()
+        self._tracks, self._last_ns, self._frame, self._messages = [], None, frame, ()
+        self._walls.clear()
 
-    def _follow(self, measurements: Sequence[Sighting], stamp_ns: int) -> None:
-        """Assign, update, begin and end tracks."""
-        density = self.params.acceleration_density_m2ps3
-        pairs = assign([track.estimate for track in self._tracks], measurements, self.params)
-        for index, track in enumerate(self._tracks):
-            hit = pairs.get(index)
-            if hit is not None:
-                sighting = measurements[hit]
-                track.estimate = track.estimate.at(sighting.stamp_ns, density).updated(
-                    sighting.position_m, sighting.covariance_m2
-                )
-            else:
-                track.estimate = track.estimate.at(max(stamp_ns, track.estimate.stamp_ns), density)
-            self._count(track, hit is not None)
-        self._tracks = [track for track in self._tracks if self._is_kept(track)]
-        assigned = set(pairs.values())
-        self._tracks += [self._begun(sighting) for index, sighting in enumerate(measurements) if index not in assigned]
+    def _confirmed(self) -> list[_TrackState]:
+        """Return the tracks that exist by more than one scan."""
+        least = self.params.confirm_existence
+        return [
+            track
+            for track in self._tracks
+            if track.bernoulli.existence >= least and track.measurements >= LEAST_MEASUREMENTS
+        ]
 
-    def _count(self, track: _TrackState, hit: bool) -> None:
-        track.hits.append(hit)
-        track.misses = 0 if hit else track.misses + 1
-        track.confirmed |= sum(track.hits) >= self.params.confirm_hits
+    def _follow(self, frame: BevFrame, odom_from_radar: Pose2) -> None:
+        """Predict, associate, update, begin and end tracks."""
+        params, stamp_ns = self.params, frame.stamp_ns
+        elapsed_s = 0.0 if self._last_ns is None else s_from_ns(stamp_ns - self._last_ns)
+        for track in self._tracks:
+            track.bernoulli = track.bernoulli.survived(elapsed_s, params.survival_per_s)
+        measurements = sightings(frame, odom_from_radar, params.place_std_m)
+        now = [track.estimate.at(stamp_ns, params.acceleration_density_m2ps3) for track in self._tracks]
+        detection = detection_probabilities(frame, now, odom_from_radar, params.detection_probability)
+        probability = self._associated(detection, measurements)
+        for track, detected, share in zip(self._tracks, detection.tolist(), probability, strict=True):
+            track.bernoulli = updated(
+                track.bernoulli, detected, share, measurements, stamp_ns, params.acceleration_density_m2ps3
+            )
+            is_hit = bool(share.sum() >= LIKELY)
+            track.measurements, track.misses = track.measurements + is_hit, 0 if is_hit else track.misses + 1
+        self._begin(measurements, probability.sum(axis=0))
+        self._tracks = self._kept()
 
-    def _is_kept(self, track: _TrackState) -> bool:
-        if track.confirmed:
-            return track.misses <= self.params.max_misses
-        # with more misses than this, too few hits remain possible within the window
-        return track.hits.count(False) <= self.params.confirm_scans - self.params.confirm_hits
+    def _associated(self, detection: np.ndarray, measurements: Sequence[Sighting]) -> np.ndarray:
+        """Return the probability [T, M] of each pair of a track and a measurement."""
+        estimates = [track.estimate for track in self._tracks]
+        existence = np.array([track.bernoulli.existence for track in self._tracks])
+        # of reports of nothing known, the share of new objects is the score
+        background = np.array([self.params.birth_density_per_m2 / sighting.score for sighting in measurements])
+        likelihood = log_likelihoods(estimates, measurements, self.params.acceleration_density_m2ps3)
+        return marginal_probabilities(log_odds_of_pairs(existence, detection, likelihood, background))
 
-    def _begun(self, sighting: Sighting) -> _TrackState:
-        """Return a track of an object detected for the first time."""
-        covariance = np.zeros((4, 4))
-        covariance[:2, :2] = sighting.covariance_m2
-        covariance[2:, 2:] = self.params.first_speed_std_mps**2 * np.eye(2)
-        estimate = Estimate(sighting.stamp_ns, np.append(sighting.position_m, np.zeros(2)), covariance)
-        track = _TrackState(self._next_id, sighting.stamp_ns, estimate, deque([True], self.params.confirm_scans))
-        track.confirmed = self.params.confirm_hits == 1
-        self._next_id += 1
-        return track
+    def _begin(self, measurements: Sequence[Sighting], explained: np.ndarray) -> None:
+        """Begin a track of each measurement, with the existence that is left to explain."""
+        for sighting, share in zip(measurements, explained.tolist(), strict=True):
+            bernoulli = born(sighting, share, self.params.first_speed_std_mps)
+            if bernoulli.existence >= self.params.least_existence:
+                self._tracks.append(_TrackState(self._next_id, sighting.stamp_ns, bernoulli))
+                self._next_id += 1
 
-    def _recent_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
-        oldest_ns = frame.stamp_ns - ns_from_s(self.params.wall_memory_s)
-        self._walls = [walls for walls in self._walls if walls.stamp_ns >= oldest_ns]
-        self._walls.append(_ScanWalls(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
-        return np.concatenate([walls.a for walls in self._walls]), np.concatenate([walls.b for walls in self._walls])
+    def _kept(self) -> list[_TrackState]:
+        """Return the tracks that may exist, by id; of too many the likeliest, of two on one object the better known."""
+        kept = [track for track in self._tracks if track.bernoulli.existence >= self.params.least_existence]
+        kept = sorted(kept, key=lambda track: (-track.bernoulli.existence, track.id))[:MAX_TRACKS]
+        distinct: list[_TrackState] = []
+        for track in sorted(kept, key=lambda track: (-track.measurements, track.id)):
+            same = next((other for other in distinct if self._is_same(track, other)), None)
+            if same is None:
+                distinct.append(track)
+            elif track.bernoulli.existence > same.bernoulli.existence:
+                # both rest on the same reports: their chances do not add up
+                same.bernoulli = replace(same.bernoulli, existence=track.bernoulli.existence)
+        return sorted(distinct, key=lambda track: track.id)
 
-    def _to_message(
-        self,
-        track: _TrackState,
-        stamp_ns: int,
-        odom_from_radar: Pose2,
-        ahead_m: np.ndarray,
-        a: np.ndarray,
-        b: np.ndarray,
-    ) -> Track:
+    def _is_same(self, first: _TrackState, second: _TrackState) -> bool:
+        return is_same(first.estimate, second.estimate, self.params.acceleration_density_m2ps3)
+
+    def _to_message(self, track: _TrackState, stamp_ns: int, odom_from_radar: Pose2, outlook: Outlook) -> Track:
         """Return the message of a track."""
         now = track.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
-        hidden = hidden_ahead(now.mean, ahead_m, a, b, self.params)
+        hidden = outlook.hidden(now.mean)
         track.was_blocked |= bool(hidden[0])
         radar_from_odom = odom_from_radar.inverse()
         at_m, velocity = radar_from_odom.apply(now.mean[:2]), radar_from_odom.rotate(now.mean[2:])
@@ -270,102 +229,19 @@ class Tracker:
             cov_m2=_rotated(now.covariance[:2, :2], radar_from_odom),
             velocity_cov_m2ps2=_rotated(now.covariance[2:, 2:], radar_from_odom),
             misses=track.misses,
-            time_to_appear_s=self._time_to_appear_s(hidden) if track.was_blocked else None,
+            time_to_appear_s=outlook.time_to_appear_s(hidden) if track.was_blocked else None,
+            existence=track.bernoulli.existence,
+            object_class=track.bernoulli.object_class,
         )
 
-    def _time_to_appear_s(self, hidden: np.ndarray) -> float | None:
-        """Return the time of the first step in sight, None where there is none within the horizon."""
-        return None if hidden.all() else float(hidden.argmin()) * self.params.step_s
 
-
-def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
-    """Return the valid hidden objects of a scan in the odometry frame."""
-    valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
-    return [_sighting(item, frame, odom_from_radar, place_std_m) for item in valid]
-
-
-def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
-    """Return whether an object has a finite position, a valid covariance and a time near its scan's."""
-    covariance = np.array(item.cov_m2)
-    if not np.isfinite([item.x_m, item.y_m, *covariance.ravel()]).all():
-        return False
-    timely = item.stamp_ns == 0 or abs(item.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
-    return timely and bool(np.linalg.eigvalsh(_symmetric(covariance))[0] >= 0.0)
-
-
-def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
-    turn = _rotation(odom_from_radar)
-    covariance = _symmetric(turn @ np.array(item.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2)
-    # an object without a stamp of its own was measured at the frame's
-    return Sighting(item.stamp_ns or frame.stamp_ns, odom_from_radar.apply(np.array([item.x_m, item.y_m])), covariance)
-
-
-def assign(tracks: Sequence[Estimate], measurements: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
-    """Assign sightings to tracks: as many pairs within the gate as possible, then the likeliest."""
-    cost = np.full((len(tracks), len(measurements)), FORBIDDEN)
-    for i, track in enumerate(tracks):
-        for j, sighting in enumerate(measurements):
-            cost[i, j] = _pair_cost(
-                track.at(sighting.stamp_ns, params.acceleration_density_m2ps3), sighting, params.gate
-            )
-    rows, columns = linear_sum_assignment(cost)
-    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-    return {i: j for i, j in pairs if cost[i, j] < FORBIDDEN}
-
-
-def _pair_cost(track: Estimate, sighting: Sighting, gate: float) -> float:
-    """Return twice the negative log likelihood, up to a constant; `FORBIDDEN` outside the gate."""
-    spread = track.covariance[:2, :2] + sighting.covariance_m2
-    offset = sighting.position_m - track.mean[:2]
-    distance = float(offset @ np.linalg.solve(spread, offset))
-    # the determinant keeps a track with a wide covariance from winning
-    return distance + float(np.linalg.slogdet(spread)[1]) if distance <= gate else FORBIDDEN
-
-
-def hidden_ahead(
-    state: np.ndarray, radar_m: np.ndarray, a: np.ndarray, b: np.ndarray, params: TrackerParams
-) -> np.ndarray:
-    """Return whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool
-    [steps].
-
-    The object (x, y, vx, vy) keeps its velocity and is in sight when its nose is. Odometry frame.
-    """
-    times_s = _steps_s(params)
-    speed_mps = math.hypot(state[2], state[3])
-    velocity = state[2:] if speed_mps > params.slow_mps else np.zeros(2)
-    nose_m = params.nose_m * velocity / max(speed_mps, params.slow_mps)
-    targets = state[:2] + nose_m + times_s[:, None] * velocity
-    return blocked(radar_m, targets, a, b)
-
-
-def _steps_s(params: TrackerParams) -> np.ndarray:
-    """Return the times from now to the horizon [steps]."""
-    return params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
-
-
-def radar_ahead(pose: OdometryPose, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
-    """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
-    rate.
-    """
-    times_s = _steps_s(params)
-    motions = (ego_motion(pose.speed_mps, pose.yaw_rate_rps, float(time_s)) for time_s in times_s)
-    poses = [pose.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
-    return np.array([[radar_pose.x_m, radar_pose.y_m] for radar_pose in poses])
-
-
-def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of walls in the odometry frame, each [W, 2]."""
-    ends = np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
-    return odom_from_radar.apply(ends[:, 0]), odom_from_radar.apply(ends[:, 1])
-
-
-def _rotation(pose: Pose2) -> np.ndarray:
-    c, s = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-    return np.array([[c, -s], [s, c]])
+def _position_std_m(track: Track) -> float:
+    """Return the standard deviation of a position along its worst axis."""
+    return float(np.sqrt(np.linalg.eigvalsh(np.array(track.cov_m2))[-1]))
 
 
 def _rotated(covariance: np.ndarray, pose: Pose2) -> Covariance:
     """Return a covariance rotated into the axes of a pose."""
-    turn = _rotation(pose)
+    turn = rotation(pose)
     (xx, xy), (_, yy) = (turn @ covariance @ turn.T).tolist()
     return (xx, xy), (xy, yy)

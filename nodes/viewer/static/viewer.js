@@ -435,7 +435,7 @@ function showTracks() {
   const rows = tracks.slice(0, LISTED_TRACKS).map((one) => {
     const soon = one.appears_s !== null;
     const item = row(
-      cell(`T${one.id}${one.misses ? ` (unseen ${one.misses}x)` : ""}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`),
+      cell(`${trackName(one)}${one.misses ? ` (unseen ${one.misses}x)` : ""}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`),
       cell(speedText(one)), cell(headingText(one)), cell(soon ? sightText(one) : "–", soon ? "soon" : ""), cell(ageText(one.age_s)),
     );
     item.classList.toggle("missed", one.misses > 0);
@@ -445,6 +445,9 @@ function showTracks() {
   byId("tracks").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(6, "none followed")]));
 }
 
+// Its number, class and existence, as far as the view gives them.
+const trackName = ({ id, class: kind, existence }) =>
+  [`T${id}`, kind, existence === null ? "" : `${(100 * existence).toFixed(0)} %`].filter(Boolean).join(" ");
 const sightText = ({ appears_s: appears }) => (appears > 0 ? `in ${appears.toFixed(1)} s` : "now");
 const ageText = (age) => (age < 120 ? `${age.toFixed(1)} s` : `${Math.round(age / 60)} min`);
 
@@ -859,8 +862,8 @@ function drawObjects(c, view, placed) {
 function drawTracks(c, view, placed) {
   const warned = new Set(currentWarnings().filter((one) => one.level === "urgent").flatMap((one) => one.tracks));
   for (const one of view.tracks) {
-    // what is not seen any more fades
-    c.globalAlpha = Math.max(1 - one.misses / 6, 0.25);
+    // what may not be there any more fades; recordings of before say how often it was missed instead
+    c.globalAlpha = Math.max(one.existence ?? 1 - one.misses / 6, 0.25);
     drawTrail(c, one);
     drawWay(c, one);
     drawEllipse(c, one.at, one.ellipse, colours.track);

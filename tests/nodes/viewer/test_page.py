@@ -461,7 +461,7 @@ def test_a_recording_shows_where_its_warnings_are(tmp_path: Path, open_page: Ope
 def road_user(identity: int, x_m: float, y_m: float, **changes: Any) -> Track:
     facts: dict[str, Any] = {
         "velocity_x_mps": 0.0, "velocity_y_mps": -4.0, "age_s": 3.0, "cov_m2": ((0.3, 0.0), (0.0, 0.2)),
-        "velocity_cov_m2ps2": ((0.5, 0.0), (0.0, 0.5)), "time_to_appear_s": 2.4,
+        "velocity_cov_m2ps2": ((0.5, 0.0), (0.0, 0.5)), "time_to_appear_s": 2.4, "existence": 0.968,
     }  # fmt: skip
     return Track(id=identity, x_m=x_m, y_m=y_m, **{**facts, **changes})
 
@@ -502,7 +502,7 @@ def test_a_track_stands_at_its_place_with_its_trail_and_its_way(
     rows = page.locator("#tracks tbody tr")
     assert rows.count() == 2
     text = rows.first.inner_text()
-    for part in ("T3", "25.0, 10.0 m", "4.0 ± 1.4 m/s, 14 km/h", "90° right", "in 0.9 s", "3.0 s"):
+    for part in ("T3 97 %", "25.0, 10.0 m", "4.0 ± 1.4 m/s, 14 km/h", "90° right", "in 0.9 s", "3.0 s"):
         assert part in text
     assert "16667 min" in rows.nth(1).inner_text()
 

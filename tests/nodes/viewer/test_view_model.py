@@ -58,7 +58,7 @@ def frame(objects: tuple[HiddenObject, ...] = (), visibility: np.ndarray | None 
         tracks=(
             Track(
                 id=4, x_m=1.0, y_m=2.0, velocity_x_mps=3.0, velocity_y_mps=-1.0, age_s=1.24,
-                cov_m2=((1.0, 0.0), (0.0, 1.0)), time_to_appear_s=2.5,
+                cov_m2=((1.0, 0.0), (0.0, 1.0)), time_to_appear_s=2.5, existence=0.9123, object_class="van",
             ),
         ),
         los_points_m=np.array([[20.0, -1.5], [20.004, 2.0]], np.float32),
@@ -119,7 +119,8 @@ def test_a_view_is_told_exactly() -> None:
     assert told["tracks"] == [
         {
             "id": 4, "at": [1.0, 2.0], "ellipse": [2.0, 2.0, 1.5708], "velocity": [3.0, -1.0],
-            "velocity_ellipse": None, "age_s": 1.2, "appears_s": 2.5, "misses": 0, "trail": [],
+            "velocity_ellipse": None, "age_s": 1.2, "appears_s": 2.5, "misses": 0,
+            "existence": 0.912, "class": "van", "trail": [],
         }
     ]  # fmt: skip
     assert told["tracks_total"] == 1
@@ -176,11 +177,12 @@ def test_a_track_without_sense_in_its_numbers_is_left_out_or_drawn_without() -> 
     replace = msgspec.structs.replace
     tracks = (
         replace(one, velocity_x_mps=math.inf),
-        replace(one, cov_m2=((math.nan, 0.0), (0.0, 1.0)), time_to_appear_s=math.nan),
+        replace(one, cov_m2=((math.nan, 0.0), (0.0, 1.0)), time_to_appear_s=math.nan, existence=math.nan),
     )
     (told,) = view_json(replace(frame(), tracks=tracks), None, None)["tracks"]
     assert told["ellipse"] == [0.0, 0.0, 0.0]
     assert told["appears_s"] is None
+    assert told["existence"] is None
 
 
 def test_nothing_known_is_null_not_absent() -> None:

@@ -1,0 +1,80 @@
+"""Kalman estimate of an object's position and velocity: nearly constant velocity in the odometry frame.
+
+Updates take Joseph's form and every covariance is made symmetric, so that it stays positive definite whatever is
+rounded. An estimate can be moved back in time as well as forth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from msgs.values.units import s_from_ns
+
+#: Measurement matrix of a state (x, y, vx, vy).
+MEASURED = np.eye(2, 4)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """State (x, y, vx, vy) [m, m/s] of an object in the odometry frame at a time, with its covariance [4, 4]."""
+
+    stamp_ns: int
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    def at(self, stamp_ns: int, density_m2ps3: float) -> Estimate:
+        """Return the state at another time, before or after; uncertainty grows either way."""
+        if stamp_ns == self.stamp_ns:
+            return self
+        elapsed_s = s_from_ns(stamp_ns - self.stamp_ns)
+        step = np.eye(4) + elapsed_s * np.eye(4, k=2)
+        covariance = step @ self.covariance @ step.T + motion_noise(elapsed_s, density_m2ps3)
+        return Estimate(stamp_ns, step @ self.mean, symmetric(covariance))
+
+    def updated(self, position_m: np.ndarray, measurement_covariance_m2: np.ndarray) -> Estimate:
+        """Return the state after a position measurement; Joseph's form, a sum of squares whatever the gain's
+        rounding.
+        """
+        gain = _gain(self.covariance, measurement_covariance_m2)
+        rest = np.eye(4) - gain @ MEASURED
+        covariance = rest @ self.covariance @ rest.T + gain @ measurement_covariance_m2 @ gain.T
+        return Estimate(self.stamp_ns, self.mean + gain @ (position_m - self.mean[:2]), symmetric(covariance))
+
+
+def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
+    """Return the covariance [4, 4] that white acceleration adds over a time, which may be negative."""
+    # back in time only the covariance of position and velocity changes its sign
+    length_s, cross = abs(elapsed_s), 0.5 * elapsed_s * abs(elapsed_s)
+    block = np.array([[length_s**3 / 3.0, cross], [cross, length_s]])
+    return density_m2ps3 * np.kron(block, np.eye(2))
+
+
+def mixture(weights: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
+    """Return the Gaussian of the mean and covariance of a mixture of estimates of one time.
+
+    Weights are positive and add up to 1. The covariance is a sum of covariances and of outer products: positive
+    definite where they are. `ValueError` for estimates of different times.
+    """
+    stamps_ns = {estimate.stamp_ns for estimate in estimates}
+    if len(stamps_ns) != 1:
+        raise ValueError(f"estimates of a mixture must be of one time, got {len(stamps_ns)}")
+    if len(estimates) == 1:
+        return estimates[0]
+    share, means = np.asarray(weights, np.float64), np.array([estimate.mean for estimate in estimates])
+    mean = share @ means
+    offsets = means - mean
+    covariance = np.einsum("k,kij->ij", share, np.array([estimate.covariance for estimate in estimates]))
+    return Estimate(stamps_ns.pop(), mean, symmetric(covariance + (share * offsets.T) @ offsets))
+
+
+def symmetric(matrix: np.ndarray) -> np.ndarray:
+    """Return the symmetric part of a square matrix."""
+    return 0.5 * (matrix + matrix.T)
+
+
+def _gain(covariance: np.ndarray, measurement_covariance_m2: np.ndarray) -> np.ndarray:
+    """Return the Kalman gain [4, 2] of a measured position."""
+    return np.linalg.solve(covariance[:2, :2] + measurement_covariance_m2, covariance[:2]).T

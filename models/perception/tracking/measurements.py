@@ -1,0 +1,108 @@
+"""Measurements of a scan for a tracker: its objects in the odometry frame, and where it would have seen one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.perception.tracking.estimate import Estimate, symmetric
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, HiddenObject, Visibility
+
+#: An object measured further from its scan's stamp does not belong to that scan.
+LONGEST_SCAN_NS = 2_000_000_000
+#: Largest coordinate [m] and standard deviation [m] of an object: far beyond any sensor, and their squares are finite.
+MAX_POSITION_M, MAX_STD_M = 1e7, 1e6
+#: Scores are probabilities that an object exists; none is a certainty.
+LEAST_SCORE, GREATEST_SCORE = 0.05, 0.95
+#: Chance of a report of an object where the mask says that none is observable, of that where it says so: walls that the
+#: scan has not found mirror too.
+UNOBSERVABLE_SHARE = 0.2
+#: Points of a Gaussian in the plane, in standard deviations: its centre and four around it, with weights that give its
+#: mean and covariance.
+_SIGMA_POINTS = math.sqrt(3.0) * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+_SIGMA_WEIGHTS = np.array([1, 0.5, 0.5, 0.5, 0.5]) / 3.0
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A hidden object in the odometry frame: position [2], covariance [2, 2], time of measurement, score and class."""
+
+    stamp_ns: int
+    position_m: np.ndarray
+    covariance_m2: np.ndarray
+    #: Probability that it is an object if no track explains it.
+    score: float = 0.5
+    object_class: str = ""
+
+
+def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
+    """Return the valid hidden objects of a scan in the odometry frame."""
+    valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
+    return [_sighting(item, frame, odom_from_radar, place_std_m) for item in valid]
+
+
+def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
+    """Return whether an object has a finite position, a valid covariance and a time near its scan's."""
+    covariance = np.array(item.cov_m2)
+    if not np.isfinite([item.x_m, item.y_m, item.score, *covariance.ravel()]).all():
+        return False
+    if max(abs(item.x_m), abs(item.y_m)) > MAX_POSITION_M or np.abs(covariance).max() > MAX_STD_M**2:
+        return False
+    timely = item.stamp_ns == 0 or abs(item.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
+    return timely and bool(np.linalg.eigvalsh(symmetric(covariance))[0] >= 0.0)
+
+
+def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
+    turn = rotation(odom_from_radar)
+    return Sighting(
+        # an object without a stamp of its own was measured at the frame's
+        stamp_ns=item.stamp_ns or frame.stamp_ns,
+        position_m=odom_from_radar.apply(np.array([item.x_m, item.y_m])),
+        covariance_m2=symmetric(turn @ np.array(item.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2),
+        score=min(max(item.score, LEAST_SCORE), GREATEST_SCORE),
+        object_class=item.object_class,
+    )
+
+
+def detection_probabilities(
+    frame: BevFrame, estimates: Sequence[Estimate], odom_from_radar: Pose2, probability: float
+) -> np.ndarray:
+    """Return the probability that a scan reports each object as hidden [T], by the observability mask where it stands.
+
+    `probability` is that of an object in an observable cell; elsewhere it is `UNOBSERVABLE_SHARE` of it, weighted over
+    the uncertainty of the position. A view without a mask (every cell unknown) says nothing: all are observable.
+    """
+    if not estimates or not frame.visibility.any():
+        return np.full(len(estimates), probability)
+    radar_from_odom = odom_from_radar.inverse()
+    positions_m = np.array([_sigma_points_m(estimate) for estimate in estimates])
+    cells = _cells(frame, radar_from_odom.apply(positions_m.reshape(-1, 2))).reshape(len(estimates), -1)
+    observable = (cells == Visibility.MIRRORED) @ _SIGMA_WEIGHTS
+    return np.asarray(probability * (UNOBSERVABLE_SHARE + (1.0 - UNOBSERVABLE_SHARE) * observable))
+
+
+def _sigma_points_m(estimate: Estimate) -> np.ndarray:
+    """Return positions [5, 2] that stand for the uncertainty of one."""
+    variances, axes = np.linalg.eigh(estimate.covariance[:2, :2])
+    return np.asarray(estimate.mean[:2] + (_SIGMA_POINTS * np.sqrt(np.maximum(variances, 0.0))) @ axes.T)
+
+
+def _cells(frame: BevFrame, points_m: np.ndarray) -> np.ndarray:
+    """Return the `Visibility` of the cells in which points [N, 2] in the radar's axes lie, unknown off the grid [N]."""
+    grid = frame.grid
+    column = np.floor((points_m[:, 0] - grid.x_min_m) / grid.cell_m)
+    row = np.floor((points_m[:, 1] - grid.y_min_m) / grid.cell_m)
+    inside = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.columns)
+    cells = np.full(len(points_m), int(Visibility.UNKNOWN))
+    cells[inside] = frame.visibility[row[inside].astype(int), column[inside].astype(int)]
+    return cells
+
+
+def rotation(pose: Pose2) -> np.ndarray:
+    """Return the rotation matrix [2, 2] of a pose."""
+    c, s = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    return np.array([[c, -s], [s, c]])
