@@ -112,11 +112,12 @@ def test_single_returns_correct_a_prior_that_no_wall_was_fitted_to() -> None:
     [
         pytest.param(((18.5, -4.0), (18.5, 9.0)), id="before it"),
         pytest.param(((21.5, -4.0), (21.5, 9.0)), id="behind it"),
-        pytest.param(((15.0, -9.0), (25.0, 9.0)), id="across it"),
+        pytest.param(((15.0, -9.0), (25.0, 9.0)), id="at an angle to it"),
+        pytest.param(((10.0, 1.0), (30.0, 1.0)), id="across it"),
     ],
 )
 def test_a_measured_wall_denies_a_prior_beside_or_across_it(ends_m: Ends) -> None:
-    """1.5 m off, or at 60 degrees through it: the scan stays as it is."""
+    """1.5 m off, or through it: the scan stays as it is."""
     assert walls_of([prior(ends_m)], [FACADE]) == [FACADE]
 
 
@@ -149,6 +150,14 @@ def test_a_prior_that_is_seen_through_beside_its_wall_extends_nothing() -> None:
     assert 20.0 < walls[0].offset_m < 20.1
 
 
+def test_returns_behind_the_measured_part_of_a_prior_prove_nothing_about_the_rest() -> None:
+    """What the scan itself took for a wall, though no longer than a vehicle, is extended all the same."""
+    part = wall(((20.0, -2.5), (20.0, 2.5)))
+    seen = returns([(30.0, -1.0), (30.0, 0.0), (30.0, 1.0)], [-1] * 3)
+    walls, _ = fused([prior(((20.0, -10.0), (20.0, 10.0)))], seen, [part], PARAMS)
+    assert [reach_m(item) for item in walls] == [pytest.approx([-10.0, 10.0])]
+
+
 def test_ghosts_behind_a_measured_wall_prove_nothing() -> None:
     """What lies behind the facade is not seen directly, whatever its class: the prior behind it, in sight beside it,
     stays."""
@@ -173,13 +182,15 @@ def test_a_prior_that_cannot_mirror_is_left_out(ends_m: Ends) -> None:
     assert walls_of([prior(ends_m)], []) == []
 
 
-def test_a_curved_wall_stands_for_the_chords_that_a_map_has_of_it() -> None:
-    """20 m of arc with a sagitta of 1 m, hollow towards the radar; a map's pieces lie on the arc, 1 m off its chord."""
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_curved_wall_stands_for_the_chords_that_a_map_has_of_it(sign: float) -> None:
+    """20 m of arc with a sagitta of 2.5 m, hollow towards the radar or away from it; a map's pieces lie on the arc."""
     arc = Wall(
         normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -10.0), (20.0, 10.0)), inliers=12, angle_std_rad=0.01,
-        offset_std_m=0.1, curvature_per_m=0.02,
+        offset_std_m=0.1, curvature_per_m=sign * 0.05,
     )  # fmt: skip
-    pieces = [prior(((21.0, -3.0), (21.0, 3.0))), prior(((20.9, 3.0), (20.3, 8.0)))]
+    middle_m, side_m = 20.0 + 2.5 * sign, 20.0 + 1.6 * sign
+    pieces = [prior(((middle_m, -3.0), (middle_m, 3.0))), prior(((middle_m, 3.0), (side_m, 6.0)))]
     assert walls_of(pieces, [arc]) == [arc]
 
 
@@ -202,10 +213,10 @@ def test_a_source_counts_once_a_wall() -> None:
 
 def test_of_two_sources_that_contradict_each_other_the_more_certain_is_believed() -> None:
     """1 m apart, known to 0.05 m and 0.1 m."""
-    sure = prior(((5.0, 12.0), (15.0, 12.0)), "lidar", offset_std_m=0.05)
-    for priors in permutations([sure, prior(((5.0, 13.0), (15.0, 13.0)))]):
+    sure = prior(((5.0, 13.0), (15.0, 13.0)), "lidar", offset_std_m=0.05)
+    for priors in permutations([sure, prior(((5.0, 12.0), (15.0, 12.0)))]):
         (believed,) = walls_of(list(priors), [])
-        assert believed.offset_m == pytest.approx(12.0)
+        assert believed.offset_m == pytest.approx(13.0)
 
 
 def test_two_walls_of_one_map_stay_two() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from models.perception.geometry.stage import GeometryParams
+from models.perception.tracking.odometry import OdometryPose
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
 from models.perception.tracking.wall_priors import MAX_SOURCES, MAX_WAITING_MESSAGES, WallPriorStore
@@ -20,6 +21,7 @@ from msgs.values.vehicle import VehicleState, ego_motion
 
 START_NS, PERIOD_NS = 5_000_000_000, 300_000_000
 FRONT = Pose2()
+COLUMNS = ("range_m", "azimuth_rad", "score", "path_class", "snr_db", "covariance", "peak_stamp_ns")
 #: A wall on the left that the scans below do not see, in the vehicle's frame at the start.
 LEFT = ((8.0, 12.0), (24.0, 12.0))
 
@@ -143,6 +145,29 @@ def test_walls_of_another_odometry_frame_are_left_out() -> None:
     after = VehicleState(stamp_ns=START_NS + 5 * PERIOD_NS - 5, speed_mps=5.0)
     assert len(view([message(START_NS)], 5, [before, after]).walls) == 1
     assert len(view([message(START_NS + 5 * PERIOD_NS)], 5, [before, after]).walls) == 2
+
+
+def test_a_pose_that_jumped_moves_no_walls() -> None:
+    """Poses of two odometry frames have no motion between them."""
+    store = WallPriorStore()
+    store.add(message(START_NS))
+    for frame, count in ((0, 1), (1, 0)):
+        poses = {START_NS: OdometryPose(0, Pose2(), 0.0, 0.0), START_NS + 5: OdometryPose(frame, Pose2(9.0), 0.0, 0.0)}
+        assert len(store.at(START_NS + 5, poses.get, Pose2())) == count
+
+
+def test_walls_of_earlier_scans_and_from_elsewhere_stand_together() -> None:
+    """A facade that four scans showed and the fifth does not, and one that only the map knows."""
+    views = stage(wall_map=True)
+    for state in driven(0.2, until_s=2.0):
+        views.add_state(state)
+    for number in range(4):
+        views.view(scan(number))
+    hidden = scan(4)
+    mirrored = {name: getattr(hidden, name)[hidden.path_class == 1] for name in COLUMNS}
+    views.add_walls(message(hidden.stamp_ns))
+    walls = views.view(msgspec.structs.replace(hidden, **mirrored)).walls
+    assert sorted(round(wall.offset_m) for wall in walls) == [12, 20]
 
 
 def test_priors_are_no_evidence_of_a_wall_map() -> None:
