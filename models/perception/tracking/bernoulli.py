@@ -22,6 +22,8 @@ MAX_EXISTENCE = 0.999
 NEGLIGIBLE_SHARE, MAX_MIXED = 1e-4, 24
 #: Objects are one where they are nearer than this, and the squared Mahalanobis distance of their states is smaller.
 SAME_M, SAME_DISTANCE2 = 1.0, 1.0
+#: Square of the Mahalanobis distance of a radial speed that is believed.
+SPEED_GATE = 9.0
 
 
 @dataclass(frozen=True)
@@ -86,10 +88,7 @@ def updated(
     now_ns = max(stamp_ns, track.estimate.stamp_ns) if likeliest is None else measurements[likeliest].stamp_ns
     weights = np.append(probability[kept], missed)
     estimates = [
-        track.estimate.at(measurements[index].stamp_ns, density_m2ps3)
-        .updated(measurements[index].position_m, measurements[index].covariance_m2)
-        .at(now_ns, density_m2ps3)
-        for index in kept
+        _measured(track.estimate, measurements[index], density_m2ps3).at(now_ns, density_m2ps3) for index in kept
     ]
     estimates.append(track.estimate.at(now_ns, density_m2ps3))
     used = weights > NEGLIGIBLE_SHARE * weights.max()
@@ -99,6 +98,23 @@ def updated(
         estimate=mixture(share, [estimate for estimate, is_used in zip(estimates, used, strict=True) if is_used]),
         class_weights=_with_classes(track.class_weights, probability, kept, measurements),
     )
+
+
+def _measured(estimate: Estimate, sighting: Sighting, density_m2ps3: float) -> Estimate:
+    """Return an estimate after a measurement of position and, where it agrees with it, of radial speed."""
+    after = estimate.at(sighting.stamp_ns, density_m2ps3).updated(sighting.position_m, sighting.covariance_m2)
+    return along(after, sighting)
+
+
+def along(estimate: Estimate, sighting: Sighting) -> Estimate:
+    """Return an estimate after a measured radial speed; one that lies far off is of something else in the cell."""
+    radial, direction = sighting.radial_speed, sighting.direction
+    if radial is None:
+        return estimate
+    variance = direction @ estimate.covariance[2:, 2:] @ direction + radial.std_mps**2
+    if (radial.speed_mps - direction @ estimate.mean[2:]) ** 2 > SPEED_GATE * variance:
+        return estimate
+    return estimate.updated_along(direction, radial.speed_mps, radial.std_mps)
 
 
 def _considerable(probability: np.ndarray) -> list[int]:
@@ -120,13 +136,15 @@ def _with_classes(
 
 
 def born(sighting: Sighting, explained: float, first_speed_std_mps: float) -> Bernoulli:
-    """Return the object that a measurement begins, of which tracks explain a share; its velocity is unknown."""
+    """Return the object that a measurement begins, of which tracks explain a share; its velocity is unknown but for a
+    measured radial speed.
+    """
     covariance = np.zeros((4, 4))
     covariance[:2, :2] = sighting.covariance_m2
     covariance[2:, 2:] = first_speed_std_mps**2 * np.eye(2)
     return Bernoulli(
         existence=sighting.score * (1.0 - min(max(explained, 0.0), 1.0)),
-        estimate=Estimate(sighting.stamp_ns, np.append(sighting.position_m, np.zeros(2)), covariance),
+        estimate=along(Estimate(sighting.stamp_ns, np.append(sighting.position_m, np.zeros(2)), covariance), sighting),
         class_weights={sighting.object_class: sighting.score} if sighting.object_class else {},
     )
 

@@ -35,13 +35,21 @@ class Estimate:
         return Estimate(stamp_ns, step @ self.mean, symmetric(covariance))
 
     def updated(self, position_m: np.ndarray, measurement_covariance_m2: np.ndarray) -> Estimate:
-        """Return the state after a position measurement; Joseph's form, a sum of squares whatever the gain's
-        rounding.
-        """
-        gain = _gain(self.covariance, measurement_covariance_m2)
-        rest = np.eye(4) - gain @ MEASURED
-        covariance = rest @ self.covariance @ rest.T + gain @ measurement_covariance_m2 @ gain.T
-        return Estimate(self.stamp_ns, self.mean + gain @ (position_m - self.mean[:2]), symmetric(covariance))
+        """Return the state after a position measurement."""
+        return self._corrected(MEASURED, position_m - self.mean[:2], measurement_covariance_m2)
+
+    def updated_along(self, direction: np.ndarray, speed_mps: float, std_mps: float) -> Estimate:
+        """Return the state after a measurement of the velocity's part along a unit vector [2]."""
+        matrix = np.concatenate([np.zeros(2), direction])[None]
+        return self._corrected(matrix, np.array([speed_mps - matrix[0] @ self.mean]), np.array([[std_mps**2]]))
+
+    def _corrected(self, matrix: np.ndarray, innovation: np.ndarray, covariance: np.ndarray) -> Estimate:
+        """Return the state after a linear measurement; Joseph's form, a sum of squares whatever the gain's rounding."""
+        spread = matrix @ self.covariance @ matrix.T + covariance
+        gain = np.linalg.solve(spread, matrix @ self.covariance).T
+        rest = np.eye(4) - gain @ matrix
+        after = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
+        return Estimate(self.stamp_ns, self.mean + gain @ innovation, symmetric(after))
 
 
 def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
@@ -73,8 +81,3 @@ def mixture(weights: Sequence[float], estimates: Sequence[Estimate]) -> Estimate
 def symmetric(matrix: np.ndarray) -> np.ndarray:
     """Return the symmetric part of a square matrix."""
     return 0.5 * (matrix + matrix.T)
-
-
-def _gain(covariance: np.ndarray, measurement_covariance_m2: np.ndarray) -> np.ndarray:
-    """Return the Kalman gain [4, 2] of a measured position."""
-    return np.linalg.solve(covariance[:2, :2] + measurement_covariance_m2, covariance[:2]).T

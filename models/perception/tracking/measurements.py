@@ -6,16 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from models.perception.tracking.estimate import Estimate, symmetric
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, HiddenObject, Visibility
+from msgs.values.perception import BevFrame, HiddenObject, RadialSpeed, Visibility
 
 #: An object measured further from its scan's stamp does not belong to that scan.
 LONGEST_SCAN_NS = 2_000_000_000
 #: Largest coordinate [m] and standard deviation [m] of an object: far beyond any sensor, and their squares are finite.
 MAX_POSITION_M, MAX_STD_M = 1e7, 1e6
+#: Road users are slower.
+MAX_SPEED_MPS = 100.0
 #: Scores are probabilities that an object exists; none is a certainty.
 LEAST_SCORE, GREATEST_SCORE = 0.05, 0.95
 #: Chance of a report of an object where the mask says that none is observable, of that where it says so: walls that the
@@ -37,6 +40,14 @@ class Sighting:
     #: Probability that it is an object if no track explains it.
     score: float = 0.5
     object_class: str = ""
+    #: Part of its velocity along a direction of the frame; None: not measured.
+    radial_speed: RadialSpeed | None = None
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector [2] of the measured part of the velocity."""
+        azimuth_rad = self.radial_speed.azimuth_rad if self.radial_speed else math.nan
+        return np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
 
 
 def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
@@ -65,7 +76,17 @@ def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place
         covariance_m2=symmetric(turn @ np.array(item.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2),
         score=min(max(item.score, LEAST_SCORE), GREATEST_SCORE),
         object_class=item.object_class,
+        radial_speed=_turned(item.radial_speed, odom_from_radar),
     )
+
+
+def _turned(radial: RadialSpeed | None, odom_from_radar: Pose2) -> RadialSpeed | None:
+    """Return a radial speed in the odometry frame; None for one that nothing moves at, or that is no number."""
+    if radial is None or not all(map(math.isfinite, (radial.azimuth_rad, radial.speed_mps, radial.std_mps))):
+        return None
+    if abs(radial.speed_mps) > MAX_SPEED_MPS or not 0.0 < radial.std_mps <= MAX_SPEED_MPS:
+        return None
+    return msgspec.structs.replace(radial, azimuth_rad=radial.azimuth_rad + odom_from_radar.yaw_rad)
 
 
 def detection_probabilities(

@@ -16,6 +16,7 @@ from models.perception.tracking.bernoulli import (
 )
 from models.perception.tracking.estimate import Estimate
 from models.perception.tracking.measurements import Sighting
+from msgs.values.perception import RadialSpeed
 
 HERE = Estimate(0, np.array([3.0, 4.0, 0.0, 0.0]), np.diag([0.5, 0.5, 4.0, 4.0]))
 PLAIN = np.eye(2)
@@ -105,3 +106,25 @@ def test_the_class_is_that_of_the_most_weight():
         track = updated(track, 0.7, np.array([1.0]), [van], 0, 2.0)
     assert track.object_class == "van"
     assert Bernoulli(0.5, HERE).object_class == ""
+
+
+def doppler(speed_mps: float, azimuth_rad: float = 0.0) -> Sighting:
+    radial = RadialSpeed(azimuth_rad=azimuth_rad, speed_mps=speed_mps, std_mps=0.5)
+    return Sighting(0, HERE.mean[:2], PLAIN, 0.8, radial_speed=radial)
+
+
+def test_an_object_begins_with_the_speed_that_doppler_shows():
+    """Along y, 3 m/s of 8 m/s standard deviation before; a speed that no prior allows (40 m/s) is of something else."""
+    begun = born(doppler(3.0, np.pi / 2), 0.0, 8.0).estimate
+    np.testing.assert_allclose(begun.mean[2:], [0.0, 3.0 * 64.0 / 64.25], atol=1e-12)
+    assert begun.covariance[3, 3] == pytest.approx(64.0 * 0.25 / 64.25)
+    assert born(doppler(40.0), 0.0, 8.0).estimate.mean.tolist() == [3.0, 4.0, 0.0, 0.0]
+
+
+def test_a_measured_speed_moves_a_track_where_it_agrees():
+    """HERE knows its velocity to 2 m/s: 2.5 m/s is believed (gain 4 / 4.25), 7 m/s is beyond three deviations."""
+    alone = np.array([1.0])
+    assert updated(Bernoulli(0.9, HERE), 0.8, alone, [doppler(2.5)], 0, 2.0).estimate.mean[2] == pytest.approx(
+        2.5 * 4.0 / 4.25
+    )
+    assert updated(Bernoulli(0.9, HERE), 0.8, alone, [doppler(7.0)], 0, 2.0).estimate.mean[2] == 0.0

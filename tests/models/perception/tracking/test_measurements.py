@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ from models.perception.tracking.measurements import (
     sightings,
 )
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, Visibility
+from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, RadialSpeed, Visibility
 
 EYE: Covariance = ((0.09, 0.0), (0.0, 0.09))
 
@@ -96,3 +97,20 @@ def test_a_vague_position_is_seen_as_far_as_it_reaches():
 
 def test_a_view_without_a_mask_may_see_everything():
     assert detection_probabilities(frame(), [standing(5.0, 5.0)], Pose2(), 0.8).tolist() == [0.8]
+
+
+def test_a_radial_speed_is_turned_with_the_radar_and_nonsense_is_none():
+    """A radar turned by 30 deg: 20 deg in its axes are 50 deg in the odometry frame; speed and error as they were."""
+
+    def moving(azimuth_rad: float, speed_mps: float, std_mps: float) -> HiddenObject:
+        radial = RadialSpeed(azimuth_rad=azimuth_rad, speed_mps=speed_mps, std_mps=std_mps)
+        return msgspec.structs.replace(seen(10.0, 0.0), radial_speed=radial)
+
+    pose = Pose2(1.0, 2.0, math.pi / 6.0)
+    (there,) = sightings(frame(moving(math.radians(20.0), 3.0, 0.5)), pose, 0.4)
+    assert there.radial_speed is not None
+    assert (there.radial_speed.speed_mps, there.radial_speed.std_mps) == (3.0, 0.5)
+    np.testing.assert_allclose(there.direction, [math.cos(math.radians(50.0)), math.sin(math.radians(50.0))])
+    bad = (moving(math.nan, 3.0, 0.5), moving(0.0, math.inf, 0.5), moving(0.0, 3.0, 0.0), moving(0.0, 3.0, -1.0),
+           moving(0.0, 1e300, 0.5), moving(0.0, 3.0, math.nan))  # fmt: skip
+    assert [item.radial_speed for item in sightings(frame(*bad), pose, 0.4)] == [None] * len(bad)
