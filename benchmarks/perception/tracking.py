@@ -180,6 +180,8 @@ class DriveScore(NamedTuple):
     duration_s: float
     #: Of each asked road user its hit in each scan in which it should be tracked.
     asked: list[list[Hit | None]]
+    #: Whether each observable road user was hit, of all scans.
+    observable: list[bool]
     #: Of each road user out of sight the ids of its tracks, in order of the scans.
     ids: list[list[int]]
     #: Where each track stood, scan by scan: "hidden", "plain sight" or "nothing".
@@ -210,6 +212,12 @@ def scored(scans: Sequence[Scan], tracker: Steps) -> DriveScore:
     return DriveScore(
         duration_s=len(scans) * s_from_ns(scans[1].frame.stamp_ns - scans[0].frame.stamp_ns),
         asked=[[hits[number].get(index) for number in span] for index, span in enumerate(spans) if span],
+        observable=[
+            index in hit
+            for scan, hit in zip(scans, hits, strict=True)
+            for index, image in enumerate(scan.images)
+            if is_observable(image)
+        ],
         ids=[[hit[index].id for hit in hits if index in hit] for index in range(count)],
         stands=stands,
         stated=stated,
@@ -239,11 +247,15 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     asked_scans: int
     hits: int
     recall: float
+    #: The same of every scan in which a road user is observable, the first second too.
+    observable_scans: int
+    observable_hits: int
     #: Tracks that stood on nothing, or in plain sight, in most of their scans, a minute; of all tracks and scans the
-    #: share on nothing.
+    #: shares on nothing and in plain sight.
     false_per_min: float
     plain_sight_per_min: float
     false_share: float
+    plain_sight_share: float
     id_switches: int
     face_rmse_m: float
     velocity_rmse_mps: float
@@ -271,9 +283,12 @@ def summary_of(name: str, scores: Sequence[DriveScore], ms_per_scan: float) -> S
         asked_scans=len(scans),
         hits=len(hits),
         recall=len(hits) / max(len(scans), 1),
+        observable_scans=sum(len(score.observable) for score in scores),
+        observable_hits=sum(sum(score.observable) for score in scores),
         false_per_min=most.count("nothing") / minutes,
         plain_sight_per_min=most.count("plain sight") / minutes,
         false_share=all_stands.count("nothing") / max(len(all_stands), 1),
+        plain_sight_share=all_stands.count("plain sight") / max(len(all_stands), 1),
         id_switches=sum(a != b for score in scores for ids in score.ids for a, b in pairwise(ids)),
         face_rmse_m=_rms([hit.face_m for hit in hits]),
         velocity_rmse_mps=_rms([hit.velocity_mps for hit in hits]),
