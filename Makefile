@@ -124,10 +124,12 @@ results-gpu: setup-dev  ## the same at full size and for the published 100 epoch
 object-network: setup-dev  ## the object network from places and drives drawn for it (two hours on two cores; goes on if stopped)
 	$(BIN)/mirrorwave sim dataset --out data/object_places --count 8000 --effects all --truth --seed 6100 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_drives --count 300 --motion --scans 8 --seed 6200 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_places_2 --count 12000 --effects all --truth --seed 6102 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_places_validation --count 600 --effects all --truth --seed 6101 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_drives_validation --count 50 --motion --scans 8 --seed 6201 --workers 2
-	$(BIN)/mirrorwave train objects --data data/object_places --data data/object_drives --out runs/objects \
-		--validation data/object_places_validation --validation data/object_drives_validation --workers 2 --threads 2
+	$(BIN)/mirrorwave train objects --data data/object_places --data data/object_drives --data data/object_places_2 \
+		--validation data/object_places_validation --validation data/object_drives_validation --out runs/objects \
+		--epochs 4 --workers 2 --threads 2
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from msgs.values.perception import BevFrame, Track
 
 
@@ -31,6 +33,8 @@ def bev_to_json(frame: BevFrame) -> dict[str, object]:
                 "yaw_rad": hidden.yaw_rad,
                 "score": hidden.score,
                 "cov_m2": [list(row) for row in hidden.cov_m2],
+                "object_class": hidden.object_class,
+                "radial_speed": msgspec.to_builtins(hidden.radial_speed),
             }
             for hidden in frame.objects
         ],
