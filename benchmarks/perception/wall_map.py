@@ -41,7 +41,6 @@ from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_
 SPEED_STD_MPS, YAW_RATE_STD_RPS, BIAS_RPS = 0.03, math.radians(0.2), math.radians(0.2)
 STATES_PER_SCAN = 15
 GATE_M, GATE_RAD = 1.5, math.radians(10.0)
-COLUMNS = ("range_m", "azimuth_rad", "score", "path_class", "covariance", "peak_stamp_ns", "snr_db")
 ALONE, GATHERED = "each scan alone", "gathered"
 
 
@@ -138,7 +137,7 @@ def measured(player: ScenePlayer, number: int, rng: np.random.Generator) -> Iter
 def thinned(peaks: Peaks, kept: float, rng: np.random.Generator) -> Peaks:
     """Peaks without some of the direct returns."""
     keep = (peaks.path_class != PathClass.LOS) | (rng.random(len(peaks)) < kept)
-    return msgspec.structs.replace(peaks, **{name: getattr(peaks, name)[keep].copy() for name in COLUMNS})
+    return peaks.take(keep)
 
 
 def wall_error(wall: Wall, surfaces: Sequence[TruthSurface]) -> tuple[float, float] | None:

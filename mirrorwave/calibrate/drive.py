@@ -140,7 +140,7 @@ def _formed(capture: Capture, motion: Motion, guess: Guess, on_scan: Callable[[]
 def sightings_of(peaks: Peaks, limit_rad: float) -> list[Sighting]:
     """Straight walls among the direct returns of a scan, without those beyond an azimuth."""
     inside = (peaks.path_class == PathClass.LOS) & (np.abs(peaks.azimuth_rad) <= limit_rad)
-    returns, walls = direct_structure(_only(peaks, inside), GeometryParams())
+    returns, walls = direct_structure(peaks.take(inside), GeometryParams())
     covariance_m2 = cartesian_covariance(peaks.range_m[inside], peaks.azimuth_rad[inside], peaks.covariance[inside])
     return [
         Sighting(
@@ -153,12 +153,6 @@ def sightings_of(peaks: Peaks, limit_rad: float) -> list[Sighting]:
         for index, wall in enumerate(walls)
         if wall.curvature_per_m == 0.0
     ]
-
-
-def _only(peaks: Peaks, kept: np.ndarray) -> Peaks:
-    """Some of the peaks, bool [N]."""
-    fields = ("range_m", "azimuth_rad", "score", "path_class", "covariance", "peak_stamp_ns", "snr_db")
-    return msgspec.structs.replace(peaks, **{name: getattr(peaks, name)[kept] for name in fields})
 
 
 def draw_drive(solved: Solved, states: list[VehicleState], path: Path, title: str) -> None:

@@ -37,6 +37,11 @@ PEAK_LIMITS: dict[str, float] = {
 MAX_PEAKS = 2048
 
 
+#: Fields of peaks with one entry a peak.
+PEAK_COLUMNS = ("range_m", "azimuth_rad", "score", "path_class", "covariance", "peak_stamp_ns", "snr_db",
+                "radial_speed_mps", "radial_speed_std_mps")  # fmt: skip
+
+
 class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Classified local maxima of one scan (topic `perception/peaks`), N of them."""
 
@@ -90,6 +95,13 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.range_m)
+
+    def take(self, index: np.ndarray) -> Peaks:
+        """Return the peaks at indices, or those that a mask bool [N] keeps."""
+        columns = {name: getattr(self, name) for name in PEAK_COLUMNS}
+        return msgspec.structs.replace(
+            self, **{name: column[index] for name, column in columns.items() if column is not None}
+        )
 
 
 class Wall(msgspec.Struct, frozen=True, kw_only=True):

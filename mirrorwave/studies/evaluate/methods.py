@@ -254,9 +254,7 @@ def _truth(_spec: MethodSpec, _setup: RadarSetup) -> Detect:
 
 def peaks_above(peaks: Peaks, threshold: float) -> Peaks:
     """The peaks whose score reaches a threshold."""
-    keep = peaks.score >= threshold
-    names = ("range_m", "azimuth_rad", "score", "path_class", "covariance", "peak_stamp_ns", "snr_db")
-    return msgspec.structs.replace(peaks, **{name: getattr(peaks, name)[keep] for name in names})
+    return peaks.take(peaks.score >= threshold)
 
 
 def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:

@@ -33,6 +33,6 @@ def test_json_line_has_the_fields_of_the_contract() -> None:
     assert line["objects"] == [
         {
             "id": 4, "x_m": 15.0, "y_m": 9.0, "length_m": 2.0, "width_m": 1.0, "yaw_rad": 0.3, "score": 0.7,
-            "cov_m2": [[0.2, 0.01], [0.01, 0.1]],
+            "cov_m2": [[0.2, 0.01], [0.01, 0.1]], "object_class": "", "radial_speed": None,
         }
     ]  # fmt: skip

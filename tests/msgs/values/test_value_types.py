@@ -196,3 +196,14 @@ def test_map_and_peaks_refuse_what_is_not_finite_or_not_theirs() -> None:
             stamp_ns=0, scan_id=0, range_m=none, azimuth_rad=np.zeros(1), score=none, path_class=none.astype("u1"),
             covariance=np.zeros((0, 2, 2)), peak_stamp_ns=none.astype("<i8"), snr_db=none,
         )  # fmt: skip
+
+
+def test_peaks_are_taken_with_all_their_columns() -> None:
+    count = np.arange(3.0)
+    peaks = Peaks(
+        stamp_ns=0, scan_id=0, range_m=count, azimuth_rad=count, score=count, path_class=np.zeros(3, np.uint8),
+        covariance=np.zeros((3, 2, 2)), peak_stamp_ns=np.zeros(3, np.int64), snr_db=count, radial_speed_mps=count,
+    )  # fmt: skip
+    assert peaks.take(np.array([2, 0])).radial_speed_mps.tolist() == [2.0, 0.0]  # type: ignore[union-attr]
+    masked = peaks.take(count > 0.5)
+    assert (masked.range_m.tolist(), masked.radial_speed_std_mps) == ([1.0, 2.0], None)
