@@ -100,6 +100,7 @@ class DoubleChain:
             saturated_share=stamps.saturated_share,
             faults=stamps.faults,
             vehicle_from_radar=stamps.vehicle_from_radar,
+            radial_speed_cmps=None,
         )
 
     def heatmap(self, double_map: SimpleNamespace) -> np.ndarray:

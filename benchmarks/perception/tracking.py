@@ -40,7 +40,7 @@ from mirrorwave.studies.resumable import ResumableRun
 from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.metrics import assign_within
 from models.evaluation.object_error import ObjectDistances, object_distances
-from models.evaluation.object_metrics import FALSE_M, NOTHING_M, ImageTruth
+from models.evaluation.object_rows import FALSE_M, NOTHING_M, ImageTruth
 from models.perception.tracking import tracker as tracker_in_use
 from models.perception.tracking.odometry import OdometryPose, ScanOdometry
 from msgs.bus.codec import decode_inline, encode_inline

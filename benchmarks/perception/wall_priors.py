@@ -25,7 +25,8 @@ from mirrorwave.studies.evaluate.objects import image_truth, read_sets
 from mirrorwave.studies.report import table
 from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.frame_scores import bootstrap_weights
-from models.evaluation.object_metrics import ObjectReport, ObjectScores, ScanRow, is_false, object_report, scan_row
+from models.evaluation.object_metrics import ObjectReport, ObjectScores, object_report
+from models.evaluation.object_rows import ScanRow, is_false, scan_row
 from models.perception.tracking.stage import ViewStage
 from msgs.values.environment import WallPriors
 from msgs.values.frames import Pose2

@@ -80,7 +80,13 @@ def draw_bev(
         _finish(panels["map"], limits)
     panels["signs"].set_axis_off()
     panels["signs"].legend(
-        *panels["view"].get_legend_handles_labels(), loc="upper left", borderaxespad=0.0, frameon=False, fontsize=10
+        *panels["view"].get_legend_handles_labels(),
+        loc="upper left",
+        borderaxespad=0.0,
+        frameon=False,
+        # a flat street with all there can be: twelve signs in half the height
+        fontsize=9,
+        labelspacing=0.3,
     )
     figure.suptitle(_title(frame, truth), fontsize=13)
     save(figure, Path(out_path), dpi=130)

@@ -284,7 +284,7 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
     assert "radar/ra_map" not in geometry.create(geometry.Params()).inputs
     objects = []
     for scan, maps in ((0, [0]), (1, [1, 2]), (9, [])):
-        peaks = msgspec.structs.replace(made_up_peaks(), scan_id=scan)
+        peaks = msgspec.structs.replace(made_up_peaks(), scan_id=scan, detector="sha256/pursuit")
         inputs = [received(peaks, "perception/peaks")]
         inputs += [received(empty_map(scan_id=one), "radar/ra_map") for one in maps]
         (out,) = node.step(inputs, 0)

@@ -94,7 +94,7 @@ def updated(
     used = weights > NEGLIGIBLE_SHARE * weights.max()
     share = weights[used] / weights[used].sum()
     return Bernoulli(
-        existence=min(existence, MAX_EXISTENCE),
+        existence=min(float(existence), MAX_EXISTENCE),
         estimate=mixture(share, [estimate for estimate, is_used in zip(estimates, used, strict=True) if is_used]),
         class_weights=_with_classes(track.class_weights, probability, kept, measurements),
     )

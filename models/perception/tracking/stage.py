@@ -60,7 +60,8 @@ class ViewStage:
     def view(self, peaks: Peaks, ra_map: RangeAzimuthMap | None = None) -> BevFrame:
         """Return the view of one scan, with tracks and the vehicle's motion; `ValueError` for too many peaks.
 
-        Objects are those that the network sees in the scan's map; without either they are clusters of places.
+        Objects are those that the network sees in the scan's map; without either, or with peaks that no network has
+        detected, they are clusters of places.
         """
         with self._timed("geometry"):
             earlier_walls = self._memory.walls_at(peaks)
@@ -71,7 +72,10 @@ class ViewStage:
         return msgspec.structs.replace(frame, ego=self._states.at(peaks.stamp_ns))
 
     def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None) -> ObjectJudge | None:
-        """Return what sees the objects of a scan; None: no network does."""
-        if self.predictor is None or ra_map is None or not self.predictor.suits(ra_map):
+        """Return what sees the objects of a scan; None: no network does.
+
+        It was trained on peaks that a network has detected: those of CFAR are another detector's.
+        """
+        if self.predictor is None or ra_map is None or not peaks.detector or not self.predictor.suits(ra_map):
             return None
         return partial(self.predictor.objects, ra_map, peaks)

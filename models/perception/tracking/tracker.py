@@ -230,7 +230,7 @@ class Tracker:
             velocity_cov_m2ps2=_rotated(now.covariance[2:, 2:], radar_from_odom),
             misses=track.misses,
             time_to_appear_s=outlook.time_to_appear_s(hidden) if track.was_blocked else None,
-            existence=track.bernoulli.existence,
+            existence=float(track.bernoulli.existence),
             object_class=track.bernoulli.object_class,
         )
 

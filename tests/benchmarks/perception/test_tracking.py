@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.tracking import Scan, asked_scans, scored, summary_of
-from models.evaluation.object_metrics import ImageTruth
+from models.evaluation.object_rows import ImageTruth
 from models.perception.tracking.odometry import OdometryPose, stationary_pose
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, SceneTruth, Track, TruthObject

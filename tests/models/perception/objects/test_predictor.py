@@ -10,13 +10,19 @@ import numpy as np
 import pytest
 
 from models.perception.cards import card_path
-from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks, recover_bev
+from models.perception.geometry.stage import GeometryParams, direct_structure, recover_bev
+from models.perception.geometry.stage import made_up_peaks as street_peaks
 from models.perception.objects.predictor import ObjectPredictor, load_object_card
 from models.perception.tracking.stage import ViewStage
 from models.training.export.onnx import write_card
-from msgs.values.perception import BevFrame, HiddenObject
+from msgs.values.perception import BevFrame, HiddenObject, Peaks
 from msgs.values.radar import NO_RADIAL_SPEED, RangeAzimuthGrid, RangeAzimuthMap
 from tests.models.perception.objects.object_scenes import ENCODING, empty_map, object_network
+
+
+def made_up_peaks() -> Peaks:
+    """The made-up street as a network detects it."""
+    return msgspec.structs.replace(street_peaks(), detector="sha256/pursuit")
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +60,8 @@ def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Pat
     assert view(predictor, mode="photons").objects == plain
     assert view(predictor, grid=RangeAzimuthGrid(range_bin_m=0.1)).objects == plain
     assert ViewStage(predictor=predictor).view(made_up_peaks()).objects == plain
+    # peaks of CFAR: the network was trained on another detector's
+    assert ViewStage(predictor=predictor).view(street_peaks(), empty_map()).objects == plain
 
 
 def test_a_map_that_does_not_suit_is_refused(network: Path) -> None:

@@ -128,3 +128,9 @@ def test_a_measured_speed_moves_a_track_where_it_agrees():
         2.5 * 4.0 / 4.25
     )
     assert updated(Bernoulli(0.9, HERE), 0.8, alone, [doppler(7.0)], 0, 2.0).estimate.mean[2] == 0.0
+
+
+def test_existence_is_a_plain_number():
+    """A NumPy scalar would travel as an array does: bytes."""
+    assert type(after(0.5, 0.8, 1.0, [Sighting(0, HERE.mean[:2], PLAIN)]).existence) is float
+    assert type(after(0.5, 0.8, 0.0, []).existence) is float
