@@ -215,7 +215,7 @@ def test_the_object_network_gets_the_walls_with_priors() -> None:
     for messages in ([], [message()]):
         for item in messages:
             views.add_walls(item)
-        frame = views.view(scan(0), object())  # type: ignore[arg-type]
+        frame = views.view(msgspec.structs.replace(scan(0), detector="sha256/pursuit"), object())  # type: ignore[arg-type]
         assert judged[-1] == len(frame.walls)
     assert judged == [1, 2]
 
