@@ -260,11 +260,9 @@ class BeamFolder:
         else:
             noise_power_mw = self._noise_power_mw(spectra)
             profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
-            doppler = self._doppler(profiles, ego)
-            profile, row = self._strongest(doppler, noise_power_mw)
+            profile, row, power = self._strongest(self._doppler(profiles, ego), noise_power_mw)
             if self.measures_speed:
-                heard = np.take_along_axis(doppler, row[None], axis=0)[0]
-                speed_mps = self._radial_speed_mps(profiles, row, np.abs(heard) ** 2 > HEARD * noise_power_mw, ego)
+                speed_mps = self._radial_speed_mps(profiles, row, power > HEARD * noise_power_mw, ego)
         if self.params.decimation > 1:
             profile = profile * self._undrooped
         return FoldedBeam(profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated, speed_mps)
@@ -325,9 +323,9 @@ class BeamFolder:
         """Return the noise power per bin of the mean over all chirps."""
         return _median_power(np.abs(_windowed(spectra.sum(axis=0), *self._noise_bins, self._taps)) ** 2, 1)
 
-    def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one; and the number
-        of the strongest row in any case [range].
+    def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one; and in any case
+        the number of the strongest row and its power [range].
         """
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
@@ -335,7 +333,7 @@ class BeamFolder:
         stronger = best_power > ratio_from_db(self.params.doppler_excess_db) * power[0]
         audible = best_power > ratio_from_db(self.params.doppler_snr_db) * noise_power_mw
         taken = np.where(stronger & audible, best, 0)
-        return np.take_along_axis(doppler, taken[None], axis=0)[0], best
+        return np.take_along_axis(doppler, taken[None], axis=0)[0], best, best_power
 
     def _welch(self, spectra: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the root of the power averaged over single chirps, as complex64 without imaginary part."""

@@ -44,12 +44,19 @@ class Estimate:
         return self._corrected(matrix, np.array([speed_mps - matrix[0] @ self.mean]), np.array([[std_mps**2]]))
 
     def _corrected(self, matrix: np.ndarray, innovation: np.ndarray, covariance: np.ndarray) -> Estimate:
-        """Return the state after a linear measurement; Joseph's form, a sum of squares whatever the gain's rounding."""
-        spread = matrix @ self.covariance @ matrix.T + covariance
-        gain = np.linalg.solve(spread, matrix @ self.covariance).T
-        rest = np.eye(4) - gain @ matrix
-        after = rest @ self.covariance @ rest.T + gain @ covariance @ gain.T
+        """Return the state after a linear measurement."""
+        gain, after = linear_update(self.covariance, matrix, covariance)
         return Estimate(self.stamp_ns, self.mean + gain @ innovation, symmetric(after))
+
+
+def linear_update(covariance: np.ndarray, matrix: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Kalman gain [N, M] of a linear measurement by `matrix` [M, N] with `noise` [M, M], and the covariance
+    [N, N] after it; Joseph's form, a sum of squares whatever the gain's rounding.
+    """
+    spread = matrix @ covariance @ matrix.T + noise
+    gain = np.linalg.solve(spread, matrix @ covariance).T
+    rest = np.eye(len(covariance)) - gain @ matrix
+    return gain, rest @ covariance @ rest.T + gain @ noise @ gain.T
 
 
 def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.perception.tracking.estimate import linear_update
 from models.physics.mirror import wall_from_ends
 from msgs.values.perception import Wall
 
@@ -98,11 +99,8 @@ class WallLine:
 
     def corrected(self, factors: np.ndarray, off: np.ndarray, noise: np.ndarray) -> WallLine:
         """Return the line after measurements [M] of (offset, direction) by `factors` [M, 2], covariance [M, M]."""
-        spread = factors @ self.covariance @ factors.T + noise
-        gain = np.linalg.solve(spread, factors @ self.covariance).T
+        gain, covariance = linear_update(self.covariance, factors, noise)
         shift_m, turn_rad = gain @ off
-        rest = np.eye(2) - gain @ factors
-        covariance = rest @ self.covariance @ rest.T + gain @ noise @ gain.T
         cos, sin = math.cos(turn_rad), math.sin(turn_rad)
         normal = np.array([[cos, -sin], [sin, cos]]) @ self.normal
         return replace(self, middle_m=self.middle_m - shift_m * self.normal, normal=normal, covariance=covariance)

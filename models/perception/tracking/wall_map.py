@@ -21,6 +21,7 @@ import numpy as np
 from models.perception.geometry.lines import gains
 from models.perception.geometry.mirrors import wall_arrays
 from models.perception.geometry.walls import WallParams, find_walls
+from models.perception.tracking.estimate import linear_update
 from models.perception.tracking.odometry import OdometryPose
 from models.physics.mirror import crosses
 from msgs.values.arrays import require_positive
@@ -96,11 +97,8 @@ class _KeptLine:
 
     def corrected(self, factors: np.ndarray, off_m: np.ndarray, noise: np.ndarray) -> None:
         """Take in measurements [M] of (offset, direction) by `factors` [M, 2], with their covariance [M, M]."""
-        spread = factors @ self.covariance @ factors.T + noise
-        gain = np.linalg.solve(spread, factors @ self.covariance).T
+        gain, self.covariance = linear_update(self.covariance, factors, noise)
         shift_m, turn_rad = gain @ off_m
-        rest = np.eye(2) - gain @ factors
-        self.covariance = rest @ self.covariance @ rest.T + gain @ noise @ gain.T
         self.normal_rad = wrap_angle(self.normal_rad + turn_rad)
         normal = np.array([math.cos(self.normal_rad), math.sin(self.normal_rad)])
         self.middle_m = self.middle_m - shift_m * normal
