@@ -126,6 +126,8 @@ class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
     recall_single_25_db: Ratio
     recall_single_15_db: Ratio
     recall_vulnerable_25_db: Ratio
+    #: Of vehicles where the view calls a vehicle observable by a mirror.
+    recall_promised: Ratio
     #: Objects out of sight that no mirror shows; they are not to be found.
     not_mirrored: int
     reports: int
@@ -182,6 +184,7 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         recall_vulnerable_25_db=draw.recall(
             lambda item: item.object_class in VULNERABLE and single_reaches(item, BAND_EDGES_DB[1])
         ),
+        recall_promised=draw.recall(lambda item: item.promised and item.object_class in VEHICLES),
         not_mirrored=scores.unseen,
         reports=len(scores.reports),
         precision=draw.ratio(scores.of_reports(lambda item: item.found), reports),

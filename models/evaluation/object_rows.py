@@ -50,6 +50,8 @@ class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
     #: Of the confirmed track that stands on it, one to one: its id, and how far off its velocity is.
     track_id: int | None = None
     velocity_error_mps: float | None = None
+    #: The view calls the cell in which it stands observable by a mirror.
+    promised: bool = False
 
 
 class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,8 +94,10 @@ def scan_row(
     truth: SceneTruth,
     images: Sequence[ImageTruth],
     tracks: Sequence[Track] = (),
+    promised: Sequence[bool] | None = None,
 ) -> ScanRow:
-    """Reduce a scan's reports, tracks and truth to a row; `images` are those of `truth.objects`, in order.
+    """Reduce a scan's reports, tracks and truth to a row; `images` are those of `truth.objects`, in order, and so is
+    whether the view calls each one's place observable by a mirror.
 
     Objects that no mirror shows are listed too: they are not to be found, but a report there is not false.
     """
@@ -115,6 +119,7 @@ def scan_row(
             found_by_centre=column in by_centre,
             mahalanobis2=float(mahalanobis2[by[column], column]) if column in by else None,
             object_id=truth.objects[index].id,
+            promised=promised is not None and promised[index],
             **_track_of(followed.get(column), truth.objects[index]),
         )
         for column, index in enumerate(out_of_sight)

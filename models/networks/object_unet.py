@@ -1,6 +1,7 @@
 """ObjectUNet: hidden objects from a map and the hypotheses of its cells (`models.perception.objects`).
 
-The blocks of `CompactUNet` on cells of two range bins. Every cell answers for each of its hypotheses: does an object
+The blocks of `CompactUNet` on cells of two range bins say what surrounds a cell; beside it, the head reads the cell's
+own hypotheses once more. Every cell answers for each of its hypotheses: does an object
 have its image here, of which class, where within the image, how sure of it, how large and how turned.
 """
 
@@ -25,8 +26,8 @@ class ObjectUNetConfig:
     #: Hypotheses of a cell, and answers for each.
     hypotheses: int
     answers: int
-    widths: tuple[int, ...] = (40, 64, 96, 128)
-    head_width: int = 64
+    widths: tuple[int, ...] = (32, 64, 128, 192)
+    head_width: int = 96
     attention_blocks: int = 2
     attention_heads: int = 4
     #: Initial logit of an object in every cell: a hundredth.
@@ -58,7 +59,7 @@ class ObjectUNet(nn.Module):
         self.up = nn.ModuleList(nn.ConvTranspose2d(coarse, fine, 2, stride=2) for fine, coarse in reversed(steps))
         self.decode = nn.ModuleList(ResidualBlock(width) for width in reversed(widths[:-1]))
         last = nn.Conv2d(config.head_width, config.hypotheses * config.answers, 1)
-        self.head = nn.Sequential(_of_each_cell(widths[0], config.head_width), last)
+        self.head = nn.Sequential(_of_each_cell(widths[0] + config.in_channels, config.head_width), last)
         nn.init.normal_(last.weight, std=0.01)
         nn.init.zeros_(last.bias)
         with torch.no_grad():
@@ -66,6 +67,7 @@ class ObjectUNet(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the answers of every cell for each of its hypotheses."""
+        cells = x
         x = self.stem(x)
         skips = []
         for encode, down in zip(self.encode, self.down, strict=True):
@@ -75,7 +77,7 @@ class ObjectUNet(nn.Module):
         x = self.context(x.flatten(2).transpose(1, 2) + self.position).transpose(1, 2).reshape(x.shape)
         for up, decode in zip(self.up, self.decode, strict=True):
             x = decode(up(x) + skips.pop())
-        return self.head(x)
+        return self.head(torch.cat([x, cells.to(x.dtype)], dim=1))
 
 
 def _of_each_cell(channels: int, width: int) -> nn.Sequential:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from models.evaluation.object_metrics import ObjectReport, ObjectScores, object_report
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
+from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.objects.answers import detections, hidden_objects
 from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import CellHypotheses
@@ -19,18 +21,32 @@ from msgs.values.perception import PathClass, SceneTruth
 WATCHED_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 
 
-class ObjectTally:
-    """Rows of all scans at some thresholds."""
+def as_answered(ego_compensated: bool) -> ScoreTable:
+    """Return the table that leaves answers as they are."""
+    return ()
 
-    def __init__(self, encoding: ObjectEncoding, thresholds: Sequence[float]) -> None:
-        self._encoding = encoding
+
+class ObjectTally:
+    """Rows of all scans at some thresholds; `calibration` is the table of maps with or without the vehicle's motion
+    taken out.
+    """
+
+    def __init__(
+        self,
+        encoding: ObjectEncoding,
+        thresholds: Sequence[float],
+        calibration: Callable[[bool], ScoreTable] = as_answered,
+    ) -> None:
+        self._encoding, self._calibration = encoding, calibration
         self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
 
     def add(self, stored: StoredSample, answer: np.ndarray) -> None:
         """Score the answer to one sample."""
-        sample = stored.sample
+        sample, table = stored.sample, self._calibration(stored.ego_compensated)
         hypotheses = CellHypotheses(sample.wall, sample.second, np.zeros(0, np.float32))
-        likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, min(self.rows))
+        least = score_of(table, min(self.rows))
+        likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, least)
+        likely = replace(likely, score=calibrated(table, likely.score))
         column_rad, stamp_ns = self._encoding.cells.azimuth_rad, stored.column_stamp_ns
         stamp_ns = np.rint(np.interp(likely.azimuth_rad, column_rad, stamp_ns)).astype(np.int64)
         truth, images = _truth(len(self.rows[min(self.rows)]), stored), _images(stored)
@@ -70,15 +86,21 @@ def _truth(scan: int, stored: StoredSample) -> SceneTruth:
 
 
 def _images(stored: StoredSample) -> list[ImageTruth]:
-    """Return what the labels tell of each object's images; those under 10 dB have no label."""
+    """Return what the labels tell of each object's images; those under 10 dB have no label.
+
+    An object beside the radar's sector is in sight although no label of the map shows it.
+    """
     labels, snr_db = stored.labels, 10.0 * np.log10(stored.labels.power_mw / stored.noise_power_mw)
-    return [_image(labels, snr_db, labels.object_index == number) for number in range(len(stored.truth))]
+    return [
+        _image(labels, snr_db, labels.object_index == number, true_object.hidden)
+        for number, true_object in enumerate(stored.truth)
+    ]
 
 
-def _image(labels: FrameLabels, snr_db: np.ndarray, own: np.ndarray) -> ImageTruth:
+def _image(labels: FrameLabels, snr_db: np.ndarray, own: np.ndarray, hidden: bool) -> ImageTruth:
     mirrored = own & (labels.path_class == PathClass.MIRRORED)
     return ImageTruth(
-        direct=bool((own & (labels.path_class == PathClass.LOS)).any()),
+        direct=not hidden and bool(own.any()),
         mirrored=bool(mirrored.any()),
         snr_db=_strongest(snr_db[mirrored]),
         single_snr_db=_strongest(snr_db[mirrored & (labels.order == 1)]),

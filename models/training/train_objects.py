@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -23,12 +25,15 @@ from models.training.ranks import Ranks
 from models.training.run_folder import BEST, LAST, adopt_config, load_config, load_state, save_epoch
 from models.training.schedules import ScheduleConfig, optimiser_of
 
+#: Batches that are read before they are needed.
+READ_AHEAD = 32
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainObjectsConfig:
     """Configuration of a training."""
 
-    widths: tuple[int, ...] = (40, 64, 96, 128)
+    widths: tuple[int, ...] = (32, 64, 128, 192)
     loss: ObjectLossConfig = field(default_factory=ObjectLossConfig)
     schedule: ScheduleConfig = field(default_factory=lambda: ScheduleConfig(weight_decay=1e-2, clip_norm=5.0))
     seed: int = 0
@@ -147,8 +152,7 @@ class ObjectTraining:
         rng = np.random.default_rng((self.config.seed, epoch))
         samples = self._augmented(shuffled(self._train, rng), rng)
         losses = []
-        for step in range(self.steps_per_epoch):
-            batch = list(islice(samples, self.config.schedule.batch_size))
+        for step, batch in enumerate(_batches(samples, self.config.schedule.batch_size, self.steps_per_epoch)):
             self.optimiser.zero_grad()
             loss = self._loss(batch)[0]
             if not torch.isfinite(loss):
@@ -214,6 +218,17 @@ class ObjectTraining:
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
         self.reports = [ObjectEpoch(**report) for report in state["reports"]]
+
+
+def _batches(samples: Iterator[ObjectSample], size: int, count: int) -> Iterator[list[ObjectSample]]:
+    """Yield batches in order, read by another thread while earlier ones are trained on."""
+    with ThreadPoolExecutor(1) as reader:
+        ahead = deque(reader.submit(list, islice(samples, size)) for _ in range(min(READ_AHEAD, count)))
+        for batch in range(count):
+            ready = ahead.popleft().result()
+            if batch + READ_AHEAD < count:
+                ahead.append(reader.submit(list, islice(samples, size)))
+            yield ready
 
 
 def true_hypotheses(batch: Sequence[ObjectSample], device: torch.device) -> TrueHypotheses:

@@ -43,6 +43,7 @@ DEFINITIONS = {
     "error": "from the centre of the report to the nearest visible face of the true box or to its centre, whichever is "
     "nearer, the truth moved to the time of the report; `by centre`: to the true centre alone",
     "image": "strongest scattering centre among its images in the map, over the noise of the beam that sees it best",
+    "promised": "the view calls the cell of its centre observable by a mirror, for an object of 10 dBsm",
     "false": f"a report more than {FALSE_M:g} m from every object out of sight",
     "nothing there": f"a report more than {NOTHING_M:g} m from the box of every object, in sight or not",
     "without the gate": "error of every report against the nearest object out of sight, in places that hold one",
@@ -198,13 +199,15 @@ def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
 def _aims(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """Return what a driver asks: objects that one mirror shows well, reports of nothing, how sure of it."""
     columns = ("profile", "one mirror, 25 dB on", "15 to 25 dB", "pedestrians, bicycles, 25 dB on",
-               "nothing there, a scan", "in plain sight, a scan", "in the 95 % ellipse", "NEES")  # fmt: skip
+               "vehicles where promised", "nothing there, a scan", "in plain sight, a scan", "in the 95 % ellipse",
+               "NEES")  # fmt: skip
     rows = [
         (
             profile,
             str(report.recall_single_25_db),
             _short(report.recall_single_15_db),
             _short(report.recall_vulnerable_25_db),
+            _short(report.recall_promised),
             _rate(report.nothing_per_scan),
             _rate(report.in_sight_per_scan),
             str(report.inside_ellipse),

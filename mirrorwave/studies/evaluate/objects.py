@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mirrorwave.node_chain import SharedParts
@@ -16,8 +17,9 @@ from mirrorwave.studies.resumable import ResumableRun
 from mirrorwave.studies.tradeoff.settings import Setting
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.chain import Chain
+from models.perception.geometry.observability import visibility_at
 from msgs.files.shipped import LAUNCH
-from msgs.values.perception import BevFrame, SceneTruth
+from msgs.values.perception import BevFrame, SceneTruth, Visibility
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from nodes.process.launch_file import read_yaml_mapping
@@ -140,7 +142,16 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
 
 def _row(place: int, frame: BevFrame | None, truth: SceneTruth, images: Sequence[ImageTruth]) -> ScanRow:
     """Result of one scan; without a view nothing is reported."""
-    return scan_row(place, frame.objects if frame else (), truth, images, frame.tracks if frame else ())
+    if frame is None:
+        return scan_row(place, (), truth, images)
+    return scan_row(place, frame.objects, truth, images, frame.tracks, _promised(frame, truth))
+
+
+def _promised(frame: BevFrame, truth: SceneTruth) -> list[bool]:
+    """Whether the view calls the place of each object observable by a mirror."""
+    at_m = np.array([(item.x_m, item.y_m) for item in truth.objects], np.float64).reshape(-1, 2)
+    states = visibility_at(frame.visibility, frame.grid, at_m)
+    return [bool(state == Visibility.MIRRORED) for state in states]
 
 
 def _views(place: LabelledPlace, settings: Sequence[Setting]) -> dict[str, dict[int, BevFrame]]:

@@ -30,6 +30,14 @@ def calibrated(table: ScoreTable, score: np.ndarray) -> np.ndarray:
     return np.interp(score, knots[:, 0], knots[:, 1])
 
 
+def score_of(table: ScoreTable, probability: float) -> float:
+    """Return the score that has a probability, the inverse of `calibrated`."""
+    if not table:
+        return probability
+    knots = np.array(table)
+    return float(np.interp(probability, knots[:, 1], knots[:, 0]))
+
+
 def calibrated_peaks(table: ScoreTable, peaks: Peaks) -> Peaks:
     """Return the same peaks with probabilities for scores."""
     return msgspec.structs.replace(peaks, score=calibrated(table, peaks.score))

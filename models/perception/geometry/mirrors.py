@@ -137,6 +137,17 @@ def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
     return np.where(fits, above / np.where(fits, below, 1.0), np.nan)
 
 
+def mirrors_met(images_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals [N, 2] and offsets [N] of the mirrors that walls [N] are to rays towards images [N, 2].
+
+    Of an arc it is the tangent where the ray meets it, or its chord where the ray never does.
+    """
+    met, own = hits(RADAR, images_m, walls), np.arange(len(images_m))
+    never = np.isnan(met.along_ray[own, wall])
+    normal = np.where(never[:, None], walls.normal[wall], met.normal[own, wall])
+    return normal, np.where(never, walls.offset_m[wall], met.offset_m[own, wall])
+
+
 def behind(points_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:
     """Return the depth of points [..., 2] behind mirrors, positive there."""
     return -(np.sum(points_m * normal, axis=-1) + offset_m)

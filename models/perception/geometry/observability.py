@@ -68,6 +68,18 @@ def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: 
     return mask.reshape(grid.rows, grid.columns)
 
 
+def visibility_at(mask: np.ndarray, grid: BevGrid, points_m: np.ndarray) -> np.ndarray:
+    """Return the `Visibility` in a mask [rows, columns] of points [N, 2] in the radar's axes, unknown off its grid;
+    int64 [N].
+    """
+    column = np.floor((points_m[:, 0] - grid.x_min_m) / grid.cell_m)
+    row = np.floor((points_m[:, 1] - grid.y_min_m) / grid.cell_m)
+    inside = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.columns)
+    states = np.full(len(points_m), UNKNOWN)
+    states[inside] = mask[row[inside].astype(int), column[inside].astype(int)]
+    return states
+
+
 @lru_cache(maxsize=2)
 def _field(grid: BevGrid, params: VisibilityParams) -> tuple[np.ndarray, np.ndarray]:
     """Return the centres of a grid's cells [N, 2] and the loss of the direct path to each [N] in dB, the same for all

@@ -60,6 +60,8 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     #: A wall extends to the end of another that lies on its line, at most this far, unless returns are visible through
     #: it there; 0: never.
     corner_reach_m: float = 10.0
+    #: Walls wholly behind another one stay: that they are seen says that it has a gap.
+    behind_walls: bool = False
     #: Walls that an arc explains better than lines are arcs.
     curved: bool = True
     arcs: ArcParams = ArcParams()
@@ -114,7 +116,7 @@ def _join_clusters(
     if params.corner_reach_m > 0.0:
         fits = [_to_corner(points_m, fit, fits, params) for fit in fits]
     fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
-    return _drop_walls_behind_walls(fits)
+    return fits if params.behind_walls else _drop_walls_behind_walls(fits)
 
 
 def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:

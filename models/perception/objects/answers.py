@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
-from models.perception.geometry.mirrors import RADAR, WallArrays, hits
+from models.perception.geometry.mirrors import WallArrays, mirrors_met
 from models.perception.objects.hypotheses import HYPOTHESES, CellGrid, CellHypotheses
 from msgs.values.array_table import ArrayTable
 from msgs.values.perception import HiddenObject, RadialSpeed
@@ -86,7 +86,7 @@ def _folded(
     axes = np.stack([ray, np.stack([-ray[:, 1], ray[:, 0]], axis=1)], axis=2)
     place_m = range_m[:, None] * ray
     wall, second = hypotheses.wall[which, row, column], hypotheses.second[which, row, column]
-    place_m, axes = _by_first(place_m, axes, wall, walls)
+    place_m, axes = _mirrored(place_m, axes, *mirrors_met(place_m, wall, walls))
     twice = np.flatnonzero(second >= 0)
     normal, offset_m = walls.normal[second[twice]], walls.offset_m[second[twice]]
     place_m[twice], axes[twice] = _mirrored(place_m[twice], axes[twice], normal, offset_m)
@@ -104,17 +104,6 @@ def _folded(
         azimuth_rad=azimuth_rad,
         away_rad=np.arctan2(axes[:, 1, 0], axes[:, 0, 0]),
     )
-
-
-def _by_first(
-    image_m: np.ndarray, axes: np.ndarray, wall: np.ndarray, walls: WallArrays
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return images [N, 2] and axes [N, 2, 2] mirrored by the first wall, an arc by its tangent where the ray meets."""
-    met, own = hits(RADAR, image_m, walls), np.arange(len(image_m))
-    never = np.isnan(met.along_ray[own, wall])
-    normal = np.where(never[:, None], walls.normal[wall], met.normal[own, wall])
-    offset_m = np.where(never, walls.offset_m[wall], met.offset_m[own, wall])
-    return _mirrored(image_m, axes, normal, offset_m)
 
 
 def _mirrored(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 
 from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
+from models.perception.geometry.walls import WallParams
 from models.perception.objects.hypotheses import (
     FEATURES,
     HYPOTHESES,
@@ -23,6 +26,16 @@ from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 PEAK_CHANNELS = ("score", "along", "across")
 #: Range bins of the map in one row of cells.
 BINS = 2
+#: Walls that may have mirrored: weaker ones than clusters of positions can be trusted to, since the network weighs each
+#: by all that it would show.
+CANDIDATE_WALLS = WallParams(
+    min_inliers=3,
+    min_length_m=1.5,
+    max_gap_m=10.0,
+    max_angle_std_rad=math.radians(10.0),
+    min_score=6.0,
+    behind_walls=True,
+)
 
 
 class ObjectEncoding(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,6 +44,8 @@ class ObjectEncoding(msgspec.Struct, frozen=True, kw_only=True):
     #: Channels of the map itself, its range bins and columns.
     levels: Encoding = Encoding()
     grid: RangeAzimuthGrid = RangeAzimuthGrid()
+    #: Which walls are fitted.
+    walls: WallParams = CANDIDATE_WALLS
 
     def __post_init__(self) -> None:
         self.levels.check_grid(self.grid)

@@ -11,7 +11,7 @@ import numpy as np
 
 from models.perception.cards import card_path, learned_path, read_card
 from models.perception.detection.onnx_model import open_session
-from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table
+from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, Detections, detections, hidden_objects
@@ -37,10 +37,12 @@ class ObjectCard(msgspec.Struct, frozen=True, kw_only=True):
     encoding: ObjectEncoding
     input_shape: tuple[int, ...]
     output_shape: tuple[int, ...]
-    #: Least answer that is reported: that of the least loss on the validation scans.
+    #: Least probability that is reported: that of the least loss on the validation scans.
     threshold: float
-    #: From answers to the share of such reports that are a hidden object within a metre (validation scans).
+    #: From answers to the share of such reports that are a hidden object within a metre, with the flip test: of
+    #: validation scans of a vehicle at rest, and of one whose motion was taken out of the map.
     calibration: ScoreTable
+    calibration_moving: ScoreTable = ()
     #: On the validation scans, which chose epoch, threshold and calibration.
     scores: dict[str, float]
     #: Data sets of training and validation, and the detector.
@@ -50,12 +52,17 @@ class ObjectCard(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_table("card.calibration", self.calibration)
+        check_table("card.calibration_moving", self.calibration_moving)
         require_within("card.threshold", 0.0, 1.0, self.threshold)
         _, rows, columns = self.encoding.shape
         expected = {"input": (1, *self.encoding.shape), "output": (1, HYPOTHESES * ANSWERS, rows, columns)}
         for end, shape in expected.items():
             if getattr(self, f"{end}_shape") != shape:
                 raise ValueError(f"card.{end}_shape must be {shape}, got {getattr(self, f'{end}_shape')}")
+
+    def calibration_of(self, ego_compensated: bool) -> ScoreTable:
+        """Return the table for a map; that at rest where no other could be fitted."""
+        return self.calibration_moving if ego_compensated and self.calibration_moving else self.calibration
 
 
 def load_object_card(model_path: Path) -> ObjectCard:
@@ -66,7 +73,7 @@ def load_object_card(model_path: Path) -> ObjectCard:
 class ObjectPredictor:
     """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
 
-    The session is warm when the constructor returns. `threshold`: least answer that is reported; None: the card's.
+    The session is warm when the constructor returns. `threshold`: least probability that is reported; None: the card's.
     `flip_test` takes the mean of the answers to a scan and to its mirror image. Raises `ValueError` when the file, its
     card and its shapes do not belong together.
     """
@@ -82,8 +89,8 @@ class ObjectPredictor:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._path = Path(model_path)
         self.card = load_object_card(self._path)
-        self._threshold = self.card.threshold if threshold is None else threshold
-        require_within("threshold", 0.0, 1.0, self._threshold)
+        self.threshold = self.card.threshold if threshold is None else threshold
+        require_within("threshold", 0.0, 1.0, self.threshold)
         self._session = open_session(self._path, self.card.sha256, threads)
         self._odd_channels = self.card.encoding.odd_channels if flip_test else None
         self._check_shapes()
@@ -110,9 +117,10 @@ class ObjectPredictor:
     ) -> Detections:
         """Return the same as arrays."""
         cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
-        grid = self.card.encoding.cells
-        reports = detections(self.answer(cells), hypotheses, grid, wall_arrays(walls), self._threshold)
-        return replace(reports, score=calibrated(self.card.calibration, reports.score))
+        table = self.card.calibration_of(ra_map.ego_compensated)
+        least = score_of(table, self.threshold)
+        reports = detections(self.answer(cells), hypotheses, self.card.encoding.cells, wall_arrays(walls), least)
+        return replace(reports, score=calibrated(table, reports.score))
 
     def answer(self, cells: np.ndarray) -> np.ndarray:
         """Return the network's answer to one input [channels, rows, columns]."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from models.perception.geometry.observability import visibility_at
 from models.perception.tracking.estimate import Estimate, symmetric
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, HiddenObject, RadialSpeed, Visibility
@@ -101,7 +102,8 @@ def detection_probabilities(
         return np.full(len(estimates), probability)
     radar_from_odom = odom_from_radar.inverse()
     positions_m = np.array([_sigma_points_m(estimate) for estimate in estimates])
-    cells = _cells(frame, radar_from_odom.apply(positions_m.reshape(-1, 2))).reshape(len(estimates), -1)
+    points_m = radar_from_odom.apply(positions_m.reshape(-1, 2))
+    cells = visibility_at(frame.visibility, frame.grid, points_m).reshape(len(estimates), -1)
     observable = (cells == Visibility.MIRRORED) @ _SIGMA_WEIGHTS
     return np.asarray(probability * (UNOBSERVABLE_SHARE + (1.0 - UNOBSERVABLE_SHARE) * observable))
 
@@ -110,17 +112,6 @@ def _sigma_points_m(estimate: Estimate) -> np.ndarray:
     """Return positions [5, 2] that stand for the uncertainty of one."""
     variances, axes = np.linalg.eigh(estimate.covariance[:2, :2])
     return np.asarray(estimate.mean[:2] + (_SIGMA_POINTS * np.sqrt(np.maximum(variances, 0.0))) @ axes.T)
-
-
-def _cells(frame: BevFrame, points_m: np.ndarray) -> np.ndarray:
-    """Return the `Visibility` of the cells in which points [N, 2] in the radar's axes lie, unknown off the grid [N]."""
-    grid = frame.grid
-    column = np.floor((points_m[:, 0] - grid.x_min_m) / grid.cell_m)
-    row = np.floor((points_m[:, 1] - grid.y_min_m) / grid.cell_m)
-    inside = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.columns)
-    cells = np.full(len(points_m), int(Visibility.UNKNOWN))
-    cells[inside] = frame.visibility[row[inside].astype(int), column[inside].astype(int)]
-    return cells
 
 
 def rotation(pose: Pose2) -> np.ndarray:

@@ -39,6 +39,10 @@ class ViewStage:
     ) -> None:
         self.predictor = predictor
         self._params, self._residual, self._confidence = params or GeometryParams(), residual, confidence
+        #: For scans that the network judges: with the walls that it was trained on.
+        self._judged = self._params
+        if predictor is not None:
+            self._judged = msgspec.structs.replace(self._params, walls=predictor.card.encoding.walls)
         self._memory, self._states = ScanMemory(memory or MemoryParams()), StateHistory()
         self._timed = timed
         warm(self._params)
@@ -66,7 +70,8 @@ class ViewStage:
         with self._timed("geometry"):
             earlier_walls = self._memory.walls_at(peaks)
             judge = self._judge(peaks, ra_map)
-            frame = recover_bev(peaks, self._params, self._residual, self._confidence, earlier_walls, judge)
+            params = self._judged if judge else self._params
+            frame = recover_bev(peaks, params, self._residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar)
         return msgspec.structs.replace(frame, ego=self._states.at(peaks.stamp_ns))

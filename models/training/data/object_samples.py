@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.perception.detection.detectors import Detector
-from models.perception.geometry.mirrors import WallArrays, wall_arrays
+from models.perception.geometry.mirrors import WallArrays, mirrors_met, wall_arrays
 from models.perception.geometry.stage import GeometryParams, direct_structure
 from models.perception.objects.answers import CLASSES
 from models.perception.objects.encoding import ObjectEncoding, encode_objects
@@ -21,7 +21,7 @@ from models.perception.objects.hypotheses import HYPOTHESES, CellGrid, CellHypot
 from models.physics.mirror import reflect
 from models.training.data.frames import FrameLabels
 from msgs.values.array_table import ArrayTable
-from msgs.values.frames import polar_from_xy
+from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import RangeAzimuthMap
 
@@ -92,8 +92,8 @@ class ObjectSample:
 class SampleMaker:
     """Makes samples of maps with their truth by the detector and walls of the vehicle."""
 
-    def __init__(self, encoding: ObjectEncoding, detector: Detector, geometry: GeometryParams | None = None) -> None:
-        self.encoding, self._detector, self._geometry = encoding, detector, geometry or GeometryParams()
+    def __init__(self, encoding: ObjectEncoding, detector: Detector) -> None:
+        self.encoding, self._detector, self._geometry = encoding, detector, GeometryParams(walls=encoding.walls)
 
     def sample(
         self, ra_map: RangeAzimuthMap, labels: FrameLabels, truth: Sequence[TruthObject]
@@ -173,18 +173,19 @@ class _Image:
         points_m = labels.hidden_xy_m[images].astype(np.float64)
         velocity_mps = np.array([true_object.velocity_x_mps, true_object.velocity_y_mps])
         centre_m = np.array([true_object.x_m, true_object.y_m]) + elapsed_s[images, None] * velocity_mps
-        heading = np.array([math.cos(true_object.yaw_rad), math.sin(true_object.yaw_rad)])
+        heading = np.tile([math.cos(true_object.yaw_rad), math.sin(true_object.yaw_rad)], (len(points_m), 1))
+        seen_m = xy_from_polar(labels.range_m[images].astype(np.float64), labels.azimuth_rad[images].astype(np.float64))
         for wall in reversed(mirrors):
-            normal, offset_m = walls.normal[wall], walls.offset_m[wall]
+            normal, offset_m = mirrors_met(seen_m, np.full(len(seen_m), wall), walls)
             points_m, centre_m = reflect(points_m, normal, offset_m), reflect(centre_m, normal, offset_m)
-            heading = heading - 2.0 * (heading @ normal) * normal
+            heading = heading - 2.0 * np.sum(heading * normal, axis=1, keepdims=True) * normal
         range_m, azimuth_rad = polar_from_xy(points_m)
         fits = np.abs(range_m - labels.range_m[images]) < RANGE_GATE_M
         fits &= np.abs(azimuth_rad - labels.azimuth_rad[images]) < AZIMUTH_GATE_RAD
         if not fits.any():
             return None
         log_size = math.log(true_object.length_m), math.log(true_object.width_m)
-        return cls(points_m[fits].mean(axis=0), centre_m[fits].mean(axis=0), heading, log_size)
+        return cls(points_m[fits].mean(axis=0), centre_m[fits].mean(axis=0), heading[fits].mean(axis=0), log_size)
 
     def cell(self, grid: CellGrid) -> tuple[int, int] | None:
         """Return the row and column of its position; None outside the grid."""

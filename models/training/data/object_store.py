@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from models.perception.geometry.mirrors import WallArrays
-from models.training.data.frames import DataSet, FrameLabels
+from models.training.data.frames import DataSet, Frame, FrameLabels
 from models.training.data.object_samples import ObjectSample, ObjectTargets, SampleMaker
 from models.training.data.samples import Perturbation, perturb_scan
 from msgs.files.array_files import load_arrays
@@ -38,6 +38,8 @@ class StoredSample:
     noise_power_mw: float
     #: Acquisition time of each column of the input after the truth's, int64 [columns].
     column_stamp_ns: np.ndarray
+    #: The vehicle's motion was taken out of the map.
+    ego_compensated: bool
 
 
 def make_samples(data: DataSet, maker: SampleMaker, folder: Path, seed: int | None) -> list[Path]:
@@ -84,11 +86,20 @@ def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> St
     rng = np.random.default_rng((seed or 0, index))
     imperfect = seed is not None and rng.random() < 0.5
     frame = data.frame(index, lambda scan: perturb_scan(scan, Perturbation(), rng) if imperfect else scan)
+    try:
+        return stored_sample(frame, maker)
+    except ValueError as error:
+        raise ValueError(f"{data.directory}: {error}") from None
+
+
+def stored_sample(frame: Frame, maker: SampleMaker) -> StoredSample:
+    """Return the sample of one frame; raises `ValueError` where it does not say its objects."""
     if frame.truth is None:
-        raise ValueError(f"{data.directory}: scan {index} must say its objects, as drives and `sim dataset --truth` do")
+        raise ValueError(f"scan {frame.index} must say its objects, as drives and `sim dataset --truth` do")
     sample, walls = maker.sample(frame.ra_map, frame.labels, frame.truth)
     column_stamp_ns = frame.ra_map.stamps_at(maker.encoding.cells.azimuth_rad) - frame.ra_map.stamp_ns
-    return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw, column_stamp_ns)
+    moving = frame.ra_map.ego_compensated
+    return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw, column_stamp_ns, moving)
 
 
 def save_samples(path: Path, samples: Sequence[StoredSample]) -> None:
@@ -101,6 +112,7 @@ def save_samples(path: Path, samples: Sequence[StoredSample]) -> None:
     arrays |= _columns("labels", [stored.labels for stored in samples])
     arrays["truth"] = np.array([msgspec.json.encode(stored.truth) for stored in samples])
     arrays["noise_power_mw"] = np.array([stored.noise_power_mw for stored in samples])
+    arrays["ego_compensated"] = np.array([stored.ego_compensated for stored in samples])
     arrays["column_stamp_ns"] = np.stack([stored.column_stamp_ns for stored in samples])
     with whole(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
@@ -116,9 +128,11 @@ def load_samples(path: Path) -> list[StoredSample]:
         )
         truth = [msgspec.json.decode(text, type=tuple[TruthObject, ...]) for text in arrays["truth"].tolist()]
         noise, stamps = arrays["noise_power_mw"].tolist(), arrays["column_stamp_ns"]
+        moving = arrays["ego_compensated"].tolist()
         cells = zip(arrays["cells"], arrays["wall"], arrays["second"], targets, strict=True)
         samples = [ObjectSample(*parts) for parts in cells]  # type: ignore[arg-type]
-        return [StoredSample(*parts) for parts in zip(samples, walls, labels, truth, noise, stamps, strict=True)]
+        columns = samples, walls, labels, truth, noise, stamps, moving
+        return [StoredSample(*parts) for parts in zip(*columns, strict=True)]
     except (KeyError, ValueError, msgspec.DecodeError) as error:
         raise ValueError(f"{path} must hold object samples: {error}") from None
 

@@ -26,8 +26,8 @@ from models.training.train_objects import ObjectRunConfig, load_best_objects
 PARITY = 1e-4
 #: Scans of the parity check.
 PARITY_SCANS = 4
-#: Answers that may be thresholds; reports above the first one fit the calibration.
-THRESHOLDS = tuple(round(0.05 * step, 2) for step in range(1, 16))
+#: Probabilities that may be thresholds; answers above the first one fit the calibration, in so many groups.
+THRESHOLDS, GROUPS = tuple(round(0.05 * step, 2) for step in range(1, 16)), 60
 
 
 def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path) -> ObjectCard:
@@ -45,13 +45,14 @@ def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path) 
         )
         draft = _draft(network, run, epoch, file_sha256(file), model_path.stem, _command(run, run_dir))
         write_card(draft, file)
-        predictor = ObjectPredictor(file)
-        _check_parity(model_path, network, predictor, validation)
-        tally = _tally(run, predictor, validation)
+        _check_parity(model_path, network, ObjectPredictor(file), validation)
+        predictor = ObjectPredictor(file, flip_test=True)
+        draft = _calibrated(draft, predictor, validation)
+        tally = _tally(draft, predictor, validation)
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
     threshold, report = tally.best(run.training.false_cost)
-    card = msgspec.structs.replace(draft, threshold=threshold, calibration=calibration(tally), scores=_scores(report))
+    card = msgspec.structs.replace(draft, threshold=threshold, scores=_scores(report))
     write_card(card, model_path)
     return card
 
@@ -62,7 +63,7 @@ def calibration(tally: ObjectTally) -> ScoreTable:
     """
     reports = [report for row in tally.rows[min(tally.rows)] for report in row.reports]
     score = np.array([report.score for report in reports], np.float64)
-    return fit_table(score, np.array([report.found for report in reports], bool))
+    return fit_table(score, np.array([report.found for report in reports], bool), GROUPS)
 
 
 def _command(run: ObjectRunConfig, run_dir: Path) -> str:
@@ -109,8 +110,18 @@ def _check_parity(path: Path, network: ObjectUNet, predictor: ObjectPredictor, f
             raise ValueError(f"{path}: answers must agree with torch within {PARITY}, differ by {difference}")
 
 
-def _tally(run: ObjectRunConfig, predictor: ObjectPredictor, files: list[Path]) -> ObjectTally:
-    tally = ObjectTally(run.encoding, THRESHOLDS)
+def _calibrated(draft: ObjectCard, predictor: ObjectPredictor, files: list[Path]) -> ObjectCard:
+    """Return the card with tables for a vehicle at rest and for one that moves."""
+    tallies = {moving: ObjectTally(draft.encoding, THRESHOLDS[:1]) for moving in (False, True)}
+    for stored in _samples(files):
+        tallies[stored.ego_compensated].add(stored, predictor.answer(stored.sample.cells.astype(np.float32)))
+    return msgspec.structs.replace(
+        draft, calibration=calibration(tallies[False]), calibration_moving=calibration(tallies[True])
+    )
+
+
+def _tally(card: ObjectCard, predictor: ObjectPredictor, files: list[Path]) -> ObjectTally:
+    tally = ObjectTally(card.encoding, THRESHOLDS, card.calibration_of)
     for stored in _samples(files):
         tally.add(stored, predictor.answer(stored.sample.cells.astype(np.float32)))
     return tally

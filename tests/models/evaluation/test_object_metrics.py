@@ -244,3 +244,23 @@ def test_aims_by_hand() -> None:
         "nothing_per_scan": (1.0, 1.0), "in_sight_per_scan": (1.0, 1.0), "inside_ellipse": (2.0, 3.0),
         "nees": (14.0, 3.0),
     }  # fmt: skip
+
+
+def test_of_what_a_view_promises_only_vehicles_count() -> None:
+    """Two cars where the view says that a mirror would show a vehicle, one of them found; a pedestrian there, missed,
+    and a car elsewhere, found, do not count.
+    """
+    rows = [
+        msgspec.structs.replace(hidden(error_m, kind), promised=promised)
+        for error_m, kind, promised in (
+            (0.5, "car", True),
+            (None, "car", True),
+            (None, "pedestrian", True),
+            (0.5, "car", False),
+        )
+    ]
+    scores = ObjectScores([ScanRow(place=0, scan=0, hidden=rows, reports=[])])
+    promised = object_report(scores, np.ones((1, 1)), 1.0).recall_promised
+    assert (promised.part, promised.whole) == (1.0, 2.0)
+    row = scan_row(0, [], truth(), IMAGES, promised=[True, False, True, False])
+    assert [item.promised for item in row.hidden] == [False, True, False]

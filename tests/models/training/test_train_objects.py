@@ -68,9 +68,8 @@ def stored(rng: np.random.Generator) -> StoredSample:
         id=0, object_class="car", x_m=float(true_m[0]), y_m=float(true_m[1]), length_m=1.6, width_m=1.6, yaw_rad=0.0,
         hidden=True,
     )  # fmt: skip
-    return StoredSample(
-        ObjectSample(cells, wall, np.full_like(wall, -1), targets), WALL, labels, (car,), 1e-3, np.zeros(columns, int)
-    )
+    sample = ObjectSample(cells, wall, np.full_like(wall, -1), targets)
+    return StoredSample(sample, WALL, labels, (car,), 1e-3, np.zeros(columns, int), ego_compensated=False)
 
 
 @pytest.fixture

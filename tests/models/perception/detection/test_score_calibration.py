@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.score_calibration import calibrated, calibrated_peaks, check_table
+from models.perception.detection.score_calibration import calibrated, calibrated_peaks, check_table, score_of
 from msgs.values.perception import Peaks
 
 TABLE = ((0.0, 0.0), (0.5, 0.2), (1.0, 1.0))
@@ -18,6 +18,12 @@ def test_linear_between_knots_and_flat_beyond() -> None:
 def test_no_table_changes_nothing() -> None:
     score = np.array([0.3, 0.9])
     assert calibrated((), score) is score
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.1, 0.2, 0.7, 1.0])
+def test_the_score_of_a_probability_is_the_inverse(probability: float) -> None:
+    assert calibrated(TABLE, np.array([score_of(TABLE, probability)]))[0] == pytest.approx(probability, abs=1e-12)
+    assert score_of((), probability) == probability
 
 
 def test_only_the_scores_of_peaks_change() -> None:

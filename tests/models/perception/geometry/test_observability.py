@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.geometry.observability import VisibilityParams, observability, sensitivity_db
+from models.perception.geometry.observability import VisibilityParams, observability, sensitivity_db, visibility_at
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
 from msgs.values.perception import BevGrid, Visibility, Wall
 from msgs.values.radar import PRESETS, RadarParams, RadarSetup
@@ -123,3 +123,13 @@ def test_grids_and_parameters_do_not_mix() -> None:
     assert observability([], 110.0, small, VisibilityParams()).shape == (20, 10)
     assert (observability([], 110.0, GRID, narrow) == Visibility.DIRECT).sum() < (whole == Visibility.DIRECT).sum() / 2
     np.testing.assert_array_equal(observability([], 110.0, GRID, VisibilityParams()), whole)
+
+
+def test_a_point_has_the_state_of_its_cell_and_none_off_the_grid() -> None:
+    """Cells of 0.5 m from (0, -40) on: (10.2, 3.7) lies in column 20, row 87; the upper edges belong to no cell."""
+    mask = np.zeros((GRID.rows, GRID.columns), np.uint8)
+    mask[87, 20] = Visibility.MIRRORED
+    points_m = np.array([[10.2, 3.7], [10.6, 3.7], [-0.1, 3.7], [10.2, 40.0], [np.nan, 0.0]])
+    states = visibility_at(mask, GRID, points_m)
+    np.testing.assert_array_equal(states, [Visibility.MIRRORED] + 4 * [Visibility.UNKNOWN])
+    assert len(visibility_at(mask, GRID, np.zeros((0, 2)))) == 0

@@ -118,6 +118,8 @@ def test_wall_behind_a_wall_is_no_mirror():
     front, back = line((15.0, -8.0), (15.0, 8.0), 17), line((22.0, -3.0), (22.0, 3.0), 7)
     (wall,) = walls_of(np.concatenate([front, back]))
     assert wall.offset_m == pytest.approx(15.0)
+    kept = walls_of(np.concatenate([front, back]), WallParams(behind_walls=True))
+    assert [item.offset_m for item in kept] == pytest.approx([15.0, 22.0])
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])

@@ -51,6 +51,23 @@ def test_images_are_folded_by_the_walls_of_the_scan(network: Path) -> None:
     assert all(item.score > 0.9 for item in objects)
 
 
+def test_a_vehicle_in_motion_has_its_own_calibration(network: Path) -> None:
+    """The hand-made network answers near 1, which the table in motion calls 0.6: over a threshold of 0.5."""
+    card = load_object_card(network)
+    moving = msgspec.structs.replace(card, calibration_moving=((0.0, 0.0), (0.9, 0.6), (1.0, 0.61)))
+    assert moving.calibration_of(ego_compensated=False) == ()
+    assert moving.calibration_of(ego_compensated=True) == moving.calibration_moving
+    write_card(moving, network)
+    try:
+        predictor = ObjectPredictor(network)
+    finally:
+        write_card(card, network)
+    rest, driving = view(predictor).objects, view(predictor, ego_compensated=True).objects
+    assert len(rest) == len(driving) > 0
+    assert all(item.score > 0.9 for item in rest)
+    assert all(0.5 < item.score <= 0.61 for item in driving)
+
+
 def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Path) -> None:
     """A LiDAR's map, a grid of other range bins, no map at all, no network: the same objects each time."""
     predictor = ObjectPredictor(network)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
 from models.perception.geometry.stage import GeometryParams
+from models.perception.objects.encoding import ObjectEncoding
 from models.perception.tracking.odometry import OdometryPose
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
@@ -204,6 +206,8 @@ def test_the_object_network_gets_the_walls_with_priors() -> None:
     judged: list[int] = []
 
     class Judge:
+        card = SimpleNamespace(encoding=ObjectEncoding())
+
         def suits(self, ra_map: object) -> bool:
             return True
 
