@@ -49,7 +49,7 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported object network with its card beside it, or the name of a committed one, which sees objects in the map
     #: and its peaks; `none`, and maps of other sensors: objects are clusters of folded places.
     object_network: str = "none"
-    #: Least answer of it that is an object; None: the card's. Its mean answer to the scan and to its mirror image.
+    #: Least probability of an object that is reported; None: the card's. Its mean answer to scan and mirror image.
     object_threshold: float | None = None
     object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.

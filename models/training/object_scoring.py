@@ -21,15 +21,13 @@ from msgs.values.perception import PathClass, SceneTruth
 WATCHED_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 
 
-def as_answered(ego_compensated: bool) -> ScoreTable:
+def as_answered(moving: bool) -> ScoreTable:
     """Return the table that leaves answers as they are."""
     return ()
 
 
 class ObjectTally:
-    """Rows of all scans at some thresholds; `calibration` is the table of maps with or without the vehicle's motion
-    taken out.
-    """
+    """Rows of all scans at some thresholds; `calibration` gives the table of a vehicle that moves or does not."""
 
     def __init__(
         self,

@@ -40,7 +40,7 @@ class ObjectCard(msgspec.Struct, frozen=True, kw_only=True):
     #: Least probability that is reported: that of the least loss on the validation scans.
     threshold: float
     #: From answers to the share of such reports that are a hidden object within a metre, with the flip test: of
-    #: validation scans of a vehicle at rest, and of one whose motion was taken out of the map.
+    #: validation scans of a vehicle at rest, and of one that moves.
     calibration: ScoreTable
     calibration_moving: ScoreTable = ()
     #: On the validation scans, which chose epoch, threshold and calibration.
@@ -60,9 +60,9 @@ class ObjectCard(msgspec.Struct, frozen=True, kw_only=True):
             if getattr(self, f"{end}_shape") != shape:
                 raise ValueError(f"card.{end}_shape must be {shape}, got {getattr(self, f'{end}_shape')}")
 
-    def calibration_of(self, ego_compensated: bool) -> ScoreTable:
-        """Return the table for a map; that at rest where no other could be fitted."""
-        return self.calibration_moving if ego_compensated and self.calibration_moving else self.calibration
+    def calibration_of(self, moving: bool) -> ScoreTable:
+        """Return the table for a vehicle that moves or does not; that at rest where no other could be fitted."""
+        return self.calibration_moving if moving and self.calibration_moving else self.calibration
 
 
 def load_object_card(model_path: Path) -> ObjectCard:
@@ -101,23 +101,34 @@ class ObjectPredictor:
         return ra_map.grid == self.card.encoding.grid and ra_map.mode != "photons"
 
     def objects(
-        self, ra_map: RangeAzimuthMap, peaks: Peaks, walls: list[Wall], returns: DirectReturns
+        self,
+        ra_map: RangeAzimuthMap,
+        peaks: Peaks,
+        walls: list[Wall],
+        returns: DirectReturns,
+        moving: bool = False,
     ) -> tuple[HiddenObject, ...]:
-        """Return the hidden objects of a scan, likeliest first; scores are probabilities where the card says how.
+        """Return the hidden objects of a scan, likeliest first; scores are probabilities where the card says how, of a
+        vehicle that is `moving` or not.
 
         Raises `ValueError` for a map that does not suit the network.
         """
         if not self.suits(ra_map):
             raise ValueError(f"map.grid must be the {self.card.name} card's, got {ra_map.grid} of {ra_map.mode}")
-        reports = self.detections(ra_map, peaks, walls, returns)
+        reports = self.detections(ra_map, peaks, walls, returns, moving)
         return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
 
     def detections(
-        self, ra_map: RangeAzimuthMap, peaks: Peaks, walls: list[Wall], returns: DirectReturns
+        self,
+        ra_map: RangeAzimuthMap,
+        peaks: Peaks,
+        walls: list[Wall],
+        returns: DirectReturns,
+        moving: bool = False,
     ) -> Detections:
         """Return the same as arrays."""
         cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
-        table = self.card.calibration_of(ra_map.ego_compensated)
+        table = self.card.calibration_of(moving)
         least = score_of(table, self.threshold)
         reports = detections(self.answer(cells), hypotheses, self.card.encoding.cells, wall_arrays(walls), least)
         return replace(reports, score=calibrated(table, reports.score))

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from models.perception.objects.predictor import ObjectPredictor
 
 
+#: A vehicle that is slower stands.
+MOVING_MPS = 0.5
+
+
 class ViewStage:
     """Views of one radar: peaks folded back through the walls of this scan and of earlier ones, objects followed."""
 
@@ -83,4 +87,6 @@ class ViewStage:
         """
         if self.predictor is None or ra_map is None or not peaks.detector or not self.predictor.suits(ra_map):
             return None
-        return partial(self.predictor.objects, ra_map, peaks)
+        state = self._states.at(peaks.stamp_ns)
+        moving = state is not None and state.valid and abs(state.speed_mps) >= MOVING_MPS
+        return partial(self.predictor.objects, ra_map, peaks, moving=moving)

@@ -17,6 +17,7 @@ from models.perception.tracking.stage import ViewStage
 from models.training.export.onnx import write_card
 from msgs.values.perception import BevFrame, HiddenObject, Peaks
 from msgs.values.radar import NO_RADIAL_SPEED, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 from tests.models.perception.objects.object_scenes import ENCODING, empty_map, object_network
 
 
@@ -55,17 +56,24 @@ def test_a_vehicle_in_motion_has_its_own_calibration(network: Path) -> None:
     """The hand-made network answers near 1, which the table in motion calls 0.6: over a threshold of 0.5."""
     card = load_object_card(network)
     moving = msgspec.structs.replace(card, calibration_moving=((0.0, 0.0), (0.9, 0.6), (1.0, 0.61)))
-    assert moving.calibration_of(ego_compensated=False) == ()
-    assert moving.calibration_of(ego_compensated=True) == moving.calibration_moving
+    assert card.calibration_of(moving=True) == moving.calibration_of(moving=False) == ()
+    assert moving.calibration_of(moving=True) == moving.calibration_moving
     write_card(moving, network)
     try:
         predictor = ObjectPredictor(network)
     finally:
         write_card(card, network)
-    rest, driving = view(predictor).objects, view(predictor, ego_compensated=True).objects
-    assert len(rest) == len(driving) > 0
-    assert all(item.score > 0.9 for item in rest)
-    assert all(0.5 < item.score <= 0.61 for item in driving)
+    scores = {}
+    for speed_mps in (None, 0.0, 0.4, -3.0, 8.0):
+        stage = ViewStage(predictor=predictor)
+        if speed_mps is not None:
+            stage.add_state(VehicleState(stamp_ns=0, speed_mps=speed_mps))
+        scores[speed_mps] = [item.score for item in stage.view(made_up_peaks(), empty_map()).objects]
+    assert all(len(said) == len(scores[None]) > 0 for said in scores.values())
+    for speed_mps in (None, 0.0, 0.4):
+        assert min(scores[speed_mps]) > 0.9
+    for speed_mps in (-3.0, 8.0):
+        assert all(0.5 < score <= 0.61 for score in scores[speed_mps])
 
 
 def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Path) -> None:

@@ -211,7 +211,7 @@ def test_the_object_network_gets_the_walls_with_priors() -> None:
         def suits(self, ra_map: object) -> bool:
             return True
 
-        def objects(self, ra_map: object, peaks: Peaks, walls: list, returns: object) -> tuple:
+        def objects(self, ra_map: object, peaks: Peaks, walls: list, returns: object, moving: bool) -> tuple:
             judged.append(len(walls))
             return ()
 
