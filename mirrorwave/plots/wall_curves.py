@@ -39,7 +39,7 @@ def _draw_panel(axes: Any, title: str, level_db: Any, wall: Wall, answers: list[
         angles_deg = np.linspace(result.angles_deg[0], result.angles_deg[-1], 361)
         fine = answer(exact, result.frequency_hz, angles_deg)
         for name, style, mark in (("te", "-", "o"), ("tm", "--", "s")):
-            label = f"{result.frequency_hz / 1e9:g} GHz {name.upper()}{', extrapolated' if result.note else ''}"
+            label = ", ".join([f"{result.frequency_hz / 1e9:g} GHz {name.upper()}", *result.note.split()[:1]])
             level = level_db(getattr(fine, name))
             axes.plot(angles_deg, level, style, color=colour, label=label, linewidth=1.6)
             if wall.method is Method.FDTD:

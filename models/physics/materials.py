@@ -1,16 +1,21 @@
 """Materials of walls and grounds: complex permittivity by ITU-R P.2040, Table 3, and walls built of several layers.
 
-eps = a f^b - j sigma / (2 pi f eps0), sigma = c f^d, f in GHz. Each row gives its measured band; frequencies beyond it
-are refused unless extrapolation is asked for, and `extrapolation_note` then says so. A name denotes a material (one
-layer of any thickness), a construction (layers of its own) or a volume (foliage: it attenuates waves without a mirror).
+eps = a f^b - j sigma / (2 pi f eps0), sigma = c f^d, f in GHz. Each row gives its measured band. Between two bands the
+facing ends are interpolated; below and above all bands a frequency is refused unless extrapolation is asked for.
+`band_note` names either case, and `reflection_error_db` states its error. A name denotes a material (one layer of any
+thickness), a construction (layers of its own) or a volume (foliage: it attenuates waves without a mirror).
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 
 VACUUM_PERMITTIVITY_F_PER_M = 8.854_187_812_8e-12
+#: Ratio of eps - 1 between published samples of a material: concrete measured at 57.5 GHz (refractive index 2.55 -
+#: j0.084) and that of P.2040 (eps 5.24). An extrapolated value claims no less.
+SAMPLE_SCATTER = 1.3
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class Layer:
     thickness_m: float
 
 
-#: Some materials have a second row for a higher band.
+#: Some materials have a second row for a higher band; rows rise in frequency.
 TABLE: dict[str, tuple[MaterialRow, ...]] = {
     "vacuum": (MaterialRow(1.0, 0.0, 0.0, 0.0, 0.001, 100.0),),
     "concrete": (
@@ -60,8 +65,8 @@ TABLE: dict[str, tuple[MaterialRow, ...]] = {
     "very_dry_ground": (MaterialRow(3.0, 0.0, 0.00015, 2.52, 1.0, 10.0),),
     "medium_dry_ground": (MaterialRow(15.0, -0.1, 0.035, 1.63, 1.0, 10.0),),
     "wet_ground": (MaterialRow(30.0, -0.4, 0.15, 1.30, 1.0, 10.0),),
-    # Not in P.2040. Dry pavement: eps 5.0 to 5.3 was measured at 7..17 GHz (Olkkonen 2016), 12 to 14 cm and 4 cm of
-    # penetration at 8 and 30 GHz (an NCHRP study of density sensors), which a loss tangent of 0.02 gives.
+    # Not in P.2040. Dry pavement: eps 5.0 to 5.3 at 7..17 GHz (Olkkonen 2016); a loss tangent of 0.02 gives the 12 to
+    # 14 cm and 4 cm of penetration at 8 and 30 GHz of an NCHRP study of density sensors.
     "asphalt": (MaterialRow(5.0, 0.0, 0.00556, 1.0, 7.0, 30.0, "engineering choice"),),
 }
 
@@ -141,7 +146,7 @@ def wall_name(name: str) -> str:
 
 
 def wall_names() -> tuple[str, ...]:
-    """Return all materials, constructions and volumes."""
+    """Return all names of walls."""
     return (*TABLE, *CONSTRUCTIONS, *VOLUMES)
 
 
@@ -179,21 +184,43 @@ def validity_ghz(material: str) -> tuple[tuple[float, float], ...]:
     name = wall_name(material)
     if name in VOLUMES:
         return ((0.23, 95.0),)
-    parts = [layer.material for layer in CONSTRUCTIONS[name]] if name in CONSTRUCTIONS else [name]
     common = [(0.0, math.inf)]
-    for part in parts:
+    for part in _parts(name):
         common = [
             (max(minimum, row.min_ghz), min(maximum, row.max_ghz)) for minimum, maximum in common for row in TABLE[part]
         ]
     return tuple((minimum, maximum) for minimum, maximum in common if minimum <= maximum)
 
 
-def extrapolation_note(material: str, frequency_hz: float) -> str:
-    """Return "extrapolated beyond 1..40 GHz" if a frequency lies outside a wall's validity range; empty inside."""
-    ranges = validity_ghz(material)
-    if any(minimum <= frequency_hz / 1e9 <= maximum for minimum, maximum in ranges):
+def needs_extrapolation(material: str, frequency_hz: float) -> bool:
+    """Return whether a frequency lies below or above everything measured of a wall; False between two bands."""
+    name, frequency_ghz = wall_name(material), frequency_hz / 1e9
+    bands = [validity_ghz(name)] if name in VOLUMES else [validity_ghz(part) for part in _parts(name)]
+    return not all(band[0][0] <= frequency_ghz <= band[-1][1] for band in bands)
+
+
+def band_note(material: str, frequency_hz: float) -> str:
+    """Return "extrapolated beyond 1..40 GHz" or "interpolated between 40 and 110 GHz"; empty in a measured band."""
+    ranges, frequency_ghz = validity_ghz(material), frequency_hz / 1e9
+    if any(minimum <= frequency_ghz <= maximum for minimum, maximum in ranges):
         return ""
-    return "extrapolated beyond " + " and ".join(f"{minimum:g}..{maximum:g}" for minimum, maximum in ranges) + " GHz"
+    if needs_extrapolation(material, frequency_hz):
+        return "extrapolated beyond " + " and ".join(f"{lower:g}..{upper:g}" for lower, upper in ranges) + " GHz"
+    rows = [_neighbours(TABLE[part], frequency_ghz) for part in _parts(wall_name(material))]
+    gaps = sorted({(low.max_ghz, high.min_ghz) for low, high in rows if low is not high})
+    return "interpolated " + " and ".join(f"between {low:g} and {high:g}" for low, high in gaps) + " GHz"
+
+
+def reflection_error_db(material: str, frequency_hz: float) -> float | None:
+    """Return the stated error [dB] of the power reflection at normal incidence outside measured bands; None inside.
+
+    It is the largest change, of each material as a half-space, by other readings of the same rows: between bands each
+    row continued to the frequency; beyond them the permittivity of the band's end, and eps - 1 more or less by
+    SAMPLE_SCATTER. A construction has the error of its worst layer; a volume has none. ValueError as `permittivity`.
+    """
+    parts = [] if is_volume(material) else _parts(wall_name(material))
+    errors = (_error_db(part, frequency_hz) for part in parts)
+    return max((error for error in errors if error is not None), default=None)
 
 
 def typical_roughness_mm(material: str) -> tuple[float, float] | None:
@@ -205,25 +232,65 @@ def typical_roughness_mm(material: str) -> tuple[float, float] | None:
 def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> complex:
     """Return complex relative permittivity, Im <= 0.
 
-    Both ends of a validity range belong to it. Outside, ValueError, or the nearest row if `extrapolate`.
+    Both ends of a band belong to it. Between two bands eps' and conductivity of the facing ends are interpolated, log
+    over log frequency. Below and above all bands: ValueError, or the nearest row continued if `extrapolate`.
     """
     if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
         raise ValueError(f"frequency_hz must be finite and positive, got {frequency_hz!r}")
-    key = material_name(name)
-    frequency_ghz = frequency_hz / 1e9
-    row = min(TABLE[key], key=lambda row: _outside(row, frequency_ghz))
-    if _outside(row, frequency_ghz) > 0.0 and not extrapolate:
+    key, frequency_ghz = material_name(name), frequency_hz / 1e9
+    if needs_extrapolation(key, frequency_hz) and not extrapolate:
         ranges = " and ".join(f"{row.min_ghz:g}..{row.max_ghz:g}" for row in TABLE[key])
         raise ValueError(f"material {key} is known for {ranges} GHz, got {frequency_ghz:g} GHz")
-    conductivity = row.c * frequency_ghz**row.d
-    loss = conductivity / (2.0 * math.pi * frequency_hz * VACUUM_PERMITTIVITY_F_PER_M)
-    return complex(row.a * frequency_ghz**row.b, -loss)
+    low, high = _neighbours(TABLE[key], frequency_ghz)
+    if low is high:
+        return _complex_permittivity(*_row_values(low, frequency_ghz), frequency_ghz)
+    share = math.log(frequency_ghz / low.max_ghz) / math.log(high.min_ghz / low.max_ghz)
+    ends = zip(_row_values(low, low.max_ghz), _row_values(high, high.min_ghz), strict=True)
+    real, conductivity_s_per_m = (at_low ** (1.0 - share) * at_high**share for at_low, at_high in ends)
+    return _complex_permittivity(real, conductivity_s_per_m, frequency_ghz)
 
 
 def _key(name: str) -> str:
     return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
-def _outside(row: MaterialRow, frequency_ghz: float) -> float:
-    """Return the logarithmic distance of a frequency outside a row's range; zero inside."""
-    return max(math.log(row.min_ghz / frequency_ghz), math.log(frequency_ghz / row.max_ghz), 0.0)
+def _parts(name: str) -> list[str]:
+    """Return the materials of a wall's layers."""
+    return [layer.material for layer in CONSTRUCTIONS[name]] if name in CONSTRUCTIONS else [name]
+
+
+def _neighbours(rows: tuple[MaterialRow, ...], frequency_ghz: float) -> tuple[MaterialRow, MaterialRow]:
+    """Return the rows below and above a gap that holds a frequency; elsewhere the nearest row, twice."""
+    low = [row for row in rows if row.min_ghz <= frequency_ghz]
+    high = [row for row in rows if frequency_ghz <= row.max_ghz]
+    return low[-1] if low else high[0], high[0] if high else low[-1]
+
+
+def _row_values(row: MaterialRow, frequency_ghz: float) -> tuple[float, float]:
+    """Return eps' and conductivity [S/m] of a row's curves, beyond its band too."""
+    return row.a * frequency_ghz**row.b, row.c * frequency_ghz**row.d
+
+
+def _complex_permittivity(real: float, conductivity_s_per_m: float, frequency_ghz: float) -> complex:
+    return complex(real, -conductivity_s_per_m / (2.0 * math.pi * frequency_ghz * 1e9 * VACUUM_PERMITTIVITY_F_PER_M))
+
+
+def _error_db(name: str, frequency_hz: float) -> float | None:
+    """Return the error of one material by the other readings of its rows; None in a measured band."""
+    medium, frequency_ghz = permittivity(name, frequency_hz, extrapolate=True), frequency_hz / 1e9
+    if not band_note(name, frequency_hz):
+        return None
+    low, high = _neighbours(TABLE[name], frequency_ghz)
+    if low is high:
+        end_ghz = min(max(frequency_ghz, low.min_ghz), low.max_ghz)
+        scattered = (1.0 + (medium - 1.0) * ratio for ratio in (SAMPLE_SCATTER, 1.0 / SAMPLE_SCATTER))
+        readings = [permittivity(name, 1e9 * end_ghz), *scattered]
+    else:
+        readings = [_complex_permittivity(*_row_values(row, frequency_ghz), frequency_ghz) for row in (low, high)]
+    return max(abs(_reflection_db(reading) - _reflection_db(medium)) for reading in readings)
+
+
+def _reflection_db(medium: complex) -> float:
+    """Return the power reflection [dB] of a half-space at normal incidence; 0 of vacuum, which has none."""
+    index = cmath.sqrt(medium)
+    return 20.0 * math.log10(abs((index - 1.0) / (index + 1.0))) if medium != 1.0 else 0.0

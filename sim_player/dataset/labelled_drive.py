@@ -87,13 +87,20 @@ class _Beam:
 class LabelledDrive:
     """Scans of one scene in motion under the radar of `setup`, in any order: same arguments, same bytes.
 
-    `effects`: "basic", "auto", "all" or names with commas between them, as of `ScenePlayer`. ValueError as there.
+    `effects`: "basic", "auto" (planned for a `purpose`), "all" or names with commas between them, as of `ScenePlayer`.
+    ValueError as there.
     """
 
     def __init__(
-        self, scene: Scene, seed: int, setup: RadarSetup, effects: str = "all", budget_db: float = -20.0
+        self,
+        scene: Scene,
+        seed: int,
+        setup: RadarSetup,
+        effects: str = "all",
+        budget_db: float = -20.0,
+        purpose: str = "samples",
     ) -> None:
-        self._player = ScenePlayer(scene, seed, setup, effects=effects, budget_db=budget_db)
+        self._player = ScenePlayer(scene, seed, setup, effects=effects, budget_db=budget_db, purpose=purpose)
         self._scene, self._setup, self._seed = scene, self._player.setup, seed
         grid = RangeAzimuthGrid(range_bin_m=setup.radar.range_bin_m)
         self._folder = BeamFolder(self._setup, FormingParams(range_window=WINDOW), grid)

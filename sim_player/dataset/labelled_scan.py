@@ -21,6 +21,7 @@ from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import Plan, manual_plan, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
+from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
 from sim_player.scene.world import World, prepare
 from sim_player.signal.fmcw import beam_weights
@@ -108,10 +109,16 @@ def noise_power_mw(setup: RadarSetup) -> float:
 
 
 def labelled_scan(
-    scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
+    scene: Scene,
+    seed: int,
+    choice: EffectChoice = "auto",
+    budget_db: float = -20.0,
+    gain_db: float = 0.0,
+    purpose: str = "samples",
 ) -> LabelledScan:
-    """Return one scan as a data set stores it; ValueError as above."""
-    return _Scan(scene, seed, choice, budget_db, gain_db).labelled()
+    """Return one scan as a data set stores it, "auto" planned for a purpose; ValueError as above."""
+    plans = PlanRequest(budget_db, purpose_of(purpose))
+    return _Scan(scene, seed, choice, plans, gain_db).labelled()
 
 
 def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tuple[str, ...] | None = None) -> Labels:
@@ -135,17 +142,25 @@ def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tu
     )
 
 
+@dataclass(frozen=True)
+class PlanRequest:
+    """What planned effects may leave out, in any cell [dB], and the purpose they keep."""
+
+    budget_db: float
+    purpose: Purpose
+
+
 class _Scan:
     """Paths and signal of one scene under a choice of effects."""
 
-    def __init__(self, scene: Scene, seed: int, choice: EffectChoice, budget_db: float, gain_db: float) -> None:
+    def __init__(self, scene: Scene, seed: int, choice: EffectChoice, plans: PlanRequest, gain_db: float) -> None:
         if scene.moves:
             raise ValueError(f"scene {scene.name!r} must be at rest for the kernel level, got one that moves")
         self.scene, self.seed, self.gain = scene, seed, ratio_from_db(gain_db)
         # the planner needs the level; the basic chain scales its profiles instead
         self.setup = scene.setup if choice == "basic" else stronger(scene.setup, self.gain)
         self.world = prepare(scene, seed, self.setup)
-        self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, budget_db)
+        self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, plans)
         self.paths = trace(self.world) if self.plan is None else self.plan.paths
 
     def labelled(self) -> LabelledScan:
@@ -177,10 +192,10 @@ class _Scan:
         return np.asarray(planned_echoes(plan, self.setup, self.seed) + noise)
 
 
-def _plan(world: World, setup: RadarSetup, choice: EffectChoice, budget_db: float) -> Plan:
+def _plan(world: World, setup: RadarSetup, choice: EffectChoice, plans: PlanRequest) -> Plan:
     """Return the plan of the effects of a scene."""
     if choice == "auto":
-        return plan_world(world, setup, budget_db)
+        return plan_world(world, setup, plans.budget_db, purpose=plans.purpose)
     return manual_plan(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
 
 

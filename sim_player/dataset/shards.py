@@ -41,6 +41,7 @@ from sim_player.generate.layouts import PlaceKind
 from sim_player.generate.places import PLACE_KINDS, Place, draw_place
 from sim_player.generate.streets import random_street
 from sim_player.generate.wall_kinds import Preset
+from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import PRESETS, Scene, scene_to_yaml
 from sim_player.signal.levels import RANGE_BINS
 
@@ -63,18 +64,20 @@ UNREADABLE = (OSError, ValueError, KeyError)
 class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters that fix the bytes of a data set beside its seed and length; ValueError names an invalid one.
 
-    effects: "auto" (planned per scene under `budget_db`), "all", "basic" (the chain of `sim_player.signal.fmcw`), or
-    names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
-    rougher and fuller, and the board faulty (`sim_player.generate.domain_shift`), whose faults are those of steered
-    beams. scans: a scene is one of so many consecutive scans of a drive (`sim_player.generate.drives`) at its true
-    pace; None: a place at rest. Drives have the effects "all" unless told otherwise. truth: the facts list all objects,
-    as those of drives always do.
+    effects: "auto" (planned per scene for a `purpose` under `budget_db`), "all", "basic" (the chain of
+    `sim_player.signal.fmcw`), or names; None: "basic" for `street_v1`, else "auto". purpose: a word of
+    `sim_player.planner.purposes`, for plans alone; labels are those of the paths that it keeps. `street_v1` has no 77
+    GHz scenes. shift: "hard" makes the places rougher and fuller, and the board faulty
+    (`sim_player.generate.domain_shift`), whose faults are those of steered beams. scans: a scene is one of so many
+    consecutive scans of a drive (`sim_player.generate.drives`) at its true pace; None: a place at rest. Drives have the
+    effects "all" unless told otherwise. truth: the facts list all objects, as those of drives always do.
     """
 
     places: Places = "any"
     preset: Preset = "xband"
     effects: str | tuple[str, ...] | None = None
     budget_db: float = -20.0
+    purpose: str = "samples"
     shift: Shift = "none"
     scans: int | None = None
     truth: bool = False
@@ -109,6 +112,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError("effects must be auto, all, basic or a list of names, got nothing")
         if isinstance(self.effects, tuple):
             check_effects(frozenset(self.effects))
+        if purpose_of(self.purpose) is not Purpose.SAMPLES and self.choice != "auto":
+            raise ValueError(f"purpose must be samples unless effects are auto, got {self.purpose!r}")
 
     def _check_drives(self) -> None:
         if self.scans is None:
@@ -157,8 +162,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
         plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
-        # series older than the shift have no such field, nor than drives or their truth
-        del plain["shift"], plain["scans"], plain["truth"]
+        # series older than the shift have no such field, nor than drives, their truth or purposes
+        del plain["shift"], plain["scans"], plain["truth"], plain["purpose"]
+        if self.purpose != Purpose.SAMPLES:
+            plain["purpose"] = self.purpose
         if self.truth:
             plain["truth"] = True
         if self.scans is not None:
@@ -271,7 +278,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         scene, place = draw_scene(recipe, seed, index)
         gain_db = draw_gain_db(seed, index)
         scan_seed = scene_seed(seed, index)
-        scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db)
+        scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db, recipe.purpose)
         if recipe.shift == "hard":
             boards.append(draw_faults(shift_rng(seed, index, 1), len(scan.profiles)))
             scan = replace(scan, profiles=faulty_profiles(scan.profiles, boards[-1], scene.setup, scan_seed))
@@ -303,7 +310,7 @@ def _drive_arrays(recipe: Recipe, scans: int, seed: int, first: int, count: int)
         place, gain_db = _draw_drive(recipe, scans, seed, index), draw_gain_db(seed, index)
         scene, setup = place.scene, stronger(place.scene.setup, ratio_from_db(gain_db))
         effects = ",".join(sorted(recipe.choice)) if isinstance(recipe.choice, frozenset) else recipe.choice
-        drive = LabelledDrive(scene, scene_seed(seed, index), setup, effects, recipe.budget_db)
+        drive = LabelledDrive(scene, scene_seed(seed, index), setup, effects, recipe.budget_db, recipe.purpose)
         for number in range(scans):
             scan = drive.scan(number)
             labels.append(scan.labels)
@@ -375,6 +382,8 @@ def _plan_line(recipe: Recipe, scan: LabelledScan | DriveScan) -> bytes:
         line |= {"traced": plan.traced, "plan": msgspec.to_builtins(plan.effects)}
     if plan is not None and recipe.choice == "auto":
         line |= {"budget_db": plan.budget_db, "spent_db": plan.spent_db}
+        if plan.purpose is not Purpose.SAMPLES:
+            line["purpose"] = plan.purpose
     return msgspec.json.encode(line)
 
 

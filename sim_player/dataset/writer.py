@@ -5,8 +5,8 @@ that its map calls for under -20 dB. The first series, random streets with the b
 its profiles and first labels are those of the first version of this module. `shift="hard"` is the second test
 set: the same places rougher and fuller, seen by a faulty board (`sim_player.generate.domain_shift`).
 
-A folder holds `series.json` (generator, preset, effects, budget, shift: another series is refused), shards, and
-`manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n scenes:
+A folder holds `series.json` (generator, preset, effects, budget, purpose, shift: another series is refused), shards,
+and `manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n scenes:
 
 - profiles c8 [n, beams, 512], noise_power_mw [n] (thermal, a bin), gain_db [n] of the echoes, scene_yaml [n];
 - facts [n]: JSON with place, relays, objects (classes), hidden (indices of those seen in mirrors alone), surfaces, and

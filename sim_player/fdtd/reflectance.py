@@ -24,7 +24,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from models.physics.fresnel import Polarisation, coherent_power, stack_reflection
-from models.physics.materials import extrapolation_note, wall_layers
+from models.physics.materials import band_note, wall_layers
 from msgs.files.array_files import load_arrays
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.dataset.executors import map_jobs
@@ -595,13 +595,13 @@ def _built_of(wall: str) -> str:
 
 
 def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return the permittivity of the front layer in each band, and what is extrapolated or cut."""
+    """Return the permittivity of the front layer in each band, and what is interpolated, extrapolated or cut."""
     rows = []
     for band in bands_hz:
         layers = layers_of(wall, band)
         eps = complex(layers[0][0])
         opacity_note = "opaque: simulated as a half-space" if cut_opaque(layers, band) != layers else ""
-        note = ", ".join(part for part in (extrapolation_note(WALLS[wall][0], band), opacity_note) if part)
+        note = ", ".join(part for part in (band_note(WALLS[wall][0], band), opacity_note) if part)
         rows.append({"ghz": band / 1e9, "permittivity": [eps.real, eps.imag], "note": note})
     return rows
 

@@ -51,7 +51,7 @@ class SmoothWall:
 
 
 _POLARISATIONS: tuple[Polarisation, ...] = ("te", "tm")
-#: Brick at 77 GHz lies outside its table and is extrapolated.
+#: Brick at 77 GHz lies between its measured bands and is interpolated.
 SMOOTH_WALLS: tuple[SmoothWall, ...] = tuple(
     SmoothWall(frequency_hz, *wall, polarisation)
     for frequency_hz, wall, polarisation in product(

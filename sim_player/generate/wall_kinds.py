@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from msgspec.structs import replace
 
+from models.physics.materials import band_note
 from sim_player.scene.description import Point, Scene, SceneRadar, Surface, check_scene
 
 
@@ -95,13 +96,14 @@ class Line:
 
 @lru_cache(maxsize=64)
 def known(material: str, preset: Preset) -> bool:
-    """Return whether a scene with this radar may have a wall of a material."""
+    """Return whether a material was measured in the band of a radar: places draw no interpolated ones."""
     wall = Surface(role="relay", material=material, polyline_m=((9.0, -1.0), (9.0, 1.0)), thickness_mm=100.0)
+    scene = Scene(name=material, radar=SceneRadar(preset=preset), surfaces=(wall,))
     try:
-        check_scene(Scene(name=material, radar=SceneRadar(preset=preset), surfaces=(wall,)))
+        check_scene(scene)
     except ValueError:
         return False
-    return True
+    return not band_note(material, scene.setup.radar.carrier_hz)
 
 
 def kinds_at(preset: Preset) -> tuple[RelayKind, ...]:

@@ -14,6 +14,7 @@ from sim_player.dataset.labelled_scan import label_points
 from sim_player.dataset.shards import scene_seed
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import manual_plan, plan_world
+from sim_player.planner.purposes import purpose_of
 from sim_player.scene.description import Scene, scene_from_yaml
 from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
@@ -59,7 +60,8 @@ def trace_again(drawn: DrawnScene) -> Paths:
     scene, setup, effects = drawn.scene, drawn.setup, drawn.series["effects"]
     world = prepare(scene, scene_seed(drawn.series["seed"], drawn.index), setup)
     if effects == "auto":
-        return plan_world(world, setup, drawn.series["budget_db"]).paths
+        purpose = purpose_of(drawn.series.get("purpose", "samples"))
+        return plan_world(world, setup, drawn.series["budget_db"], purpose=purpose).paths
     if effects == "basic":
         return trace(world)
     return manual_plan(world, setup, ALL_EFFECTS if effects == "all" else frozenset(effects)).paths

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave.commands.sim.effects import For
 from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ def dataset(
         ),
     ] = None,
     budget_db: Annotated[float, typer.Option(help="What planned effects may leave out, in any cell.")] = -20.0,
+    purpose: For = "samples",
     shift: Annotated[
         ShiftOption, typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
     ] = ShiftOption.NONE,
@@ -97,6 +99,7 @@ def dataset(
         preset=preset.value,
         effects=parse_effects(effects),
         budget_db=budget_db,
+        purpose=purpose,
         shift=shift.value,
         scans=scans_of_a_drive(motion, scans),
         truth=truth,

@@ -28,7 +28,9 @@ def material(
     thickness_mm: Annotated[float | None, typer.Option(help="Thickness; none is a half-space.")] = None,
     roughness_mm: Annotated[float, typer.Option(help="Rms height of the face.")] = 0.0,
     method: Method = Method.EXACT,
-    extrapolate: Annotated[bool, typer.Option("--extrapolate", help="Allow frequencies beyond the tables.")] = False,
+    extrapolate: Annotated[
+        bool, typer.Option("--extrapolate", help="Allow bands below and above all measured ones.")
+    ] = False,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write (png, svg, pdf).")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -36,10 +38,10 @@ def material(
 
     With --json one frequency is answered, 10 GHz if none is given.
     """
-    from mirrorwave.studies.walls.curves import answer, as_contract, parse_angles
+    from mirrorwave.studies.walls.curves import answer, as_contract, note_and_error, parse_angles
 
     if name is None:
-        _list_materials(as_json)
+        _list_materials(as_json, extrapolate)
         return
     wall = wall_of(name, thickness_mm, roughness_mm, method, extrapolate)
     angles = parse_angles(angles_deg)
@@ -52,7 +54,7 @@ def material(
     if as_json:
         print_json(as_contract(wall, answers[0]))
         if answers[0].note:
-            typer.echo(f"mirrorwave: {wall.material} at {bands[0]:g} GHz: {answers[0].note}", err=True)
+            typer.echo(f"mirrorwave: {wall.material} at {bands[0]:g} GHz: {note_and_error(answers[0])}", err=True)
     else:
         for result in answers:
             _print_answer(wall, result)
@@ -67,15 +69,15 @@ def material(
 
 
 def _print_answer(wall: Wall, result: Answer) -> None:
-    from mirrorwave.studies.walls.curves import field_db
+    from mirrorwave.studies.walls.curves import field_db, note_and_error
     from models.physics.materials import typical_roughness_mm
 
     usual = typical_roughness_mm(wall.material)
     roughness = f"roughness {1e3 * wall.roughness_m:g} mm"
     if usual is not None:
         roughness += f" (usual {usual[0]:g}..{usual[1]:g})"
-    parts = [f"{title_of(wall)} at {result.frequency_hz / 1e9:g} GHz", roughness, str(wall.method), result.note]
-    print_line(", ".join(part for part in parts if part))
+    parts = [f"{title_of(wall)} at {result.frequency_hz / 1e9:g} GHz", roughness, str(wall.method)]
+    print_line(", ".join([*parts, note_and_error(result)] if result.note else parts))
     columns = ["angle_deg"] + [f"{p}_{quantity}_db" for p in ("te", "tm") for quantity in ("r", "t", "gain")]
     levels = [
         level
@@ -96,12 +98,13 @@ def _rounded(level_db: float) -> float | None:
     return round(float(level_db), 2) + 0.0 if math.isfinite(level_db) else None
 
 
-def _list_materials(as_json: bool) -> None:
+def _list_materials(as_json: bool, extrapolate: bool) -> None:
     from mirrorwave.studies.walls.curves import overview
 
-    rows = overview()
+    rows = overview(extrapolate)
     if as_json:
         print_json(rows)
         return
     print_table(list(rows[0]), [list(row.values()) for row in rows])
     print_line("R: TE power reflection [dB] at 0/45/70 deg, materials as half-spaces; -: not known at this frequency")
+    print_line("error: of R at 0 deg [dB], where the frequency lies in no measured band")

@@ -28,13 +28,14 @@ class Curves:
 
 @dataclass(frozen=True)
 class Answer:
-    """A wall's curves at one frequency; `note` says what is extrapolated."""
+    """A wall's curves at one frequency; outside measured bands `note` says how, `error_db` how well R is known."""
 
     frequency_hz: float
     angles_deg: np.ndarray
     te: Curves
     tm: Curves
     note: str
+    error_db: float | None
 
 
 def parse_angles(text: str) -> np.ndarray:
@@ -55,15 +56,20 @@ def parse_angles(text: str) -> np.ndarray:
 
 def answer(wall: Wall, frequency_hz: float, angles_deg: np.ndarray) -> Answer:
     """Curves of a wall at one frequency; ValueError where its materials are not known."""
-    from models.physics.materials import extrapolation_note, is_volume
+    from models.physics.materials import band_note, is_volume, reflection_error_db
 
-    note = extrapolation_note(wall.material, frequency_hz)
+    note = band_note(wall.material, frequency_hz)
     if is_volume(wall.material):
         both = _volume_curves(wall, frequency_hz, angles_deg)
-        return Answer(frequency_hz, angles_deg, both, both, note)
+        return Answer(frequency_hz, angles_deg, both, both, note, None)
     curves = _exact_curves if wall.method is Method.EXACT else _fdtd_curves
     te, tm = (curves(wall, frequency_hz, angles_deg, polarisation) for polarisation in ("te", "tm"))
-    return Answer(frequency_hz, angles_deg, te, tm, note)
+    return Answer(frequency_hz, angles_deg, te, tm, note, reflection_error_db(wall.material, frequency_hz))
+
+
+def note_and_error(result: Answer) -> str:
+    """Return "interpolated between 40 and 110 GHz, R within 0.23 dB"; empty in a measured band."""
+    return result.note if result.error_db is None else f"{result.note}, R within {result.error_db:.2f} dB"
 
 
 def as_contract(wall: Wall, result: Answer) -> dict[str, Any]:
@@ -80,7 +86,7 @@ def as_contract(wall: Wall, result: Answer) -> dict[str, Any]:
     }
 
 
-def overview() -> list[dict[str, str]]:
+def overview(extrapolate: bool = False) -> list[dict[str, str]]:
     """Every material, construction and volume as a row of texts: what it is, what it reflects (TE), where it holds."""
     from models.physics.materials import typical_roughness_mm, validity_ghz, wall_names
 
@@ -88,8 +94,9 @@ def overview() -> list[dict[str, str]]:
     for name in wall_names():
         roughness = typical_roughness_mm(name)
         row = {"material": name}
-        row |= {f"eps {band:g} GHz": _permittivity_text(name, 1e9 * band) for band in BANDS_GHZ}
-        row |= {f"R {band:g} GHz": _reflection_text(name, 1e9 * band) for band in BANDS_GHZ}
+        row |= {f"eps {band:g} GHz": _permittivity_text(name, 1e9 * band, extrapolate) for band in BANDS_GHZ}
+        row |= {f"R {band:g} GHz": _reflection_text(name, 1e9 * band, extrapolate) for band in BANDS_GHZ}
+        row["error dB"] = _error_text(name, extrapolate)
         row["valid GHz"] = ", ".join(f"{lower:g}..{upper:g}" for lower, upper in validity_ghz(name))
         row["roughness mm"] = "-" if roughness is None else f"{roughness[0]:g}..{roughness[1]:g}"
         rows.append(row)
@@ -165,24 +172,33 @@ def field_db(field: np.ndarray) -> np.ndarray:
     return 20.0 * np.log10(np.where(size > 0.0, size, np.nan))
 
 
-def _permittivity_text(name: str, frequency_hz: float) -> str:
-    from models.physics.materials import CONSTRUCTIONS, extrapolation_note, is_volume, permittivity
+def _permittivity_text(name: str, frequency_hz: float, extrapolate: bool) -> str:
+    from models.physics.materials import CONSTRUCTIONS, is_volume, needs_extrapolation, permittivity
 
     if name in CONSTRUCTIONS:
         return "layers"
     if is_volume(name):
         return "volume"
-    if extrapolation_note(name, frequency_hz):
+    if needs_extrapolation(name, frequency_hz) and not extrapolate:
         return "-"
-    medium = permittivity(name, frequency_hz)
+    medium = permittivity(name, frequency_hz, extrapolate)
     return f"{medium.real:.3g} - {-medium.imag:.3g}j"
 
 
-def _reflection_text(name: str, frequency_hz: float) -> str:
-    from models.physics.materials import extrapolation_note, is_volume
+def _error_text(name: str, extrapolate: bool) -> str:
+    """Return the stated errors of what is shown outside measured bands, by band."""
+    from models.physics.materials import needs_extrapolation, reflection_error_db
 
-    if is_volume(name) or extrapolation_note(name, frequency_hz):
+    shown = [band for band in BANDS_GHZ if extrapolate or not needs_extrapolation(name, 1e9 * band)]
+    errors_db = {band: reflection_error_db(name, 1e9 * band) for band in shown}
+    return ", ".join(f"{band:g} GHz: {error:.2f}" for band, error in errors_db.items() if error is not None) or "-"
+
+
+def _reflection_text(name: str, frequency_hz: float, extrapolate: bool) -> str:
+    from models.physics.materials import is_volume, needs_extrapolation
+
+    if is_volume(name) or (needs_extrapolation(name, frequency_hz) and not extrapolate):
         return "-"
-    wall = Wall(name, None, 0.0, Method.EXACT, extrapolate=False)
+    wall = Wall(name, None, 0.0, Method.EXACT, extrapolate)
     levels = field_db(answer(wall, frequency_hz, np.array([0.0, 45.0, 70.0])).te.r)
     return " / ".join("-" if math.isnan(level) else f"{round(level, 1) + 0.0:.1f}" for level in levels)

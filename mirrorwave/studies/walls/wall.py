@@ -48,9 +48,9 @@ def wall_of(name: str, thickness_mm: float | None, roughness_mm: float, method: 
 
 def known_bands(wall: Wall, bands_ghz: tuple[float, ...]) -> tuple[float, ...]:
     """The bands a wall's materials are known in; all of them where extrapolation is allowed or none is known."""
-    from models.physics.materials import extrapolation_note
+    from models.physics.materials import needs_extrapolation
 
-    bands = tuple(band for band in bands_ghz if not extrapolation_note(wall.material, 1e9 * band))
+    bands = tuple(band for band in bands_ghz if not needs_extrapolation(wall.material, 1e9 * band))
     return bands_ghz if wall.extrapolate else bands or bands_ghz
 
 

@@ -356,8 +356,14 @@ def _provenance(scenes: _Scenes, config: ExportConfig) -> dict[str, str | int]:
     return provenance | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
 
 
-#: Entries of a series that the command takes.
-_RECIPE = ("places", "preset", "effects", "budget_db")
+#: Entries of a series that the command takes, and their options.
+_RECIPE = {
+    "places": "--places",
+    "preset": "--preset",
+    "effects": "--effects",
+    "budget_db": "--budget-db",
+    "purpose": "--for",
+}
 
 
 def _command(data_dir: Path) -> str:
@@ -376,4 +382,4 @@ def _command(data_dir: Path) -> str:
     command = f"mirrorwave sim dataset --out {data_dir} --count {count // (scans or 1)} --seed {series['seed']}{motion}"
     # folders from before series stated their recipe hold the first generator's streets
     recipe = {"places": "street_v1"} | {key: series[key] for key in _RECIPE if key in series}
-    return command + "".join(f" --{key.replace('_', '-')} {value}" for key, value in recipe.items())
+    return command + "".join(f" {_RECIPE[key]} {value}" for key, value in recipe.items())

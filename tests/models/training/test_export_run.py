@@ -200,3 +200,10 @@ def test_a_card_names_the_command_of_drives(tmp_path: Path) -> None:
     (tmp_path / "manifest.jsonl").write_text('{"shard": "shard-00000.npz", "scenes": 24}\n')
     command = f"mirrorwave sim dataset --out {tmp_path} --count 2 --seed 7 --motion --scans 12 --places any"
     assert export_onnx._command(tmp_path).startswith(command)
+
+
+def test_a_card_names_the_purpose_of_a_series(tmp_path: Path) -> None:
+    series = {"places": "any", "effects": "auto", "budget_db": -20.0, "purpose": "peaks", "seed": 7}
+    (tmp_path / "series.json").write_bytes(msgspec.json.encode(series))
+    (tmp_path / "manifest.jsonl").write_text('{"shard": "shard-00000.npz", "scenes": 2}\n')
+    assert export_onnx._command(tmp_path).endswith("--places any --effects auto --budget-db -20.0 --for peaks")

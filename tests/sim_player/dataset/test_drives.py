@@ -67,6 +67,13 @@ def test_a_drive_at_rest_has_the_profiles_of_places_at_rest() -> None:
     assert not scan.velocity_mps.any()
 
 
+def test_a_planned_drive_keeps_its_purpose() -> None:
+    recipe = Recipe(scans=1, effects="auto", purpose="peaks")
+    assert recipe.described(3)["purpose"] == "peaks"
+    line = msgspec.json.decode(bytes(shard_arrays(recipe, 3, 0, 1)["plan"][0]))
+    assert line["purpose"] == "peaks"
+
+
 def test_maps_are_those_of_the_drive_s_beats() -> None:
     """A drive's scan against the former on all its codes, the same odometry, other noise: cells that stand 40 dB over
     the noise agree to 2 % in 99 of 100 cases.

@@ -59,7 +59,7 @@ def test_the_shipped_table_says_where_it_comes_from(table: ReflectanceTable) -> 
     assert sum(table.card["status"].values()) == table.status.size
     notes = {row["name"]: [band["note"] for band in row["bands"]] for row in table.card["walls"]}
     assert notes["brick"][0] == ""
-    assert notes["brick"][1].startswith("extrapolated beyond 1..40 and 110..330 GHz")
+    assert notes["brick"][1].startswith("interpolated between 40 and 110 GHz")
     assert notes["concrete"] == ["opaque: simulated as a half-space"] * 2
 
 

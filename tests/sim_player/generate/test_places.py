@@ -188,7 +188,8 @@ def test_radars_and_weather_vary(places: list[Place]) -> None:
     assert all(end.coupling_db is None or -30.0 <= end.coupling_db <= -18.0 for end in faulty)
 
 
-def test_77ghz_places_have_only_materials_known_there() -> None:
+def test_77ghz_places_have_only_materials_measured_there() -> None:
+    """Brick at 77 GHz is interpolated: scenes may name it, drawn places keep to what was measured."""
     scenes = [random_place(5, index, preset="77ghz") for index in range(25)]
     for scene in scenes:
         check_scene(scene)

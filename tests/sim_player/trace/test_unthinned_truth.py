@@ -34,6 +34,17 @@ def test_labels_come_back_and_lie_among_all_echoes(recipe: Recipe, tmp_path: Pat
         assert len(visible_paths(drawn.setup, paths)) == len(range_m)
 
 
+def test_a_series_planned_for_a_purpose_is_traced_again_for_it(tmp_path: Path) -> None:
+    """The shard says how many paths its plan kept: those of peaks, fewer than those of samples."""
+    folder = write_dataset(tmp_path / "data", 1, 3, Recipe(effects="auto", purpose="peaks")).parent
+    shard, series = read_shard(folder / "shard-00000.npz"), json.loads((folder / "series.json").read_text())
+    drawn = DrawnScene(scene_yaml=str(shard["scene_yaml"][0]), index=0, gain_db=shard["gain_db"][0], series=series)
+    kept = json.loads(bytes(shard["plan"][0]))["paths"]
+    assert len(trace_again(drawn)) == kept
+    del series["purpose"]
+    assert len(trace_again(drawn)) > kept
+
+
 def test_a_series_of_another_maker_is_refused() -> None:
     with pytest.raises(ValueError, match=r"series.json must say effects"):
         trace_again(DrawnScene(scene_yaml="", index=0, gain_db=0.0, series={"seed": 1}))

@@ -75,6 +75,18 @@ def test_texts_of_options() -> None:
         parse_slurm(["partition"])
 
 
+def test_a_purpose_reaches_the_series(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    app = typer.Typer()
+    app.command()(dataset)
+    words = ["--out", str(tmp_path / "data"), "--count", "1", "--seed", "3", "--json"]
+    app(args=[*words, "--for", "peaks"], standalone_mode=False)
+    assert json.loads(capsys.readouterr().out)["series"]["purpose"] == "peaks"
+    with pytest.raises(ValueError, match="holds another data set: purpose 'peaks', wanted None"):
+        app(args=words, standalone_mode=False)
+    with pytest.raises(ValueError, match="purpose must be samples unless effects are auto, got 'peaks'"):
+        app(args=[*words, "--for", "peaks", "--effects", "all"], standalone_mode=False)
+
+
 def test_drives_need_both_options() -> None:
     assert scans_of_a_drive(True, 12) == 12
     assert scans_of_a_drive(False, None) is None

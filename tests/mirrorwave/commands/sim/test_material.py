@@ -23,6 +23,7 @@ from sim_player.fdtd.rough import RoughParams
 
 PAGE = CHECKOUT / "docs" / "explain" / "materials.md"
 WAVELENGTH_M = 299_792_458.0 / 10e9
+EXTRAPOLATED_COLUMNS = ("material", "eps 10 GHz", "eps 77 GHz", "R 10 GHz", "R 77 GHz", "error dB")
 
 
 def run(line: str) -> None:
@@ -83,20 +84,29 @@ def test_people_see_both_bands(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_band_outside_the_table_is_left_out_and_said(capsys: pytest.CaptureFixture[str]) -> None:
+    run("plywood --angles-deg 0:0:1")
+    out = capsys.readouterr().out
+    assert "77 GHz: not known for plywood; --extrapolate shows it all the same" in out
+    assert "plywood (half-space) at 77 GHz" not in out
+    run("plywood --angles-deg 0:0:1 --extrapolate")
+    out = capsys.readouterr().out
+    assert "at 77 GHz, roughness 0 mm, exact, extrapolated beyond 1..40 GHz, R within 1.44 dB" in out
+    assert "at 10 GHz, roughness 0 mm, exact\n" in out
+
+
+def test_a_band_between_two_measured_ones_is_shown_with_its_error(capsys: pytest.CaptureFixture[str]) -> None:
     run("brick --angles-deg 0:0:1")
     out = capsys.readouterr().out
-    assert "77 GHz: not known for brick; --extrapolate shows it all the same" in out
-    assert "brick (half-space) at 77 GHz" not in out
-    run("brick --angles-deg 0:0:1 --extrapolate")
-    out = capsys.readouterr().out
-    assert "at 77 GHz, roughness 0 mm (usual 0.5..1.5), exact, extrapolated beyond 1..40 and 110..330 GHz" in out
+    text = "brick (half-space) at 77 GHz, roughness 0 mm (usual 0.5..1.5), exact, interpolated between 40 and 110 GHz"
+    assert f"{text}, R within 0.23 dB\n" in out
+    assert "not known" not in out
 
 
 def test_extrapolation_leaves_json_alone_and_is_said_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
     run("asphalt --frequency-ghz 77 --extrapolate --json")
     output = capsys.readouterr()
     assert json.loads(output.out)["material"] == "asphalt"
-    assert output.err == "mirrorwave: asphalt at 77 GHz: extrapolated beyond 7..30 GHz\n"
+    assert output.err == "mirrorwave: asphalt at 77 GHz: extrapolated beyond 7..30 GHz, R within 1.07 dB\n"
 
 
 def test_foliage_takes_power_and_mirrors_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,7 +122,8 @@ def test_foliage_takes_power_and_mirrors_nothing(capsys: pytest.CaptureFixture[s
     ("line", "text"),
     [
         ("cheese", "unknown material 'cheese', known are vacuum, concrete"),
-        ("brick --frequency-ghz 77", "brick is known for 1..40 and 110..330 GHz, got 77 GHz"),
+        ("brick --frequency-ghz 400", "brick is known for 1..40 and 110..330 GHz, got 400 GHz"),
+        ("marble --frequency-ghz 77", "marble is known for 1..60 GHz, got 77 GHz"),
         ("floorboard --json", "floorboard is known for 50..100 GHz, got 10 GHz"),
         ("concrete --frequency-ghz nan", "frequency_hz must be finite and positive, got nan"),
         ("concrete --json --frequency-ghz 10 --frequency-ghz 77", "--json answers one --frequency-ghz, got 2"),
@@ -217,6 +228,9 @@ def test_the_page_shows_the_figures_of_the_code() -> None:
     lines = PAGE.read_text().splitlines()
     for row in (list(overview()[0]), *(list(row.values()) for row in overview())):
         assert "| " + " | ".join(row) + " |" in lines
+    for row in overview(extrapolate=True):
+        if row not in overview():
+            assert "| " + " | ".join(row[key] for key in EXTRAPOLATED_COLUMNS) + " |" in lines
     bands_hz = (10e9, 77e9)
     losses = {"air, 15 °C, 1013.25 hPa, 7.5 g/m³ [dB/km]": [1e3 * gas_db_per_m(f) for f in bands_hz]}
     for rain in (5, 25, 100):
