@@ -73,6 +73,16 @@ class Hits:
         share = np.maximum(np.maximum(-self.along_wall, self.along_wall - 1.0), 0.0)
         return np.where(np.isnan(share), np.inf, share * length_m)
 
+    def mirrors(self, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
+        """Return normals [N, 2] and offsets [N] of the mirror that each ray meets in a wall of its own [N].
+
+        An arc whose circle the ray misses acts as its chord.
+        """
+        row = np.arange(len(wall))
+        meets = ~np.isnan(self.along_ray[row, wall])
+        normal = np.where(meets[:, None], self.normal[row, wall], walls.normal[wall])
+        return normal, np.where(meets, self.offset_m[row, wall], walls.offset_m[wall])
+
 
 def wall_arrays(walls: list[Wall]) -> WallArrays:
     """Return the walls side by side as arrays."""
@@ -138,14 +148,10 @@ def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def mirrors_met(images_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals [N, 2] and offsets [N] of the mirrors that walls [N] are to rays towards images [N, 2].
-
-    Of an arc it is the tangent where the ray meets it, or its chord where the ray never does.
+    """Return normals [N, 2] and offsets [N] of the mirrors that walls [N] are to the radar's rays towards images [N,
+    2].
     """
-    met, own = hits(RADAR, images_m, walls), np.arange(len(images_m))
-    never = np.isnan(met.along_ray[own, wall])
-    normal = np.where(never[:, None], walls.normal[wall], met.normal[own, wall])
-    return normal, np.where(never, walls.offset_m[wall], met.offset_m[own, wall])
+    return hits(RADAR, images_m, walls).mirrors(wall, walls)
 
 
 def behind(points_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:

@@ -155,12 +155,8 @@ def _fold(origin_m: np.ndarray, apparent: Folded, arrays: WallArrays, wall: np.n
     -k rho dtheta / (u.n), rho the distance to the wall along the ray's direction u.
     """
     met = hits(origin_m, apparent.points_m, arrays)
-    row = np.arange(len(wall))
-    ray_share = np.nan_to_num(met.along_ray[row, wall])
-    # an arc whose circle the ray misses acts as its chord
-    meets = ~np.isnan(met.along_ray[row, wall])
-    normal = np.where(meets[:, None], met.normal[row, wall], arrays.normal[wall])
-    offset_m = np.where(meets, met.offset_m[row, wall], arrays.offset_m[wall])
+    ray_share = np.nan_to_num(met.along_ray[np.arange(len(wall)), wall])
+    normal, offset_m = met.mirrors(wall, arrays)
     ray = apparent.points_m - origin_m
     turn_m = origin_m + ray_share[:, None] * ray
     mirror = np.eye(2) - 2.0 * normal[:, :, None] * normal[:, None, :]

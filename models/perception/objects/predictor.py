@@ -14,7 +14,7 @@ from models.perception.detection.onnx_model import open_session
 from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
-from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, Detections, detections, hidden_objects
+from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, detections, hidden_objects
 from models.perception.objects.encoding import ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.radial_speed import radial_speeds
@@ -115,23 +115,12 @@ class ObjectPredictor:
         """
         if not self.suits(ra_map):
             raise ValueError(f"map.grid must be the {self.card.name} card's, got {ra_map.grid} of {ra_map.mode}")
-        reports = self.detections(ra_map, peaks, walls, returns, moving)
-        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
-
-    def detections(
-        self,
-        ra_map: RangeAzimuthMap,
-        peaks: Peaks,
-        walls: list[Wall],
-        returns: DirectReturns,
-        moving: bool = False,
-    ) -> Detections:
-        """Return the same as arrays."""
         cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
         table = self.card.calibration_of(moving)
         least = score_of(table, self.threshold)
         reports = detections(self.answer(cells), hypotheses, self.card.encoding.cells, wall_arrays(walls), least)
-        return replace(reports, score=calibrated(table, reports.score))
+        reports = replace(reports, score=calibrated(table, reports.score))
+        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
 
     def answer(self, cells: np.ndarray) -> np.ndarray:
         """Return the network's answer to one input [channels, rows, columns]."""

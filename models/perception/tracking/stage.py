@@ -71,22 +71,22 @@ class ViewStage:
         Objects are those that the network sees in the scan's map; without either, or with peaks that no network has
         detected, they are clusters of places.
         """
+        ego = self._states.at(peaks.stamp_ns)
         with self._timed("geometry"):
             earlier_walls = self._memory.walls_at(peaks)
-            judge = self._judge(peaks, ra_map)
+            judge = self._judge(peaks, ra_map, ego)
             params = self._judged if judge else self._params
             frame = recover_bev(peaks, params, self._residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar)
-        return msgspec.structs.replace(frame, ego=self._states.at(peaks.stamp_ns))
+        return msgspec.structs.replace(frame, ego=ego)
 
-    def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None) -> ObjectJudge | None:
-        """Return what sees the objects of a scan; None: no network does.
+    def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None, ego: VehicleState | None) -> ObjectJudge | None:
+        """Return what sees the objects of a scan from a vehicle in a state; None: no network does.
 
         It was trained on peaks that a network has detected: those of CFAR are another detector's.
         """
         if self.predictor is None or ra_map is None or not peaks.detector or not self.predictor.suits(ra_map):
             return None
-        state = self._states.at(peaks.stamp_ns)
-        moving = state is not None and state.valid and abs(state.speed_mps) >= MOVING_MPS
+        moving = ego is not None and ego.valid and abs(ego.speed_mps) >= MOVING_MPS
         return partial(self.predictor.objects, ra_map, peaks, moving=moving)
