@@ -19,6 +19,7 @@ from msgs.bus import codec
 from msgs.bus.interface import Envelope
 from msgs.recording.mcap import Losses, RecordingWriter, TopicLoss
 from msgs.recording.sigmf import write_capture
+from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
@@ -113,6 +114,15 @@ def _view(scan_id: int) -> BevFrame:
     )  # fmt: skip
 
 
+def _detections(scan_id: int) -> RadarDetections:
+    column = np.array([1.0, np.nan])
+    return RadarDetections(
+        stamp_ns=1000, scan_id=scan_id, sensor="front", range_m=np.array([5.0, 9.0]), azimuth_rad=np.array([0.1, -0.2]),
+        covariance=np.stack([0.01 * np.eye(2)] * 2), elevation_rad=column, elevation_std_rad=column,
+        radial_speed_mps=column, radial_speed_std_mps=column, over_ground=True, rcs_dbsm=column, snr_db=column, lost=1,
+    )  # fmt: skip
+
+
 def _walls() -> WallPriors:
     wall = PriorWall(ends_m=((20.0, -5.0), (20.0, 5.0)), offset_std_m=0.1, angle_std_rad=0.01, end_std_m=0.5)
     return WallPriors(stamp_ns=1000, source="map", walls=(wall, wall))
@@ -150,6 +160,7 @@ def messages(scan_id: int = 0) -> list[tuple[str, msgspec.Struct]]:
         ("vehicle/state", VehicleState(stamp_ns=3, speed_mps=4.5, valid=False, reason="stale")),
         *(("radar/beam", beam) for beam in beams(3)),
         ("lidar/histograms", histograms),
+        ("radar/detections", _detections(scan_id)),
         ("radar/ra_map", _map(scan_id)),
         ("perception/peaks", _peaks(scan_id)),
         ("perception/hidden_objects", _view(scan_id)),

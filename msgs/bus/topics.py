@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeStatus
 from msgs.values.environment import WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
@@ -44,6 +45,14 @@ _ALL = (
         rate_hz=1 / 0.3,
         max_bytes=4 * MIB,
         history_bytes=16 * MIB,
+        newest_only=True,
+    ),
+    Topic(
+        name="radar/detections",
+        type=RadarDetections,
+        rate_hz=17.0,
+        max_bytes=MIB // 2,
+        history_bytes=4 * MIB,
         newest_only=True,
     ),
     Topic(name="lidar/setup", type=LidarSetup, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=MIB, latched=True),

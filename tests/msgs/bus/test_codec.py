@@ -20,6 +20,7 @@ from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inl
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import TOPICS
 from msgs.values.arrays import DTYPES, MAX_STAMP_NS
+from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
@@ -76,7 +77,20 @@ def bev() -> BevFrame:
     )
 
 
+def detections(count: int, **columns: np.ndarray) -> RadarDetections:
+    return RadarDetections(
+        stamp_ns=1,
+        scan_id=1,
+        sensor="front",
+        range_m=np.arange(count) + 1.0,
+        azimuth_rad=np.zeros(count),
+        covariance=np.zeros((count, 2, 2)),
+        **columns,
+    )
+
+
 EXAMPLES: dict[str, list[msgspec.Struct]] = {
+    "radar/detections": [detections(0), detections(2, snr_db=np.array([20.0, math.nan]))],
     "radar/beam": [beam(), beam(samples=np.zeros((0, 8, 2), np.int16))],
     "radar/setup": [
         RadarSetup(),

@@ -1,0 +1,48 @@
+"""Detections of a radar: what a sensor may leave out, and what it may not say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from msgs.values.detections import OPTIONAL_COLUMNS, RadarDetections
+
+
+def detections(**changes: object) -> RadarDetections:
+    fields: dict[str, object] = {
+        "stamp_ns": 0,
+        "scan_id": 0,
+        "range_m": np.array([3.0, 4.0]),
+        "azimuth_rad": np.zeros(2),
+        "covariance": np.zeros((2, 2, 2)),
+    }
+    return RadarDetections(**(fields | changes))  # type: ignore[arg-type]
+
+
+def test_a_sensor_may_leave_out_what_it_does_not_measure() -> None:
+    assert all(getattr(detections(), name) is None for name in OPTIONAL_COLUMNS)
+    partly = detections(radial_speed_mps=np.array([1.0, math.nan]))
+    assert len(partly) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"range_m": np.array([math.nan, 1.0])}, "detections.range_m must be finite and at most 1e\\+06"),
+        ({"azimuth_rad": np.array([1e9, 1.0])}, "detections.azimuth_rad must be finite and at most 1000"),
+        ({"azimuth_rad": np.zeros(3)}, r"detections.azimuth_rad must have shape 2, got \(3,\)"),
+        ({"covariance": np.full((2, 2, 2), math.inf)}, "detections.covariance must be finite"),
+        ({"rcs_dbsm": np.array([math.inf, 0.0])}, "detections.rcs_dbsm must be at most 10000, or NaN"),
+        ({"snr_db": np.zeros(2, np.float32)}, "detections.snr_db must have dtype <f8"),
+        ({"lost": -1}, "detections.lost must lie in 0..2.14748e"),
+        (
+            {"range_m": np.ones(3000), "azimuth_rad": np.ones(3000), "covariance": np.zeros((3000, 2, 2))},
+            r"detections.count must lie in 0..2048, got 3000",
+        ),
+    ],
+)
+def test_what_no_sensor_measures_is_refused_by_name(changes: dict, rule: str) -> None:
+    with pytest.raises(ValueError, match=f"^{rule}"):
+        detections(**changes)
