@@ -63,8 +63,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Speed of every object along its heading, and of the radar; None: as the scene says.
     object_speed_mps: float | None = None
     ego_speed_mps: float | None = None
-    #: Effects to simulate: basic, auto (what the scene calls for under the budget), all, or names between commas.
-    effects: str = "basic"
+    #: Effects to simulate: auto (what the scene calls for under the budget), basic, all, or names between commas.
+    effects: str = "auto"
     budget_db: float = -20.0
     #: What effects "auto" keep: samples, peaks or objects.
     purpose: str = "samples"
@@ -374,12 +374,12 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
 
 
 def _require_for_lidar(params: Params) -> None:
-    """Raise `ValueError` for parameters of radars; effects "auto" are what a scene calls for, of a LiDAR none."""
+    """Raise `ValueError` for parameters of radars."""
     radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
     default = Params(scene=params.scene)
     for name in radar_only:
         value = getattr(params, name)
-        if value != getattr(default, name) and (name, value) != ("effects", "auto"):
+        if value != getattr(default, name):
             raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 

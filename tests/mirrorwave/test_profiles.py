@@ -70,10 +70,10 @@ def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytes
 
 
 def test_default_is_what_was_chosen() -> None:
-    """As `accurate`, by the committed object network."""
-    default, accurate = (SharedParts.of(read_profile(name), RadarSetup()) for name in ("default", "accurate"))
+    """As `balanced`, by the committed object network."""
+    default, balanced = (SharedParts.of(read_profile(name), RadarSetup()) for name in ("default", "balanced"))
     beams = list(LabelledPlace(5, 1, "basic").beams())
-    chains = [parts.chain() for parts in (default, accurate)]
+    chains = [parts.chain() for parts in (default, balanced)]
     objects = [[one for beam in beams for view in chain.add(beam) for one in view.frame.objects] for chain in chains]
     assert objects[0] == objects[1]
     assert objects[0]
@@ -138,7 +138,8 @@ def test_one_object_within_15_cm_in_the_alley_of_another_simulator(tmp_path: Pat
 
 @pytest.mark.slow
 @needs(ALLEY)
-def test_the_object_network_sees_the_same_car_in_the_alley(tmp_path: Path) -> None:
-    """It reports the car alone, too, within the goal of 0.15 m."""
-    _, away_m = in_the_alley(tmp_path)
-    assert away_m < 0.15
+@pytest.mark.parametrize(("profile", "limit_m"), [("accurate", 0.15), ("default", 0.2)])
+def test_the_object_network_sees_the_same_car_in_the_alley(tmp_path: Path, profile: str, limit_m: float) -> None:
+    """It reports the car alone, too: with two looks within the goal of 0.15 m, with one look 0.19 m off."""
+    _, away_m = in_the_alley(tmp_path, "--profile", profile)
+    assert away_m < limit_m
