@@ -357,10 +357,11 @@ def _can_frames(parts: Parts, box: Box) -> None:
     from mirrorwave.diagnose.can_log import LogReport
     from mirrorwave.diagnose.can_signals import SignalReport
     from msgs.bus import codec
-    from nodes.can.bus import checkout_path, load_dbc, load_decoder
+    from msgs.files.shipped import shipped_path
+    from nodes.can.bus import load_dbc, load_decoder
 
-    dbc = checkout_path("launch/can/mirrorwave.dbc")
-    decoder = load_decoder(dbc, checkout_path("launch/can/mirrorwave.yaml"))
+    dbc = shipped_path("launch/can/mirrorwave.dbc")
+    decoder = load_decoder(dbc, shipped_path("launch/can/mirrorwave.yaml"))
     report = LogReport(decoder, 0.0)
     report.read(_frames(part(parts, 0)))
     json.dumps(_plain(report.as_dict()), allow_nan=False)
@@ -383,13 +384,13 @@ def _mapping(parts: Parts, box: Box) -> None:
 
 def _can_log(parts: Parts, box: Box) -> None:
     from mirrorwave.convert.logs import CanSource, import_can
+    from msgs.files.shipped import shipped_path
     from msgs.recording.mcap import info
-    from nodes.can.bus import checkout_path
     from nodes.can.log_file import read_log
 
     suffix = text(parts, 0) if text(parts, 0) in (".log", ".asc", ".blf", ".csv", ".trc", ".asc.gz") else ".asc"
     log = box.put(f"a{suffix}", part(parts, 1))
-    dbc, mapping = checkout_path("launch/can/mirrorwave.dbc"), checkout_path("launch/can/mirrorwave.yaml")
+    dbc, mapping = shipped_path("launch/can/mirrorwave.dbc"), shipped_path("launch/can/mirrorwave.yaml")
     out = box.new("out.mcap")
     found = import_can(CanSource(log=log, dbc=dbc, mapping=mapping), out)
     assert found["states"] == sum(one.messages for one in info(out).topics)

@@ -11,12 +11,13 @@ from typing import Literal
 
 from models.vehicle.hidden_object_list import HiddenObjectList, ListFrame
 from msgs.bus.interface import Outgoing, Received
+from msgs.files.shipped import shipped_path
 from msgs.values.arrays import require_positive
 from msgs.values.diagnostics import NodeState
 from msgs.values.perception import BevFrame
 from msgs.values.units import ns_from_s
 from msgs.values.wording import counted
-from nodes.can.bus import MAX_RETRY_S, RETRY_S, BusParams, CanLink, bus_frame, checkout_path, load_dbc
+from nodes.can.bus import MAX_RETRY_S, RETRY_S, BusParams, CanLink, bus_frame, load_dbc
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
@@ -163,7 +164,7 @@ class CanOut(Node):
 
 def create(params: Params) -> CanOut:
     """Return the node; `ValueError` for a DBC that does not fit. An absent bus may appear later."""
-    path = checkout_path(params.dbc)
+    path = shipped_path(params.dbc)
     database = load_dbc(path)
     try:
         encoder = HiddenObjectList(database)

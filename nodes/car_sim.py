@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import msgspec
 
 from msgs.bus.interface import Outgoing, Received
+from msgs.files.shipped import shipped_path
 from msgs.values.diagnostics import NodeState
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
-from nodes.can.bus import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
+from nodes.can.bus import BusParams, CanLink, bus_frame, load_dbc, load_mapping
 from nodes.node import Node
 from sim_player.car import CarShape, SimulatedCar
 
@@ -67,7 +69,7 @@ def motion_of(params: Params) -> VehicleState:
         # imported here: a car whose motion is given needs no simulator
         from sim_player.scene.description import load_scene
 
-        ego = load_scene(checkout_path(params.scene)).ego
+        ego = load_scene(Path(params.scene)).ego
         speed_mps = ego.speed_mps if speed_mps is None else speed_mps
         yaw_rate_rps = math.radians(ego.yaw_rate_dps) if yaw_rate_rps is None else yaw_rate_rps
     speed_mps, yaw_rate_rps = speed_mps or 0.0, yaw_rate_rps or 0.0
@@ -80,7 +82,7 @@ def motion_of(params: Params) -> VehicleState:
 
 def create(params: Params) -> CarSim:
     """Return the node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
-    database, mapping = load_dbc(checkout_path(params.dbc)), load_mapping(checkout_path(params.mapping))
+    database, mapping = load_dbc(shipped_path(params.dbc)), load_mapping(shipped_path(params.mapping))
     motion = motion_of(params)
     # an invalid motion is refused here, not while driving
     SimulatedCar(database, mapping).frames(motion)

@@ -13,7 +13,6 @@ import msgspec
 from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.topics import SENSOR_TOPICS
-from msgs.files.shipped import CHECKOUT
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -336,9 +335,7 @@ def scene_of(params: Params) -> Scene:
     """Return the scene named by `params`, with the speeds it overrides."""
     from sim_player.scene.description import check_scene, load_scene
 
-    path = Path(params.scene or "")
-    in_checkout = CHECKOUT / path
-    scene = load_scene(in_checkout if in_checkout.exists() and not path.exists() else path)
+    scene = load_scene(Path(params.scene or ""))
     if params.object_speed_mps is not None:
         moving_objects = tuple(
             msgspec.structs.replace(item, speed_mps=params.object_speed_mps) for item in scene.objects

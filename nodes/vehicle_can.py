@@ -16,6 +16,7 @@ import msgspec
 
 from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
 from msgs.bus.interface import Outgoing, Received
+from msgs.files.shipped import shipped_path
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -24,7 +25,6 @@ from nodes.can.bus import (
     BusParams,
     CanLink,
     LogFrame,
-    checkout_path,
     decode_frame,
     frame_stamp_ns,
     load_decoder,
@@ -256,7 +256,7 @@ class VehicleCanNode(Node):
 
 def create(params: Params) -> VehicleCanNode:
     """Return the node; `ValueError` for an unreadable DBC, mapping or log. An absent bus may appear later."""
-    decoder = load_decoder(checkout_path(params.dbc), checkout_path(params.mapping))
+    decoder = load_decoder(shipped_path(params.dbc), shipped_path(params.mapping))
     if params.log is None:
         return VehicleCanNode(decoder, LiveSource(CanLink(params)), params.clock_offset_s)
     source = LogSource(read_log(Path(params.log), params.log_channel), params.rate, params.log_start_ns)

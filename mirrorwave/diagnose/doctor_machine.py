@@ -10,13 +10,12 @@ import os
 import re
 import sys
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mirrorwave.console import error_line
 from mirrorwave.diagnose.findings import Finding, Status
-from msgs.files.shipped import CHECKOUT, WEIGHTS
+from msgs.files.shipped import WEIGHTS
 
 _MIB = 1 << 20
 #: Package -> module to import: importing it is what finds a missing shared library.
@@ -28,9 +27,11 @@ _PACKAGES = {
     "onnxruntime": "onnxruntime",
     "pyzmq": "zmq",
     "msgspec": "msgspec",
-    "msgpack": "msgpack",
     "mcap": "mcap",
+    "zstandard": "zstandard",
+    "lz4": "lz4.frame",
     "sigmf": "sigmf",
+    "jsonschema": "jsonschema",
     "PyYAML": "yaml",
     "typer": "typer",
     "rich": "rich",
@@ -45,7 +46,8 @@ _PACKAGES = {
 }
 #: Below this the graph's buffers and networks do not fit beside anything else.
 _MEMORY_NEEDED_BYTES = 1 << 30
-_PYPROJECT = CHECKOUT / "pyproject.toml"
+#: A requirement of an extra, as the metadata of an installation has it.
+_EXTRA = re.compile(r"""(?P<name>[A-Za-z0-9_.-]+).*;.*extra == ['"](?P<extra>[^'"]+)['"]""")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 #: How the kernel numbers the kind of a network interface (ARPHRD_CAN).
 _CAN_DEVICE = "280"
@@ -97,9 +99,10 @@ def check_packages() -> Iterator[Finding]:
 
 def check_extras() -> Iterator[Finding]:
     """Check which optional packages are installed, by extra, and name the command for the rest."""
-    extras = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-    for extra, requirements in extras.items():
-        names = [match.group() for line in requirements if (match := re.match(r"[A-Za-z0-9_.-]+", line))]
+    declared = importlib.metadata.metadata("mirrorwave").get_all("Provides-Extra") or ()
+    optional = [_EXTRA.match(line) for line in importlib.metadata.requires("mirrorwave") or ()]
+    for extra in declared:
+        names = [match["name"] for match in optional if match and match["extra"] == extra]
         absent = [name for name in names if name != "mirrorwave" and not _is_installed(name)]
         hint = f"not installed: {', '.join(absent)}; pip install 'mirrorwave[{extra}]'" if absent else ", ".join(names)
         yield Finding(f"extra {extra}", Status.OK, hint)

@@ -16,7 +16,6 @@ from cantools.database import Database
 
 from models.vehicle.can_state import CanDecoder, Judged, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule
-from msgs.files.shipped import CHECKOUT
 from msgs.values.known_names import refuse_unknown
 from msgs.values.units import NANOSECONDS_PER_SECOND, ns_from_s
 from nodes.process.launch_file import read_yaml_mapping
@@ -217,12 +216,6 @@ class LogFrame(NamedTuple):
 
     frame: can.Message
     stamp_ns: int
-
-
-def checkout_path(name: str) -> Path:
-    """Return a path as named, or if that does not exist, relative to the checkout."""
-    path = Path(name)
-    return path if path.exists() else CHECKOUT / path
 
 
 def load_dbc(path: Path) -> Database:

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import yaml
 
+from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, in_words
 from nodes.node import MODULE_NAME, NODE_NAME
 from nodes.process.validation import convert_at
@@ -141,8 +142,10 @@ def _ordered(needed: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
 
 
 def read_launch_file(path: Path) -> LaunchFile:
-    """Return the launch file at `path`; raises `ValueError` naming file, field and rule, `OSError` if unreadable."""
-    return launch_from_mapping(read_yaml_mapping(path), str(path))
+    """Return the launch file at `path`, or the shipped one of that name; raises `ValueError` naming file, field and
+    rule, `OSError` if unreadable.
+    """
+    return launch_from_mapping(read_yaml_mapping(shipped_path(path)), str(path))
 
 
 def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:

@@ -22,6 +22,7 @@ import yaml
 from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
+from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, in_words
 from msgs.values.known_names import with_known_names
 from msgs.values.lidar import LidarSetup, SpadParams
@@ -240,8 +241,11 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def load_scene(path: Path) -> Scene:
-    """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
+    """Read and check a scene file, or the shipped one of that name; ValueError in one line that names file, field,
+    value and rule.
+    """
     try:
+        path = shipped_path(path)
         # check before reading: a foreign scene must not exhaust the memory of a graph
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")

@@ -25,6 +25,7 @@ from models.perception.tracking.scan_state import MemoryParams
 from models.vehicle.can_state import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
+from msgs.files.shipped import shipped_path
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
@@ -66,7 +67,7 @@ from nodes import (
     recorder,
     vehicle_can,
 )
-from nodes.can.bus import CanLink, checkout_path, load_dbc, load_mapping
+from nodes.can.bus import CanLink, load_dbc, load_mapping
 from nodes.node import Node
 from nodes.recording import snapshot_recorder
 from nodes.recording.files import as_recorded
@@ -75,8 +76,8 @@ from tests.fuzz.strategies import Said, Step
 
 PERIOD_NS = 300_000_000
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
-DBC, MAPPING = checkout_path("launch/can/mirrorwave.dbc"), checkout_path("launch/can/mirrorwave.yaml")
-OUT_DBC = checkout_path("launch/can/mirrorwave_out.dbc")
+DBC, MAPPING = shipped_path("launch/can/mirrorwave.dbc"), shipped_path("launch/can/mirrorwave.yaml")
+OUT_DBC = shipped_path("launch/can/mirrorwave_out.dbc")
 
 
 class Case(NamedTuple):

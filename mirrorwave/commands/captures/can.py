@@ -45,13 +45,14 @@ def decode(
 ) -> None:
     """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
     from mirrorwave.diagnose.can_log import LogReport
-    from nodes.can.bus import checkout_path, load_decoder
+    from msgs.files.shipped import shipped_path
+    from nodes.can.bus import load_decoder
     from nodes.can.log_file import read_log
 
     if signals:
         _decode_signals(log, dbc, channel, every, as_json)
         return
-    report = LogReport(load_decoder(checkout_path(str(dbc)), checkout_path(str(mapping))), every)
+    report = LogReport(load_decoder(shipped_path(dbc), shipped_path(mapping)), every)
     report.read(read_log(log, channel))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
@@ -91,10 +92,11 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     """All that a DBC knows of a log; exit code 1 if it knows none of its frames."""
     from mirrorwave.diagnose.can_log import until_error
     from mirrorwave.diagnose.can_signals import SignalReport
-    from nodes.can.bus import checkout_path, load_dbc
+    from msgs.files.shipped import shipped_path
+    from nodes.can.bus import load_dbc
     from nodes.can.log_file import read_log
 
-    report = SignalReport(load_dbc(checkout_path(str(dbc))), every_s)
+    report = SignalReport(load_dbc(shipped_path(dbc)), every_s)
     report.read(until_error(read_log(log, channel), report))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
@@ -178,11 +180,12 @@ def monitor(
 def _monitor_signals(params: BusParams, every_s: float, duration_s: float | None, as_json: bool) -> None:
     """All messages of a DBC on a live bus, each interval; exit code 1 if none came."""
     from mirrorwave.diagnose.can_signals import SignalReport
-    from nodes.can.bus import CanLink, checkout_path, load_dbc
+    from msgs.files.shipped import shipped_path
+    from nodes.can.bus import CanLink, load_dbc
     from nodes.vehicle_can import LiveSource, Params
 
     assert isinstance(params, Params)
-    report = SignalReport(load_dbc(checkout_path(params.dbc)), None, _KEPT_GAPS)
+    report = SignalReport(load_dbc(shipped_path(params.dbc)), None, _KEPT_GAPS)
     source = LiveSource(CanLink(params))
     start_s = time.monotonic()
     try:

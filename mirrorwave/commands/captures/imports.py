@@ -139,13 +139,13 @@ def can(
 ) -> int:
     """A CAN log as a recording of the vehicle's state; exit code 3 if the log breaks off."""
     from mirrorwave.convert.logs import CanSource, import_can
-    from nodes.can.bus import checkout_path
+    from msgs.files.shipped import shipped_path
 
     require_new_file(out)
     source = CanSource(
         log=log,
-        dbc=checkout_path(str(dbc)),
-        mapping=checkout_path(str(mapping)),
+        dbc=shipped_path(dbc),
+        mapping=shipped_path(mapping),
         channel=channel,
         start_ns=start_ns,
     )

@@ -1,0 +1,136 @@
+"""An installation: what the wheel holds, what it does in any folder, what it leaves of others, what it declares."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import venv
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mirrorwave.floors import FLOORS
+from msgs.files.shipped import CHECKOUT
+
+#: Needed by others at run time, imported by none of ours: uvicorn takes it for web sockets.
+INDIRECT = {"websockets"}
+#: Import name -> distribution, where they differ.
+DISTRIBUTIONS = {"can": "python-can", "yaml": "pyyaml", "zmq": "pyzmq"}
+#: What only extras bring, and what only type checkers read.
+OPTIONAL = {"onnx", "open3d", "osmium", "ray", "rosbags", "shapely", "submitit", "torch", "typing_extensions"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of the checkout, built without the network."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--wheel-dir", str(folder), str(CHECKOUT)], check=True, capture_output=True)
+    (made,) = folder.glob("*.whl")
+    return made
+
+
+@pytest.fixture(scope="module")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A virtual environment with other people's `models` and `nodes`, and the wheel installed; then uninstalled."""
+    folder = tmp_path_factory.mktemp("environment")
+    venv.create(folder, with_pip=False, symlinks=True)
+    packages = next(folder.glob("lib/python*/site-packages"))
+    for name in ("models", "nodes"):
+        (packages / name).mkdir()
+        (packages / name / "__init__.py").write_text(f"OWNER = 'somebody else, {name}'\n")
+    before = files_of(packages)
+    pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python")]
+    subprocess.run([*pip, "install", "--quiet", "--no-deps", "--no-index", str(wheel)], check=True)
+    assert before.items() <= files_of(packages).items()
+    yield folder
+    subprocess.run([*pip, "uninstall", "--quiet", "--yes", "mirrorwave"], check=True)
+    assert files_of(packages) == before
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Contents by name; compiled modules aside."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+
+
+def run(environment: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a program of the environment in a folder, with the distributions that the tests have."""
+    variables = {**os.environ, "PYTHONPATH": sysconfig.get_path("purelib")}
+    program = [str(environment / "bin" / words[0]), *words[1:]]
+    return subprocess.run(program, cwd=folder, env=variables, capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_the_wheel_has_one_package_and_all_that_it_needs(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0] for name in names} == {"mirrorwave", "mirrorwave-0.1.0.dist-info"}
+    within = "mirrorwave/floors_below/"
+    needed = [path for name in (*FLOORS, "launch") for path in (CHECKOUT / name).rglob("*.*") if path.is_file()]
+    assert {f"{within}{path.relative_to(CHECKOUT)}" for path in needed if path.suffix != ".pyc"} <= set(names)
+    assert f"{within}docs/results/tradeoff.json" in names
+    assert not [name for name in names if "__pycache__" in name]
+
+
+def test_it_runs_in_a_folder_of_somebody_elses_models(environment: Path, tmp_path: Path) -> None:
+    """Beside a `models` and a `nodes` in the working folder and in the environment, ours are used and shipped files are
+    there by their names.
+    """
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "__init__.py").write_text("raise SystemExit('not this one')")
+    for command in (["mirrorwave"], ["python", "-m", "mirrorwave"]):
+        drawn = run(environment, tmp_path, *command, "graph", "launch/corner.yaml")
+        assert drawn.returncode == 0, drawn.stderr
+        assert "dense_predictor" in drawn.stdout
+    findings = run(environment, tmp_path, "mirrorwave", "doctor", "--json")
+    weights = [item for item in json.loads(findings.stdout) if item["check"].startswith("weights")]
+    assert len(weights) == 4
+    assert {item["status"] for item in weights} == {"ok"}
+
+
+def test_it_uses_its_own_floors_and_leaves_those_of_others(environment: Path, tmp_path: Path) -> None:
+    ours = run(environment, tmp_path, "python", "-c", "import mirrorwave, models; print(models.__file__)")
+    assert "floors_below" in ours.stdout
+    theirs = run(environment, tmp_path, "python", "-c", "import models; print(models.OWNER)")
+    assert theirs.stdout.strip() == "somebody else, models"
+
+
+def test_a_package_that_is_loaded_already_gets_an_honest_line(environment: Path, tmp_path: Path) -> None:
+    late = run(environment, tmp_path, "python", "-c", "import nodes, mirrorwave")
+    line = late.stderr.strip().splitlines()[-1]
+    assert re.fullmatch(
+        r"ImportError: mirrorwave has a package 'nodes' of its own, and another one is loaded already, "
+        r"from \S+/nodes/__init__\.py: import mirrorwave first, or rename the other",
+        line,
+    )
+
+
+def imported() -> set[str]:
+    """Top-level names that the floors import."""
+    trees = [
+        ast.parse(path.read_text()) for name in (*FLOORS, "mirrorwave") for path in (CHECKOUT / name).rglob("*.py")
+    ]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    plain = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    from_modules = {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
+    every = {name.split(".")[0] for name in plain | from_modules}
+    return every - set(sys.stdlib_module_names) - {*FLOORS, "mirrorwave"}
+
+
+def test_what_is_imported_is_declared() -> None:
+    declared = {
+        re.split(r"[<>=!~ ;\[]", line)[0].lower()
+        for line in tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]["dependencies"]
+    }
+    needed = {DISTRIBUTIONS.get(name, name).lower() for name in imported() - OPTIONAL}
+    assert declared == needed | INDIRECT
