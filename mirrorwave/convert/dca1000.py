@@ -23,6 +23,7 @@ from models.sensors.dca1000 import (
     parse_cfg,
     parse_json,
 )
+from models.sensors.mmwave_studio import parse_lua
 from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
@@ -65,7 +66,7 @@ class ImportedFrame:
 
 
 def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
-    """Configuration of a `.json` or, by any other suffix, of a TI command-line file."""
+    """Configuration of a `.json`, a `.lua` of mmWave Studio or, by any other suffix, a TI command-line file."""
     with path.open("rb") as file:
         content = file.read(_MAX_CONFIG_BYTES + 1)
     if len(content) > _MAX_CONFIG_BYTES:
@@ -73,9 +74,11 @@ def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
     if path.suffix.lower() == ".json":
         return parse_json(content, str(path), device)
     try:
-        return parse_cfg(content.decode("utf-8"), str(path), device)
+        text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: must be UTF-8 text, got byte {content[error.start]:#04x} at {error.start}") from None
+    parse = parse_lua if path.suffix.lower() == ".lua" else parse_cfg
+    return parse(text, str(path), device)
 
 
 def import_capture(

@@ -4,8 +4,9 @@ A file is int16 without header, frame after frame, chirp after chirp. Two lanes 
 the other, its samples in pairs I0 I1 Q0 Q1. Four lanes (xWR14xx): one sample after the other, I of the four receivers,
 then their Q. With `sample_swap` 1 in `adcbufCfg`, Q precedes I. Source: TI SWRA581B, sections 5 and 6.
 
-The configuration is that of TI's command line (`.cfg`) or a JSON object with the same commands as keys. Its gaps are
-filled by assumptions: receivers half a wavelength of the sweep's middle apart, and transmitters as in `Device`.
+The configuration is that of TI's command line (`.cfg`), a JSON object with the same commands as keys, or a script of
+mmWave Studio (`models.sensors.mmwave_studio`). Its gaps are filled by assumptions: receivers half a wavelength of the
+sweep's middle apart, and transmitters as in `Device`.
 """
 
 from __future__ import annotations
@@ -325,7 +326,7 @@ def parse_json(text: bytes, name: str, device: DeviceName | None = None) -> Dca1
         raise ValueError(f"{name}: must be JSON: {error}") from None
     if not isinstance(fields, dict):
         raise ValueError(f"{name}: must be a JSON object, got {type(fields).__name__}")
-    return _configured(fields, name, device)
+    return configured(fields, name, device)
 
 
 def parse_cfg(text: str, name: str, device: DeviceName | None = None) -> Dca1000Config:
@@ -342,7 +343,7 @@ def parse_cfg(text: str, name: str, device: DeviceName | None = None) -> Dca1000
         words = line.split("%")[0].split()
         if words:
             _add_command(fields, words[0], words[1:], where)
-    return _configured(fields, name, device)
+    return configured(fields, name, device)
 
 
 def _add_command(fields: dict[str, Any], command: str, words: list[str], where: str) -> None:
@@ -388,7 +389,8 @@ def _number(word: str, where: str) -> float:
     raise ValueError(f"{where} must have numbers, got {word!r}")
 
 
-def _configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> Dca1000Config:
+def configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> Dca1000Config:
+    """Return the configuration of commands by their names; raises `ValueError` that begins with `name`."""
     device_name = fields.get("device", device)
     if device_name is None:
         raise ValueError(f"{name}: device must be named, one of {', '.join(DEVICES)}: the lanes depend on it")

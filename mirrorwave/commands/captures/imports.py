@@ -85,7 +85,9 @@ def xradarnlos(
 @app.command()
 def dca1000(
     capture: Annotated[Path, typer.Argument(metavar="CAPTURE.bin", help="Raw samples as the DCA1000 stored them.")],
-    config: Annotated[Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg, or .json with the same commands.")],
+    config: Annotated[
+        Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg or .json, or a .lua of mmWave Studio.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
     device: Annotated[
         DeviceOption | None, typer.Option(help='Device, where FILE does not name it ("% Platform:").')
