@@ -515,7 +515,7 @@ def _xradarnlos(parts: Parts, box: Box) -> None:
 def _dca1000(parts: Parts, box: Box) -> None:
     import numpy as np
 
-    from mirrorwave.convert.dca1000 import read_config
+    from models.sensors.config_file import read_config
     from models.sensors.dca1000 import array_params, frame_samples, frames_of, map_grid
 
     suffix = (".cfg", ".json")[number(parts, 0, 2)]

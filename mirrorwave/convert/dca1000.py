@@ -15,23 +15,17 @@ from models.perception.detection.peaks import keep_apart, local_maxima
 from models.perception.forming.digital_array import DigitalArrayMap, form_digital_map
 from models.sensors.dca1000 import (
     Dca1000Config,
-    DeviceName,
     FileFrames,
     array_params,
     frame_samples,
     map_grid,
-    parse_cfg,
-    parse_json,
 )
-from models.sensors.mmwave_studio import parse_lua
 from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
 FRAMES_PER_FILE = 50
-#: Longer files are no configuration.
-_MAX_CONFIG_BYTES = 1 << 20
 #: Returns lie further apart than this in range or azimuth: Hann's main lobe, and that of eight channels at broadside.
 SPACING_CELLS = (2, 32)
 #: Weaker maxima may be noise: of the 4 million values that a map is chosen from (Doppler bins), the strongest lies some
@@ -63,22 +57,6 @@ class ImportedFrame:
     formed: DigitalArrayMap
     returns: list[dict[str, float]]
     saturated_share: float
-
-
-def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
-    """Configuration of a `.json`, a `.lua` of mmWave Studio or, by any other suffix, a TI command-line file."""
-    with path.open("rb") as file:
-        content = file.read(_MAX_CONFIG_BYTES + 1)
-    if len(content) > _MAX_CONFIG_BYTES:
-        raise ValueError(f"{path}: a configuration holds at most {_MAX_CONFIG_BYTES} bytes")
-    if path.suffix.lower() == ".json":
-        return parse_json(content, str(path), device)
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: must be UTF-8 text, got byte {content[error.start]:#04x} at {error.start}") from None
-    parse = parse_lua if path.suffix.lower() == ".lua" else parse_cfg
-    return parse(text, str(path), device)
 
 
 def import_capture(

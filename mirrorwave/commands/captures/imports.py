@@ -99,7 +99,8 @@ def dca1000(
     as_json: AsJson = False,
 ) -> int:
     """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
-    from mirrorwave.convert.dca1000 import ImportParams, import_capture, read_config
+    from mirrorwave.convert.dca1000 import ImportParams, import_capture
+    from models.sensors.config_file import read_config
     from models.sensors.dca1000 import frames_of
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)

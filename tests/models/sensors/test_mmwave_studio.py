@@ -47,7 +47,11 @@ def test_a_script_says_what_a_cfg_says() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "rule"),
     [
-        ("LAST = 2 - 1", "if a == 0 then", "line 5: must be NAME = VALUE or NAME(VALUES) of at most 600 characters, got 'if a == 0 then'"),
+        (
+            "LAST = 2 - 1",
+            "if a == 0 then",
+            "line 5: must be NAME = VALUE or NAME(VALUES) of at most 600 characters, got 'if a == 0 then'",
+        ),
         ("LAST = 2 - 1", "for i = 1, 3 do", "line 5: must be NAME = VALUE"),
         ("LAST = 2 - 1", "LAST = #PATH", "line 5: must be NAME = VALUE"),
         ("LAST = 2 - 1", "LAST = [x for x in 2]", "line 5: must be a number, a text or a name given before"),
