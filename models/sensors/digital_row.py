@@ -26,7 +26,7 @@ def radar_setup(config: Dca1000Config, full_scale_dbm: float = -20.0, mirrored: 
     """
     params, profile = array_params(config, mirrored=mirrored), config.profile
     columns = len(_columns(params))
-    sampled_s = profile.adc_samples / (1e3 * profile.sample_rate_ksps)
+    sampled_s = config.samples / config.sample_rate_hz
     return RadarSetup(
         radar=RadarParams(
             # of the first sample; half a wavelength of mid-sweep then is half a turn in the middle, as it should
@@ -34,7 +34,7 @@ def radar_setup(config: Dca1000Config, full_scale_dbm: float = -20.0, mirrored: 
             bandwidth_hz=params.chirp_slope_hz_per_s * sampled_s,
             sample_rate_hz=params.sample_rate_hz,
             chirps_per_beam=config.frame.loops,
-            samples_per_chirp=profile.adc_samples,
+            samples_per_chirp=config.samples,
             scan_period_s=1e-3 * config.frame.period_ms,
             chirp_interval_s=len(config.transmitters) * params.chirp_interval_s,
         ),

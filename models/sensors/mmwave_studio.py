@@ -62,9 +62,11 @@ def parse_lua(text: str, name: str, device: DeviceName | None = None) -> Dca1000
     fields: dict[str, Any] = {}
     for call in _calls(text, name):
         _take(fields, call, f"{name}: line {call.line}: {call.name}")
+    lanes = DEVICES[found].lanes if (found := fields.get("device", device)) else 2
     if fields.pop("q_first", False):
-        four_lanes = fields.get("device", device) == "xwr14xx"
-        fields["adcbufCfg"] = {"sample_swap": 1, "channel_interleave": 0 if four_lanes else 1}
+        fields["adcbufCfg"] = {"sample_swap": 1, "channel_interleave": 0 if lanes == 4 else 1}
+    if (taken := fields.pop("taken_lanes", lanes)) != lanes:
+        raise ValueError(f"{name}: ar1.CaptureCardConfig_Mode must take {lanes} lanes of {found}, got {taken}")
     return configured(fields, name, device)
 
 
@@ -155,9 +157,10 @@ def _take(fields: dict[str, Any], call: Call, where: str) -> None:
         return
     if call.name in _FIXED:
         _require_fixed(call, where)
-        return
-    if call.name not in _READERS:
+    elif call.name not in _READERS:
         raise ValueError(f"{where} must be a call that is known")
+    if call.name not in _READERS:
+        return
     counts, reader = _READERS[call.name]
     if len(call.arguments) not in counts:
         raise ValueError(f"{where} must have {' or '.join(map(str, counts))} values, got {len(call.arguments)}")
@@ -201,6 +204,16 @@ def _channels(values: tuple[Value, ...], where: str) -> dict[str, Any]:
     }
 
 
+def _sent_lanes(values: tuple[Value, ...], where: str) -> dict[str, Any]:
+    return {"sent_lanes": _mask(values[1:5], where).bit_count()}
+
+
+def _taken_lanes(values: tuple[Value, ...], where: str) -> dict[str, Any]:
+    if values[1] not in _TAKEN_LANES:
+        raise ValueError(f"{where}: value 2 must be 1 (four lanes) or 2 (two), got {values[1]!r}")
+    return {"taken_lanes": _TAKEN_LANES[values[1]]}
+
+
 def _profile(values: tuple[Value, ...], where: str) -> dict[str, Any]:
     times, backoffs, phases, rest = values[:5], values[5:8], values[8:11], values[11:]
     for what, each in (("backoff", backoffs), ("phase", phases)):
@@ -221,7 +234,8 @@ def _frame(values: tuple[Value, ...], where: str) -> dict[str, Any]:
     return {"frameCfg": dict(zip(names, values[:5], strict=True))}
 
 
-#: Values of calls that are read only to check them, by their places: value, rule.
+_TAKEN_LANES: dict[Value, int] = {1: 4, 2: 2}
+#: Values of calls that must be one, by their places: value, rule.
 _FIXED: dict[str, dict[int, tuple[Value, str]]] = {
     "ar1.DataPathConfig": {0: (1, "LVDS"), 1: (1, "ADC samples alone"), 2: (0, "nothing beside them")},
     "ar1.LVDSLaneConfig": {0: (0, "the first format"), 5: (1, "highest bit first"), 7: (0, "no checksums")},
@@ -232,6 +246,8 @@ _FIXED: dict[str, dict[int, tuple[Value, str]]] = {
 _READERS: dict[str, tuple[tuple[int, ...], Callable[[tuple[Value, ...], str], dict[str, Any]]]] = {
     "ar1.SelectChipVersion": ((1,), _device),
     "ar1.ChanNAdcConfig": ((10,), _channels),
+    "ar1.LVDSLaneConfig": ((8,), _sent_lanes),
+    "ar1.CaptureCardConfig_Mode": ((6,), _taken_lanes),
     "ar1.ProfileConfig": ((18,), _profile),
     "ar1.ChirpConfig": ((10,), _chirp),
     # delay and kind of the trigger follow, which no sample depends on

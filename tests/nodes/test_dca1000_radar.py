@@ -301,7 +301,7 @@ def expected_beams(config: Dca1000Config, recording: bytes, frame: int) -> np.nd
 def test_a_real_capture_as_datagrams(monkeypatch: pytest.MonkeyPatch) -> None:
     """2110 datagrams of the AWR1843 on the loopback, 1 % lost, some overtaken by up to 8: whole frames are the file's.
 
-    The file's frames have one loop, so that those with a loss are left out; all are accounted for.
+    The file's frames have one loop, so that those with a loss are left out: of 1000, about 21 datagrams of two each.
     """
     monkeypatch.setattr(dca1000_radar, "MAX_WAITING", 1000)
     recording = (TASK3 / "task3_gt_Raw_0.bin").read_bytes()
@@ -313,7 +313,7 @@ def test_a_real_capture_as_datagrams(monkeypatch: pytest.MonkeyPatch) -> None:
     counts = node._assembler.counts
     assert (counts.placed, counts.lost, counts.late, counts.refused) == (total - lost, lost, 0, 0)
     scans = sorted({beam.scan_id for beam in beams})
-    assert 450 < len(scans) < 500
+    assert 900 < len(scans) < 1000
     for beam in beams:
         if beam.beam_index == 0:
             expected = expected_beams(config, recording, beam.scan_id)

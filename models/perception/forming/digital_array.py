@@ -131,6 +131,15 @@ def slots_aligned(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
     return aligned
 
 
+def slots_turned(samples: np.ndarray, params: DigitalArrayParams, closing_speed_mps: float) -> np.ndarray:
+    """Return samples complex64 [chirps, channels, samples] as if all transmitters sent in slot 0, for one speed.
+
+    For frames whose own Doppler says too little: a single chirp of each transmitter, with the speed of a track.
+    """
+    turns = 2.0 * closing_speed_mps / params.wavelength_m * params.chirp_interval_s * np.array(params.channel_slot)
+    return np.asarray(samples * np.exp(2j * np.pi * turns).astype(np.complex64)[:, None])
+
+
 def _slot_turns(chirps: int, params: DigitalArrayParams) -> np.ndarray:
     """Return the factors that turn each Doppler bin back to slot 0, complex64 [Doppler, channels, 1]."""
     doppler_hz = scipy.fft.fftfreq(chirps, params.repetition_interval_s)

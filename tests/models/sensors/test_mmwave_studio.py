@@ -74,6 +74,10 @@ def test_a_script_says_what_a_cfg_says() -> None:
         ("1, 1, 0, 1, 1, 1, 1, 2, 1, 0", "1, 1, 0, 1, 1, 1, 1, 1, 1, 0", "adc_bits must be 2 (16 bits), got 1"),
         ("DataPathConfig(1, 1, 0)", "DataPathConfig(1, 4, 0)", "value 2 must be 1 (ADC samples alone), got 4"),
         ("1, 1, 0, 0, 1, 0, 0)", "1, 1, 0, 0, 1, 0, 1)", "value 8 must be 0 (no checksums), got 1"),
+        ("Mode(1, 2, 1", "Mode(1, 1, 1", "CaptureCardConfig_Mode must take 2 lanes of xwr16xx, got 4"),
+        ("Mode(1, 2, 1", "Mode(1, 3, 1", "value 2 must be 1 (four lanes) or 2 (two), got 3"),
+        ("LVDSLaneConfig(0, 1, 1,", "LVDSLaneConfig(0, 1, 0,", "sent_lanes must be 2 on xwr16xx, or 4 of which the"),
+        ("LVDSLaneConfig(0, 1, 1,", "LVDSLaneConfig(0, 1, 7,", "switches must be 0 or 1, got 1, 7, 0, 0"),
         ("Mode(1, 2, 1, 2, 3, 30)", "Mode(2, 2, 1, 2, 3, 30)", "value 1 must be 1 (raw), got 2"),
         ("62, 0, 0, 0, 0, 0, 0", "62, 0, 3, 0, 0, 0, 0", "backoff must be that of all transmitters, got 0, 3, 0"),
         ("SelectCaptureDevice(", "SelectCaptureDevice(1, ", "value 1 must be 'DCA1000' (the card), got 1"),
@@ -98,9 +102,10 @@ def test_the_script_of_a_real_capture() -> None:
     """Chirps in the order TX 2, 1, 3 (counted from 1), of which the second, higher, is no part of the azimuth row."""
     config = parse_lua(TASK3.read_text(), "task3.lua")
     assert (config.device, config.transmitters, config.used_chirps) == ("xwr18xx", (1, 0, 2), (1, 2))
-    assert config.frame_shape == (1, 3, 4, 128)
+    # four lanes are switched on, of which the card takes two
+    assert (config.sent_lanes, config.lanes, config.frame_shape) == (4, 2, (1, 3, 4, 64))
     assert (config.frame.frames, config.frame.period_ms, config.profile.rx_gain_db) == (1000, 20, 30)
     params = array_params(config)
     assert params.channel_slot == (1, 1, 1, 1, 2, 2, 2, 2)
-    assert params.range_bin_m(128) == pytest.approx(0.0453, abs=1e-4)
+    assert params.range_bin_m(64) == pytest.approx(0.0453, abs=1e-4)
     assert params.chirp_interval_s == pytest.approx(68.89e-6, rel=1e-12)

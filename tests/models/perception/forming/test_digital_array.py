@@ -6,7 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.forming.digital_array import DigitalArrayParams, form_digital_map, range_doppler, slots_aligned
+from models.perception.forming.digital_array import (
+    DigitalArrayParams,
+    form_digital_map,
+    range_doppler,
+    slots_aligned,
+    slots_turned,
+)
 from msgs.values.radar import RangeAzimuthGrid
 from tests.captures import DATA, needs
 
@@ -98,6 +104,20 @@ def test_slots_are_aligned(speed_bins: float, tolerance: float) -> None:
     assert np.abs(ours[peak] / truth[peak] - 1.0).max() <= tolerance
     if tolerance < 0.01:
         np.testing.assert_allclose(ours, truth, atol=1e-5)
+
+
+def test_a_known_speed_turns_single_chirps() -> None:
+    """One chirp of each transmitter shows no Doppler: with the speed given, channels are those of one slot, exactly.
+
+    Left as they are, 2 m/s at 92 us stand 4 pi 92e-6 2 / 3.8 mm = 35 deg apart, a step in the middle of the row.
+    """
+    params = DigitalArrayParams()
+    samples = _target(params, 40.0, 2.0, 0.3, 1, 128)
+    at_once = _target(msgspec.structs.replace(params, channel_slot=(0,) * 8), 40.0, 2.0, 0.3, 1, 128)
+    np.testing.assert_allclose(slots_turned(samples, params, 2.0), at_once, atol=1e-5)
+    step_deg = np.degrees(np.angle(samples[0, 4, 0] / at_once[0, 4, 0]))
+    assert step_deg == pytest.approx(-34.9, abs=0.1)
+    np.testing.assert_array_equal(slots_aligned(samples, params), samples)
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
