@@ -83,12 +83,12 @@ class Dca1000Radar(Node):
 
     outputs = ("radar/setup", "radar/beam")
 
-    def __init__(self, params: Params, card: Callable[[dca1000.Params, int], Card] = dca1000.Card) -> None:
+    def __init__(self, params: Params, card: Callable[[dca1000.Params, int], Card] | None = None) -> None:
         super().__init__()
         self._config = read_config(_config_path(params.config), params.device)
         self._setup = radar_setup(self._config, params.full_scale_dbm, params.mirrored)
         self._array = array_params(self._config, mirrored=params.mirrored)
-        self._card = card(params.card, self._config.lanes)
+        self._card = (card or dca1000.Card)(params.card, self._config.lanes)
         self._assembler = FrameAssembler(self._config.frame_bytes)
         self._refusals = Refusals(_LOG, self.shed, "datagram")
         #: Frames to be sent, and the numbers of scans that the recording under way begins with and that was sent last.
