@@ -804,11 +804,8 @@ def _xradarnlos_seeds() -> list[Parts]:
 def _dca_seeds() -> list[Parts]:
     from fuzz import seeds
 
-    return [
-        [b"\0", seeds.CFG, bytes(range(256)) * 2],
-        [b"\1", seeds.CFG_JSON, bytes(512)],
-        [b"\2", seeds.LUA, bytes(512)],
-    ]
+    texts = (seeds.CFG, seeds.CFG_JSON, seeds.LUA)
+    return [[bytes([at]), text, bytes(range(256)) * 2] for at, text in enumerate(texts)]
 
 
 def _datagram_seeds() -> list[Parts]:
@@ -817,11 +814,8 @@ def _datagram_seeds() -> list[Parts]:
     payload = bytes(range(1, 183)) * 8
     sent = [datagram(1 + at, at * PAYLOAD_BYTES, payload) for at in range(8)]
     wrapped = [datagram((1 << 32) - 2 + at, (1 << 48) - 128 + at * 64, payload[:64]) for at in range(4)]
-    return [
-        [b"\1", *sent],
-        [b"\0", sent[0], sent[2], sent[1], sent[1], bytes.fromhex("5aa50a000001aaee")],
-        [b"\2", *wrapped],
-    ]
+    report = bytes.fromhex("5aa50a000001aaee")
+    return [[b"\1", *sent], [b"\0", sent[0], sent[2], sent[1], sent[1], report], [b"\2", *wrapped]]
 
 
 def _json_seeds() -> list[Parts]:

@@ -14,17 +14,15 @@ from pathlib import Path
 from typing import Protocol
 
 import msgspec
-import numpy as np
 
 from models.sensors.config_file import read_config
 from models.sensors.dca1000 import DeviceName, array_params, frame_samples
 from models.sensors.dca1000_packets import FrameAssembler, SampleFrame
-from models.sensors.digital_row import lost_loops, radar_setup, row_beams
+from models.sensors.digital_row import beam_messages, lost_loops, radar_setup, row_beams
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import CHECKOUT
 from msgs.values.arrays import require_finite
 from msgs.values.diagnostics import NodeState
-from msgs.values.radar import RadarBeam
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.wording import counted
 from nodes.drivers import dca1000
@@ -221,18 +219,8 @@ class Dca1000Radar(Node):
             _LOG.info("%s", self._loss)
         with self.stages("beams"):
             beams = row_beams(frame_samples(frame.codes, self._config), self._setup, self._array, lost)
-        return [Outgoing("radar/beam", self._beam(frame, scan, index, beam)) for index, beam in enumerate(beams)]
-
-    def _beam(self, frame: SampleFrame, scan: int, index: int, samples: np.ndarray) -> RadarBeam:
-        return RadarBeam(
-            stamp_ns=frame.stamp_ns,
-            scan_id=scan,
-            beam_index=index,
-            beam_count=len(self._setup.beams),
-            azimuth_rad=float(self._setup.beams.azimuth_rad[index]),
-            samples=samples,
-            full_scale_dbm=self._setup.full_scale_dbm,
-        )
+        messages = beam_messages(beams, self._setup, scan, frame.stamp_ns)
+        return [Outgoing("radar/beam", message) for message in messages]
 
 
 def _config_path(name: str) -> Path:

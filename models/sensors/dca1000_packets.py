@@ -110,11 +110,12 @@ class FrameAssembler:
         self._frame_bytes = frame_bytes
         self._begin()
 
-    def _begin(self) -> None:
+    def _begin(self, sequence: int = 1, position: int = 0) -> None:
+        """Expect a recording whose first datagram has this number and place."""
         self._open: dict[int, _OpenFrame] = {}
-        #: The next frame to be completed, and the number and place after the newest datagram.
-        self._next_frame = 0
-        self._sequence, self._position = 1, 0
+        self._next_frame = position // self._frame_bytes
+        #: Number and place of the newest datagram, and its end.
+        self._sequence, self._position, self._end = sequence - 1, position - PAYLOAD_BYTES, position
 
     def add(self, content: bytes | memoryview, stamp_ns: int) -> list[SampleFrame]:
         """Take in a datagram that came at `stamp_ns`; return the frames that it completes or gives up, in order.
@@ -128,40 +129,42 @@ class FrameAssembler:
         except ValueError:
             self.counts.refused += 1
             raise
-        if ahead >= 0:
+        if ahead > 0:
             # all that the newest datagram leaves out is lost until it comes
-            self.counts.lost += ahead + 1
-            self._sequence = (packet.sequence + 1) % _SEQUENCES
-            self._position = position + len(packet.payload)
+            self.counts.lost += ahead
+            self._sequence, self._position = packet.sequence, position
+            self._end = position + len(packet.payload)
         self._place(position, packet.payload, stamp_ns)
-        return frames + self._completed(self._position - WINDOW * PAYLOAD_BYTES)
+        return frames + self._completed(self._end - WINDOW * PAYLOAD_BYTES)
 
     def flush(self) -> list[SampleFrame]:
         """Return what is held of frames under way, their rest missing; the recording is over."""
-        frames = self._completed(self._position + self._frame_bytes) if self._open else []
+        frames = self._completed(self._end + self._frame_bytes) if self._open else []
         self._begin()
         return frames
 
     def _begins_anew(self, packet: Datagram) -> bool:
-        far = self._position > WINDOW * PAYLOAD_BYTES
+        far = self._end > WINDOW * PAYLOAD_BYTES
         return far and (packet.sequence, packet.position) == (1, 0)
 
     def _unwrapped(self, packet: Datagram) -> tuple[int, int]:
-        """Return by how many numbers a datagram is ahead of the next one, and its place in the whole recording.
+        """Return by how many numbers a datagram is ahead of the newest, and its place in the whole recording.
 
         Raises `ValueError` where number and place contradict each other.
         """
         ahead = _signed(packet.sequence - self._sequence, _SEQUENCES)
-        apart = _signed(packet.position - self._position, _POSITIONS)
-        reach = ahead * PAYLOAD_BYTES
-        is_newest = ahead == apart == 0 or 0 < apart <= reach
-        is_older = ahead < 0 and reach <= apart <= -len(packet.payload)
-        if not (is_newest or is_older) or ahead > MAX_LOST or apart % 2 or self._position + apart < 0:
+        position = self._position + _signed(packet.position - self._position, _POSITIONS)
+        reach = self._position + ahead * PAYLOAD_BYTES
+        # between two numbers lie as many datagrams, each as long as any or shorter
+        is_newest = 0 < ahead <= MAX_LOST and self._end <= position <= reach
+        is_older = ahead < 0 and reach <= position <= self._position - len(packet.payload)
+        is_same = ahead == 0 and position == self._position
+        if not (is_newest or is_older or is_same) or position % 2 or position < 0:
             raise ValueError(
-                f"datagram {packet.sequence} must hold bytes that follow {ahead} datagrams (at most {MAX_LOST}) after "
-                f"byte {self._position}, got byte {packet.position}"
+                f"datagram {packet.sequence} must hold bytes that lie {ahead} datagrams (at most {MAX_LOST}) from byte "
+                f"{self._position % _POSITIONS}, got byte {packet.position}"
             )
-        return ahead, self._position + apart
+        return ahead, position
 
     def _place(self, position: int, payload: bytes | memoryview, stamp_ns: int) -> None:
         """Copy samples into the frames that they belong to."""

@@ -12,7 +12,7 @@ import numpy as np
 from models.perception.forming.digital_array import DigitalArrayParams, slots_aligned
 from models.physics.antenna import setup_weights
 from models.sensors.dca1000 import Dca1000Config, array_params
-from msgs.values.radar import ArrayParams, RadarParams, RadarSetup, orthogonal_beams
+from msgs.values.radar import ArrayParams, RadarBeam, RadarParams, RadarSetup, orthogonal_beams
 
 #: Channels stand this near to whole half wavelengths.
 _EVEN = 1e-6
@@ -61,6 +61,22 @@ def row_beams(
     beams = np.tensordot(setup_weights(setup).conj().astype(np.complex64), columns, axes=(1, 1))
     codes = np.rint(np.stack([beams.real, beams.imag], axis=-1))
     return np.clip(codes, -32768, 32767).astype("<i2")
+
+
+def beam_messages(beams: np.ndarray, setup: RadarSetup, scan_id: int, stamp_ns: int) -> list[RadarBeam]:
+    """Return the beams of a frame, int16 [beams, loops, samples, 2], as the messages of a scan."""
+    return [
+        RadarBeam(
+            stamp_ns=stamp_ns,
+            scan_id=scan_id,
+            beam_index=index,
+            beam_count=len(setup.beams),
+            azimuth_rad=float(azimuth_rad),
+            samples=samples,
+            full_scale_dbm=setup.full_scale_dbm,
+        )
+        for index, (azimuth_rad, samples) in enumerate(zip(setup.beams.azimuth_rad, beams, strict=True))
+    ]
 
 
 def lost_loops(gaps: Iterable[tuple[int, int]], config: Dca1000Config) -> np.ndarray:

@@ -190,7 +190,7 @@ def test_foreign_datagrams_are_refused_and_said(tmp_path: Path) -> None:
     assert beams_after(node, 10 * MS) == []
     state, reason = node.health()
     assert state is NodeState.DEGRADED
-    assert reason.startswith("datagram 9 must hold bytes that follow 8 datagrams")
+    assert reason.startswith("datagram 9 must hold bytes that lie 9 datagrams")
     assert shed(node)["datagram", "refused"] == 3
     card.arrive(datagrams_of(FRAME))
     assert len(beams_after(node, 20 * MS)) == 8

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import msgspec
 import numpy as np
 import pytest
@@ -33,7 +35,7 @@ def test_a_byte_counter_of_48_bits_wraps(errors: Errors) -> None:
     start = (1 << 48) // FRAME_BYTES * FRAME_BYTES - 4 * FRAME_BYTES
     cuts = list(range(0, len(content), PAYLOAD_BYTES))
     assembler = FrameAssembler(FRAME_BYTES)
-    assembler._sequence, assembler._position, assembler._next_frame = (1 << 32) - 3, start, start // FRAME_BYTES
+    assembler._begin((1 << 32) - 3, start)
     ours: dict[int, bytes] = {}
     naive = bytearray(len(content))
     for at in [at ^ 1 if at ^ 1 < len(cuts) else at for at in range(len(cuts))]:
@@ -97,10 +99,8 @@ def test_cut_datagrams_lose_themselves_alone(cut: int) -> None:
     assembler = FrameAssembler(FRAME_BYTES)
     frames = []
     for each in sent:
-        try:
+        with contextlib.suppress(ValueError):
             frames += assembler.add(each, 0)
-        except ValueError as error:
-            assert "datagram must have 12..1466 bytes" in str(error)
     frames += assembler.flush()
     assert [frame.number for frame in frames] == [0, 1, 2]
     for frame in frames:
@@ -111,13 +111,13 @@ def test_cut_datagrams_lose_themselves_alone(cut: int) -> None:
         codes = frame.codes.view(np.uint8)
         assert np.array_equal(codes[held], whole[held])
         assert not codes[~held].any()
-    assert sum(frame.missing_bytes for frame in frames) == PAYLOAD_BYTES - (cut - 10 if cut in (700,) else 0)
+    assert sum(frame.missing_bytes for frame in frames) == PAYLOAD_BYTES - (690 if cut == 700 else 0)
 
 
 def test_all_lost_and_nothing_at_all() -> None:
     assembler = FrameAssembler(FRAME_BYTES)
     assert assembler.flush() == []
-    (frame,) = assembler.add(datagram(1 + 400, 400 * PAYLOAD_BYTES, bytes([1]) * PAYLOAD_BYTES), 0) + assembler.flush()
-    assert frame.number == 400 * PAYLOAD_BYTES // FRAME_BYTES
+    (frame,) = assembler.add(datagram(1 + 384, 384 * PAYLOAD_BYTES, bytes([1]) * PAYLOAD_BYTES), 0) + assembler.flush()
+    assert frame.number == 384 * PAYLOAD_BYTES // FRAME_BYTES
     assert frame.missing_bytes == FRAME_BYTES - PAYLOAD_BYTES
-    assert (assembler.counts.lost, assembler.counts.lost_frames) == (400, frame.number)
+    assert (assembler.counts.lost, assembler.counts.lost_frames) == (384, frame.number)

@@ -12,8 +12,10 @@ import pytest
 
 from mirrorwave.cli import main
 from models.perception.detection.cfar import CfarParams, detect
+from models.perception.forming.ra_forming import RaFormer
 from models.sensors.dca1000 import array_params, frame_samples, parse_cfg, parse_json
-from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.recording.mcap import RecordingReader
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.captures import DATA, needs
 
@@ -438,6 +440,27 @@ def test_real_77_ghz_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert found["range_m"] == pytest.approx(2.93, abs=0.03)
     assert abs(found["closing_speed_mps"]) == pytest.approx(0.56, abs=0.02)
     assert abs(found["azimuth_deg"]) == pytest.approx(6.8, abs=0.3)
+
+
+def test_a_recording_gives_hidden_objects_its_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beams at the times of the frames, 40 ms apart; the map of a scan shows the point; nothing is overwritten."""
+    out = tmp_path / "beams.mcap"
+    words = [*write(tmp_path, two_lanes(point()) * 2), "--recording", str(out)]
+    assert main(words) == 0
+    with RecordingReader(out) as reader:
+        messages = list(reader.messages(("radar/setup", "radar/beam")))
+    setup, *beams = [each.message for each in messages]
+    assert isinstance(setup, RadarSetup)
+    assert [beam.stamp_ns for beam in beams] == [0] * 8 + [40_000_000] * 8
+    assert messages[1].log_time_ns == round(1e9 * LOOPS * 2 * CHIRP_S)
+    former = RaFormer(setup)
+    (ra_map,) = [ra_map for beam in beams[:8] for ra_map in former.add(beam)]
+    row, column = np.unravel_index(np.abs(ra_map.values).argmax(), ra_map.grid.shape)
+    assert ra_map.grid.range_m[row] == pytest.approx(RANGE_M, abs=0.05)
+    assert np.degrees(ra_map.grid.azimuth_rad[column]) == pytest.approx(AZIMUTH_DEG, abs=0.5)
+    capsys.readouterr()
+    assert main(words) == 2
+    assert "beams.mcap" in capsys.readouterr().err
 
 
 @pytest.mark.slow

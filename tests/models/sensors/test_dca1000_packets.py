@@ -101,8 +101,7 @@ def test_counters_wrap() -> None:
     content = recording(30)
     start = (1 << 48) // FRAME_BYTES * FRAME_BYTES - 3 * FRAME_BYTES
     assembler = FrameAssembler(FRAME_BYTES)
-    assembler._sequence, assembler._position = (1 << 32) - 5, start
-    assembler._next_frame = start // FRAME_BYTES
+    assembler._begin((1 << 32) - 5, start)
     sent = datagrams(content, (1 << 32) - 5, start)
     assert parse_datagram(sent[5]).sequence == 0
     frames = assembled(assembler, sent[:40] + sent[41:])
@@ -139,6 +138,22 @@ def test_what_comes_after_its_frame_is_late() -> None:
     assert (assembler.counts.late, assembler.counts.lost) == (1, 1)
 
 
+def test_a_short_datagram_on_the_way_does_not_end_the_recording() -> None:
+    """As a card sends that flushes what it holds: the next begins where it ended, or where a full one would have."""
+    content = recording(4)
+    sent = datagrams(content)
+    for short in (datagram(6, 5 * PAYLOAD_BYTES, content[5 * PAYLOAD_BYTES :][:100]),):
+        assembler = FrameAssembler(FRAME_BYTES)
+        frames = assembled(assembler, [*sent[:5], short, *sent[6:]])
+        assert [frame.missing_bytes for frame in frames] == [0, PAYLOAD_BYTES - 100, 0, 0]
+    rest = content[5 * PAYLOAD_BYTES + 100 :]
+    after = datagrams(rest, 7, 5 * PAYLOAD_BYTES + 100)
+    assembler = FrameAssembler(FRAME_BYTES)
+    frames = assembled(assembler, [*sent[:5], short, *after])
+    assert b"".join(frame.codes.tobytes() for frame in frames) == content
+    assert assembler.counts.lost == 0
+
+
 def test_small_frames_share_a_datagram() -> None:
     content = recording(1)
     assembler = FrameAssembler(128)
@@ -158,7 +173,7 @@ def test_datagrams_of_another_mode_are_refused(length: int) -> None:
 
 @pytest.mark.parametrize(
     ("sequence", "position"),
-    [(1, 2), (2, 0), (2, 2914), (3, 1 << 40), (0, 1456), (MAX_LOST + 3, 1456 * (MAX_LOST + 2)), (3, 1457)],
+    [(1, 2), (2, 0), (2, 2914), (3, 1 << 40), (0, 1456), (MAX_LOST + 2, 1456 * (MAX_LOST + 1)), (3, 1457)],
 )
 def test_counters_that_contradict_each_other_are_refused(sequence: int, position: int) -> None:
     """And nothing of the recording is lost by them."""
@@ -166,7 +181,7 @@ def test_counters_that_contradict_each_other_are_refused(sequence: int, position
     sent = datagrams(content)
     assembler = FrameAssembler(FRAME_BYTES)
     frames = assembler.add(sent[0], 0)
-    with pytest.raises(ValueError, match=f"datagram {sequence} must hold bytes that follow"):
+    with pytest.raises(ValueError, match=f"datagram {sequence} must hold bytes that lie"):
         assembler.add(datagram(sequence, position, bytes(PAYLOAD_BYTES)), 0)
     frames += assembled(assembler, sent[1:])
     assert b"".join(frame.codes.tobytes() for frame in frames) == content
