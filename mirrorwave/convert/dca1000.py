@@ -120,9 +120,7 @@ def write_recording(
     setup, array = radar_setup(config, mirrored=params.mirrored), array_params(config, mirrored=params.mirrored)
     provenance = {key: json.dumps(each) for key, each in _provenance(capture, config_path, config).items()}
     period_ns, sequence = ns_from_s(1e-3 * config.frame.period_ms), 0
-    with whole_recording(
-        out, {"import": "dca1000", **provenance}
-    ) as writer:
+    with whole_recording(out, {"import": "dca1000", **provenance}) as writer:
         writer.write("radar/setup", setup, publisher="import", sequence=0, sent_ns=0)
         for index, codes in enumerate(_codes(capture, config, layout.whole)):
             stamp_ns = index * period_ns

@@ -124,7 +124,7 @@ class FrameAssembler:
         """
         try:
             packet = parse_datagram(content)
-            frames = self.flush() if self._begins_anew(packet) else []
+            frames = self.flush() if self._is_restart(packet) else []
             ahead, position = self._unwrapped(packet)
         except ValueError:
             self.counts.refused += 1
@@ -143,7 +143,7 @@ class FrameAssembler:
         self._begin()
         return frames
 
-    def _begins_anew(self, packet: Datagram) -> bool:
+    def _is_restart(self, packet: Datagram) -> bool:
         far = self._end > WINDOW * PAYLOAD_BYTES
         return far and (packet.sequence, packet.position) == (1, 0)
 

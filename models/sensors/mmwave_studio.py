@@ -62,11 +62,12 @@ def parse_lua(text: str, name: str, device: DeviceName | None = None) -> Dca1000
     fields: dict[str, Any] = {}
     for call in _calls(text, name):
         _take(fields, call, f"{name}: line {call.line}: {call.name}")
-    lanes = DEVICES[found].lanes if (found := fields.get("device", device)) else 2
+    device_name = fields.get("device", device)
+    lanes = DEVICES[device_name].lanes if device_name else 2
     if fields.pop("q_first", False):
         fields["adcbufCfg"] = {"sample_swap": 1, "channel_interleave": 0 if lanes == 4 else 1}
     if (taken := fields.pop("taken_lanes", lanes)) != lanes:
-        raise ValueError(f"{name}: ar1.CaptureCardConfig_Mode must take {lanes} lanes of {found}, got {taken}")
+        raise ValueError(f"{name}: ar1.CaptureCardConfig_Mode must take {lanes} lanes of {device_name}, got {taken}")
     return configured(fields, name, device)
 
 
