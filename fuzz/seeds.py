@@ -319,6 +319,17 @@ frameCfg 0 1 2 2 40 1 0
 lvdsStreamCfg -1 0 1 0
 sensorStart
 """
+LUA = b"""-- as CFG
+SAMPLES = 2 * 2
+ar1.SelectChipVersion("XWR1642")
+ar1.ChanNAdcConfig(1, 1, 0, 1, 1, 1, 1, 2, 1, 0)
+ar1.LVDSLaneConfig(0, 1, 1, 1, 1, 1, 0, 0)
+ar1.ProfileConfig(0, 77, 30, 6, 62, 0, 0, 0, 0, 0, 0, 60, 1, SAMPLES, 2500, 0, 0, 30)
+ar1.ChirpConfig(0, 0, 0, 0, 0, 0, 0, 1, 0, 0)
+ar1.ChirpConfig(1, 1, 0, 0, 0, 0, 0, 0, 1, 0)
+ar1.FrameConfig(0, 1, 2, 2, 40, 0, 0, 1)
+ar1.CaptureCardConfig_Mode(1, 2, 1, 2, 3, 30)
+"""
 CFG_JSON = b"""{"device": "xwr14xx", "channelCfg": {"rx_mask": 15, "tx_mask": 5}, "adcCfg": {"adc_bits": 2,
 "output_format": 1}, "profileCfg": {"profile_id": 0, "start_frequency_ghz": 77.0, "idle_time_us": 30,
 "adc_start_time_us": 6, "ramp_end_time_us": 62, "tx_backoff": 0, "tx_phase_shifter": 0, "slope_mhz_per_us": 60,

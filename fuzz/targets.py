@@ -516,10 +516,10 @@ def _xradarnlos(parts: Parts, box: Box) -> None:
 def _dca1000(parts: Parts, box: Box) -> None:
     import numpy as np
 
-    from mirrorwave.convert.dca1000 import read_config
+    from models.sensors.config_file import read_config
     from models.sensors.dca1000 import array_params, frame_samples, frames_of, map_grid
 
-    suffix = (".cfg", ".json")[number(parts, 0, 2)]
+    suffix = (".cfg", ".json", ".lua")[number(parts, 0, 3)]
     capture, config = box.put("a.bin", part(parts, 2)), read_config(box.put(f"a{suffix}", part(parts, 1)), None)
     found = frames_of(capture.stat().st_size, config, str(capture))
     assert array_params(config) is not None
@@ -527,6 +527,22 @@ def _dca1000(parts: Parts, box: Box) -> None:
     with capture.open("rb") as file:
         for _ in range(min(found.whole, 4)):
             frame_samples(np.fromfile(file, "<i2", config.frame_bytes // 2), config)
+
+
+def _card_datagrams(parts: Parts, box: Box) -> None:
+    from models.sensors.dca1000_packets import FrameAssembler
+    from nodes.drivers.dca1000 import parse_answer, reports
+
+    assembler = FrameAssembler((64, 6144, 1 << 16)[number(parts, 0, 3)])
+    frames = []
+    for at in range(1, len(parts)):
+        with contextlib.suppress(ValueError):
+            frames += assembler.add(part(parts, at), at)
+        with contextlib.suppress(ValueError):
+            reports(parse_answer(part(parts, at))[1])
+    frames += assembler.flush()
+    assert all(0 <= frame.missing_bytes <= len(frame.codes) * 2 for frame in frames)
+    assert assembler.counts.placed + assembler.counts.refused + assembler.counts.repeated <= max(len(parts) - 1, 0)
 
 
 def _json_files(parts: Parts, box: Box) -> None:
@@ -789,7 +805,18 @@ def _xradarnlos_seeds() -> list[Parts]:
 def _dca_seeds() -> list[Parts]:
     from fuzz import seeds
 
-    return [[b"\0", seeds.CFG, bytes(range(256)) * 2], [b"\1", seeds.CFG_JSON, bytes(512)]]
+    texts = (seeds.CFG, seeds.CFG_JSON, seeds.LUA)
+    return [[bytes([at]), text, bytes(range(256)) * 2] for at, text in enumerate(texts)]
+
+
+def _datagram_seeds() -> list[Parts]:
+    from models.sensors.dca1000_packets import PAYLOAD_BYTES, datagram
+
+    payload = bytes(range(1, 183)) * 8
+    sent = [datagram(1 + at, at * PAYLOAD_BYTES, payload) for at in range(8)]
+    wrapped = [datagram((1 << 32) - 2 + at, (1 << 48) - 128 + at * 64, payload[:64]) for at in range(4)]
+    report = bytes.fromhex("5aa50a000001aaee")
+    return [[b"\1", *sent], [b"\0", sent[0], sent[2], sent[1], sent[1], report], [b"\2", *wrapped]]
 
 
 def _json_seeds() -> list[Parts]:
@@ -862,6 +889,7 @@ TARGETS: dict[str, Target] = {
     "shard": Target(_shard, ("npz", "json"), _shard_seeds),
     "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy"), _xradarnlos_seeds),
     "dca1000": Target(_dca1000, ("bytes", "text", "bytes"), _dca_seeds),
+    "card_datagrams": Target(_card_datagrams, ("bytes",) * 9, _datagram_seeds),
     "json_files": Target(_json_files, ("bytes", "json"), _json_seeds),
     "reflectance": Target(_reflectance, ("json", "npz", "json"), _table_seeds),
     "keys": Target(_keys, ("text", "text", "text"), _key_seeds),

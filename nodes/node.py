@@ -109,6 +109,11 @@ class ShedTally:
         """Count work that was shed."""
         self._counts[kind, reason] = self._counts.get((kind, reason), 0) + count
 
+    def note(self, kind: str, reason: str, count: int) -> None:
+        """Take over a count that is kept elsewhere, once there is one."""
+        if count or (kind, reason) in self._counts:
+            self._counts[kind, reason] = count
+
     def counts(self) -> tuple[ShedCount, ...]:
         """Return counts since the node started, in the order in which each first occurred."""
         return tuple(ShedCount(what=kind, reason=reason, count=count) for (kind, reason), count in self._counts.items())

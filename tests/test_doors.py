@@ -22,8 +22,8 @@ from mcap.writer import CompressionType, Writer
 from mirrorwave.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from mirrorwave.annotate.manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
-from mirrorwave.convert.dca1000 import read_config
 from mirrorwave.diagnose.topic_echo import save_arrays
+from models.sensors.config_file import read_config
 from msgs.files import array_files
 from msgs.files.array_files import load_arrays
 from msgs.files.shipped import CHECKOUT
@@ -271,10 +271,10 @@ def _size(count: int) -> str:
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from mirrorwave.annotate import clouds as annotate_clouds
-    from mirrorwave.convert import dca1000 as import_dca1000
     from mirrorwave.diagnose import foreign_topic
     from models.perception import cards
     from models.perception.detection import onnx_model
+    from models.sensors import config_file
     from msgs.bus import codec
     from msgs.bus import sequencing as tally
     from msgs.bus.topics import TOPICS
@@ -318,7 +318,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
             f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
-        "configuration of a DCA1000 capture": _size(import_dca1000._MAX_CONFIG_BYTES),
+        "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
         "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
         "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),
         "message of a recording": _size(codec.MAX_INLINE_BYTES),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,22 +16,19 @@ from models.perception.detection.peaks import keep_apart, local_maxima
 from models.perception.forming.digital_array import DigitalArrayMap, form_digital_map
 from models.sensors.dca1000 import (
     Dca1000Config,
-    DeviceName,
     FileFrames,
     array_params,
     frame_samples,
     map_grid,
-    parse_cfg,
-    parse_json,
 )
+from models.sensors.digital_row import beam_messages, radar_setup, row_beams
 from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
+from msgs.recording.mcap import whole_recording
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
 FRAMES_PER_FILE = 50
-#: Longer files are no configuration.
-_MAX_CONFIG_BYTES = 1 << 20
 #: Returns lie further apart than this in range or azimuth: Hann's main lobe, and that of eight channels at broadside.
 SPACING_CELLS = (2, 32)
 #: Weaker maxima may be noise: of the 4 million values that a map is chosen from (Doppler bins), the strongest lies some
@@ -62,20 +60,6 @@ class ImportedFrame:
     formed: DigitalArrayMap
     returns: list[dict[str, float]]
     saturated_share: float
-
-
-def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
-    """Configuration of a `.json` or, by any other suffix, of a TI command-line file."""
-    with path.open("rb") as file:
-        content = file.read(_MAX_CONFIG_BYTES + 1)
-    if len(content) > _MAX_CONFIG_BYTES:
-        raise ValueError(f"{path}: a configuration holds at most {_MAX_CONFIG_BYTES} bytes")
-    if path.suffix.lower() == ".json":
-        return parse_json(content, str(path), device)
-    try:
-        return parse_cfg(content.decode("utf-8"), str(path), device)
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: must be UTF-8 text, got byte {content[error.start]:#04x} at {error.start}") from None
 
 
 def import_capture(
@@ -120,6 +104,36 @@ def import_capture(
     return summary
 
 
+def write_recording(
+    capture: Path,
+    config_path: Path,
+    config: Dca1000Config,
+    out: Path,
+    params: ImportParams,
+    layout: FileFrames,
+    on_frame: Callable[[], None] = lambda: None,
+) -> int:
+    """Write set-up and beams of all frames, at the times that the configuration gives them, to the new recording `out`.
+
+    Returns the number of beams. Raises `ValueError` where the board's row is none of a digital array.
+    """
+    setup, array = radar_setup(config, mirrored=params.mirrored), array_params(config, mirrored=params.mirrored)
+    provenance = {key: json.dumps(each) for key, each in _provenance(capture, config_path, config).items()}
+    period_ns, sequence = ns_from_s(1e-3 * config.frame.period_ms), 0
+    with whole_recording(out, {"import": "dca1000", **provenance}) as writer:
+        writer.write("radar/setup", setup, publisher="import", sequence=0, sent_ns=0)
+        for index, codes in enumerate(_codes(capture, config, layout.whole)):
+            stamp_ns = index * period_ns
+            beams = row_beams(frame_samples(codes, config), setup, array)
+            # sent when they have been measured, and so after the set-up
+            sent_ns = stamp_ns + ns_from_s(setup.radar.beam_duration_s)
+            for beam in beam_messages(beams, setup, index, stamp_ns):
+                writer.write("radar/beam", beam, publisher="import", sequence=sequence, sent_ns=sent_ns)
+                sequence += 1
+            on_frame()
+    return sequence
+
+
 def _provenance(capture: Path, config_path: Path, config: Dca1000Config) -> dict[str, Any]:
     return {
         "capture": {"name": capture.name, "bytes": capture.stat().st_size, "sha256": file_sha256(capture)},
@@ -153,14 +167,20 @@ def _described(config: Dca1000Config) -> dict[str, Any]:
 def _frames(capture: Path, config: Dca1000Config, params: ImportParams, count: int) -> Iterator[ImportedFrame]:
     array, grid = array_params(config, params.remove_static, params.mirrored), map_grid(config)
     period_ns = ns_from_s(1e-3 * config.frame.period_ms)
+    for index, codes in enumerate(_codes(capture, config, count)):
+        formed = form_digital_map(frame_samples(codes, config), array, grid, index * period_ns, index)
+        saturated = float(np.mean((codes == 32767) | (codes == -32768)))
+        yield ImportedFrame(formed, strongest_returns(formed, params), saturated)
+
+
+def _codes(capture: Path, config: Dca1000Config, count: int) -> Iterator[np.ndarray]:
+    """Codes of each frame, int16 [frame_bytes / 2]."""
     with capture.open("rb") as file:
         for index in range(count):
             codes = np.fromfile(file, "<i2", config.frame_bytes // 2)
             if len(codes) != config.frame_bytes // 2:
                 raise ValueError(f"{capture}: ends inside frame {index}: it was whole when it was opened")
-            formed = form_digital_map(frame_samples(codes, config), array, grid, index * period_ns, index)
-            saturated = float(np.mean((codes == 32767) | (codes == -32768)))
-            yield ImportedFrame(formed, strongest_returns(formed, params), saturated)
+            yield codes
 
 
 def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dict[str, float]]:

@@ -4,8 +4,9 @@ A file is int16 without header, frame after frame, chirp after chirp. Two lanes 
 the other, its samples in pairs I0 I1 Q0 Q1. Four lanes (xWR14xx): one sample after the other, I of the four receivers,
 then their Q. With `sample_swap` 1 in `adcbufCfg`, Q precedes I. Source: TI SWRA581B, sections 5 and 6.
 
-The configuration is that of TI's command line (`.cfg`) or a JSON object with the same commands as keys. Its gaps are
-filled by assumptions: receivers half a wavelength of the sweep's middle apart, and transmitters as in `Device`.
+The configuration is that of TI's command line (`.cfg`), a JSON object with the same commands as keys, or a script of
+mmWave Studio (`models.sensors.mmwave_studio`). Its gaps are filled by assumptions: receivers half a wavelength of the
+sweep's middle apart, and transmitters as in `Device`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, Literal, NamedTuple, cast
 
 import msgspec
 import numpy as np
+import scipy.fft
 
 from models.perception.forming.digital_array import DigitalArrayParams
 from msgs.values.arrays import require_array, require_positive
@@ -218,6 +220,9 @@ class Dca1000Config(
     profile: ProfileCfg
     chirps: tuple[ChirpCfg, ...]
     frame: FrameCfg
+    #: Lanes that the device writes to, where they are not those that the card takes: of four, a card that takes two
+    #: gets samples 0 and 1 of every four.
+    sent_lanes: int | None = None
 
     def __post_init__(self) -> None:
         self._require_lanes()
@@ -251,9 +256,24 @@ class Dca1000Config(
         return tuple(at for at, transmitter in enumerate(self.transmitters) if positions[transmitter] is not None)
 
     @property
+    def has_lost_lanes(self) -> bool:
+        """True where the card takes two of four lanes."""
+        return self.sent_lanes not in (None, self.lanes)
+
+    @property
+    def samples(self) -> int:
+        """Samples of a chirp that are stored."""
+        return self.profile.adc_samples // (2 if self.has_lost_lanes else 1)
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Their mean rate."""
+        return 1e3 * self.profile.sample_rate_ksps * self.samples / self.profile.adc_samples
+
+    @property
     def frame_shape(self) -> tuple[int, int, int, int]:
         """(loops, chirps of a loop, receivers, samples)."""
-        return self.frame.loops, len(self.transmitters), len(self.receivers), self.profile.adc_samples
+        return self.frame.loops, len(self.transmitters), len(self.receivers), self.samples
 
     @property
     def frame_bytes(self) -> int:
@@ -271,6 +291,12 @@ class Dca1000Config(
         if self.lanes == 4 and self.channel.rx_mask != 15:
             raise ValueError(f"channelCfg.rx_mask must be 15 with four lanes ({self.device}), "
                              f"got {self.channel.rx_mask}")  # fmt: skip
+        if self.sent_lanes not in (None, 4, self.lanes):
+            raise ValueError(f"sent_lanes must be {self.lanes} on {self.device}, or 4 of which the card takes two, "
+                             f"got {self.sent_lanes!r}")  # fmt: skip
+        if self.has_lost_lanes and self.profile.adc_samples % 4:
+            raise ValueError(f"profileCfg.adc_samples must be a multiple of 4 where two of four lanes are taken, "
+                             f"got {self.profile.adc_samples}")  # fmt: skip
         if self.lanes == 2 and self.profile.adc_samples % 2:
             raise ValueError(f"profileCfg.adc_samples must be even with two lanes ({self.device}), "
                              f"got {self.profile.adc_samples}")  # fmt: skip
@@ -325,7 +351,7 @@ def parse_json(text: bytes, name: str, device: DeviceName | None = None) -> Dca1
         raise ValueError(f"{name}: must be JSON: {error}") from None
     if not isinstance(fields, dict):
         raise ValueError(f"{name}: must be a JSON object, got {type(fields).__name__}")
-    return _configured(fields, name, device)
+    return configured(fields, name, device)
 
 
 def parse_cfg(text: str, name: str, device: DeviceName | None = None) -> Dca1000Config:
@@ -342,7 +368,7 @@ def parse_cfg(text: str, name: str, device: DeviceName | None = None) -> Dca1000
         words = line.split("%")[0].split()
         if words:
             _add_command(fields, words[0], words[1:], where)
-    return _configured(fields, name, device)
+    return configured(fields, name, device)
 
 
 def _add_command(fields: dict[str, Any], command: str, words: list[str], where: str) -> None:
@@ -388,7 +414,8 @@ def _number(word: str, where: str) -> float:
     raise ValueError(f"{where} must have numbers, got {word!r}")
 
 
-def _configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> Dca1000Config:
+def configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> Dca1000Config:
+    """Return the configuration of commands by their names; raises `ValueError` that begins with `name`."""
     device_name = fields.get("device", device)
     if device_name is None:
         raise ValueError(f"{name}: device must be named, one of {', '.join(DEVICES)}: the lanes depend on it")
@@ -415,14 +442,19 @@ class FileFrames(NamedTuple):
     whole: int
     wanted: int | None
     left_bytes: int
+    #: The card took two of four lanes.
+    has_lost_lanes: bool = False
 
     @property
     def loss(self) -> str | None:
         """Description of what is missing; None if the file is complete."""
         partial = f", {self.left_bytes} bytes of one that is cut are left out" if self.left_bytes else ""
+        lanes = "two of four lanes were not taken, so that only the nearer half of the ranges is unambiguous"
         if self.wanted is not None and self.whole < self.wanted:
-            return f"whole frames: {self.whole} of {self.wanted}{partial}"
-        return f"whole frames: {self.whole}{partial}" if partial else None
+            partial = f"whole frames: {self.whole} of {self.wanted}{partial}"
+        elif partial:
+            partial = f"whole frames: {self.whole}{partial}"
+        return "; ".join([partial] * bool(partial) + [lanes] * self.has_lost_lanes) or None
 
 
 def frames_of(size_bytes: int, config: Dca1000Config, name: str) -> FileFrames:
@@ -437,7 +469,7 @@ def frames_of(size_bytes: int, config: Dca1000Config, name: str) -> FileFrames:
     whole, left = divmod(size_bytes, config.frame_bytes)
     if not whole:
         raise ValueError(f"{name}: must hold a whole frame of {config.frame_bytes} bytes, got {size_bytes}")
-    return FileFrames(whole, wanted, left)
+    return FileFrames(whole, wanted, left, config.has_lost_lanes)
 
 
 def frame_samples(codes: np.ndarray, config: Dca1000Config) -> np.ndarray:
@@ -452,8 +484,22 @@ def frame_samples(codes: np.ndarray, config: Dca1000Config) -> np.ndarray:
     real, imaginary = (second, first) if swapped else (first, second)
     values = np.empty(config.frame_shape, np.complex64)
     values.real, values.imag = real, imaginary
-    used = values[:, list(config.used_chirps)]
-    return cast(np.ndarray, used.reshape(loops, len(config.used_chirps) * receivers, samples))
+    used = values[:, list(config.used_chirps)].reshape(loops, len(config.used_chirps) * receivers, samples)
+    return cast(np.ndarray, _evenly(used) if config.has_lost_lanes else used)
+
+
+def _evenly(stored: np.ndarray) -> np.ndarray:
+    """Return samples 0, 2, 4, 6, ... of chirps, complex64 [..., samples], from samples 0, 1, 4, 5, 8, 9, ...
+
+    Samples 0, 4, ... and 1, 5, ... each fold the lower half of the spectrum once, with factors 1 and j on its upper
+    part, which gives both parts. Exact for tones on bins of that half; noise rises by 3 dB, and echoes of the upper
+    half come out in the lower.
+    """
+    half = stored.shape[-1] // 2
+    turned = np.exp(-2j * np.pi * np.arange(half) / (4 * half)).astype(np.complex64)
+    first = scipy.fft.fft(stored[..., 0::2], workers=1)
+    upper = (scipy.fft.fft(stored[..., 1::2], workers=1) * turned - first) / np.complex64(1j - 1.0)
+    return np.asarray(2.0 * scipy.fft.ifft(np.concatenate([first - upper, upper], axis=-1), workers=1))
 
 
 def _parts(codes: np.ndarray, config: Dca1000Config) -> tuple[np.ndarray, np.ndarray]:
@@ -482,7 +528,7 @@ def array_params(config: Dca1000Config, remove_static: bool = False, mirrored: b
     return DigitalArrayParams(
         carrier_hz=config.profile.middle_hz,
         chirp_slope_hz_per_s=1e12 * config.profile.slope_mhz_per_us,
-        sample_rate_hz=1e3 * config.profile.sample_rate_ksps,
+        sample_rate_hz=config.sample_rate_hz,
         chirp_interval_s=config.profile.chirp_interval_s,
         channel_slot=tuple(at + shift for at in used for _ in config.receivers),
         channel_y_m=tuple(half_m * (start + receiver) for start in starts for receiver in config.receivers),
@@ -492,6 +538,5 @@ def array_params(config: Dca1000Config, remove_static: bool = False, mirrored: b
 
 def map_grid(config: Dca1000Config) -> RangeAzimuthGrid:
     """Return the grid of the capture's maps: 256 azimuths over +-60 deg; half of the range bins with an image band."""
-    samples = config.profile.adc_samples
-    range_bin_m = array_params(config).range_bin_m(samples)
-    return RangeAzimuthGrid(range_bin_m=range_bin_m, range_bins=samples // config.adc.output_format)
+    range_bin_m = array_params(config).range_bin_m(config.samples)
+    return RangeAzimuthGrid(range_bin_m=range_bin_m, range_bins=config.samples // config.adc.output_format)

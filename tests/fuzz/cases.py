@@ -19,9 +19,11 @@ import msgspec
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper, save
 
+from fuzz.seeds import CFG
 from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
 from models.perception.tracking.scan_state import MemoryParams
+from models.sensors.dca1000_packets import datagram
 from models.vehicle.can_state import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
@@ -57,6 +59,7 @@ from nodes import (
     bev_viewer,
     can_out,
     car_sim,
+    dca1000_radar,
     dense_predictor,
     geometry,
     lidar_former,
@@ -68,6 +71,7 @@ from nodes import (
     vehicle_can,
 )
 from nodes.can.bus import CanLink, load_dbc, load_mapping
+from nodes.drivers import dca1000
 from nodes.node import Node
 from nodes.recording import snapshot_recorder
 from nodes.recording.files import as_recorded
@@ -460,6 +464,46 @@ class WhimsicalDevice:
         """Nothing to let go of."""
 
 
+class WhimsicalCard:
+    """A capture card that is lost now and then, and whose datagrams are lost, foreign or of another recording."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._at = 0
+        self.counts = dca1000.LinkCounts()
+
+    def open(self) -> None:
+        if self._random.random() < 0.3:
+            raise self._random.choice([ConnectionError("dca1000: gone"), ValueError("dca1000: refuses")])
+        self._at = 0
+
+    def take(self) -> list[tuple[bytes, int]]:
+        return [(self._datagram(), 1000) for _ in range(self._random.randrange(4))]
+
+    def _datagram(self) -> bytes:
+        self._at += self._random.choice((1, 1, 1, 1, 1, 1, 2, 9, -3))
+        if self._random.random() < 0.1:
+            return self._random.randbytes(self._random.randrange(40))
+        return datagram(1 + self._at, 64 * self._at, self._random.randbytes(64))
+
+    def reports(self) -> list[str]:
+        return self._random.choice(([], [], [], ["lane buffer full"], ["recording completed"]))
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def card_params(folder: Path) -> dict[str, Any]:
+    """Parameters that name a configuration."""
+    (folder / "chirps.cfg").write_bytes(CFG)
+    return {"config": str(folder / "chirps.cfg")}
+
+
+def make_dca1000_radar(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    params = dca1000_radar.Params(**card_params(folder))
+    return dca1000_radar.Dca1000Radar(params, lambda _, lanes: WhimsicalCard(seed))
+
+
 def make_radar_driver(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     scans = (None, 1, 3)[seed % 3]
     return radar_driver.RadarDriver(WhimsicalDevice(seed), radar_driver.Params(scans=scans))
@@ -612,6 +656,7 @@ CASES: dict[str, Case] = {
     "player": Case(
         make_player, all_talk(), "nodes.player", lambda folder: {"capture": str(write_recording(folder, None))}
     ),
+    "dca1000_radar": Case(make_dca1000_radar, (), "nodes.dca1000_radar", card_params),
     "radar_driver": Case(make_radar_driver, (), "nodes.radar_driver"),
     "ra_former": Case(
         make_ra_former,

@@ -30,11 +30,11 @@ from msgs.bus.codec import decode, encode
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
-from nodes import bev_viewer, radar_driver
+from nodes import bev_viewer, dca1000_radar, radar_driver
 from nodes.can import bus as can_link
 from nodes.node import Node, load_node
 from nodes.recording import snapshot_recorder
-from tests.fuzz.cases import CASES, PERIOD_NS, PageStandIn, WhimsicalBus, WhimsicalDevice
+from tests.fuzz.cases import CASES, PERIOD_NS, PageStandIn, WhimsicalBus, WhimsicalCard, WhimsicalDevice
 from tests.fuzz.strategies import Said, Step, carried, scripts, wrong_params
 
 EXAMPLES = int(os.environ.get("MIRRORWAVE_FUZZ_EXAMPLES", "0"))
@@ -279,5 +279,6 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bev_viewer.webbrowser, "open", lambda url: True)
     monkeypatch.setattr(can_link, "open_bus", lambda params: WhimsicalBus(1))
     monkeypatch.setattr(can_link.CanLink.__init__, "__defaults__", (can_link.open_bus,))
+    monkeypatch.setattr(dca1000_radar.dca1000, "Card", lambda params, lanes: WhimsicalCard(0))
     monkeypatch.setattr(radar_driver.cn0566, "Cn0566", lambda params, beams: WhimsicalDevice(0))
     monkeypatch.setattr(snapshot_recorder.signal, "signal", lambda number, action: None)

@@ -85,7 +85,9 @@ def xradarnlos(
 @app.command()
 def dca1000(
     capture: Annotated[Path, typer.Argument(metavar="CAPTURE.bin", help="Raw samples as the DCA1000 stored them.")],
-    config: Annotated[Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg, or .json with the same commands.")],
+    config: Annotated[
+        Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg or .json, or a .lua of mmWave Studio.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
     device: Annotated[
         DeviceOption | None, typer.Option(help='Device, where FILE does not name it ("% Platform:").')
@@ -94,15 +96,23 @@ def dca1000(
     mirrored: Annotated[bool, typer.Option(help="Receivers run to the right as the radar looks.")] = False,
     min_range_m: Annotated[float, typer.Option(metavar="M", help="List no return nearer than this.")] = 0.0,
     returns: Annotated[int, typer.Option(metavar="N", help="Strongest returns to list a frame.")] = 5,
+    recording: Annotated[
+        Path | None, typer.Option(metavar="REC.mcap", help="New recording of beams, to process or replay.")
+    ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
-    from mirrorwave.convert.dca1000 import ImportParams, import_capture, read_config
+    from mirrorwave.convert.dca1000 import ImportParams, import_capture, write_recording
+    from models.sensors.config_file import read_config
     from models.sensors.dca1000 import frames_of
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
     chirps = read_config(config, device.value if device else None)
     layout = frames_of(capture.stat().st_size, chirps, str(capture))
+    if recording is not None:
+        require_new_file(recording)
+        with progress_bar("scans", layout.whole) as advance:
+            write_recording(capture, config, chirps, recording, params, layout, advance)
     with progress_bar("frames", layout.whole) as advance:
         summary = import_capture(capture, config, chirps, out, params, layout, advance)
     if layout.loss:

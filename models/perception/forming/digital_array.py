@@ -115,11 +115,36 @@ def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
     series = series * ramp.astype(np.complex64)
     series *= _window(chirps, params.window).astype(np.float32)[:, None, None]
     spectra = scipy.fft.fft2(series, axes=(0, 2), workers=1, overwrite_x=True)
-    doppler_hz = scipy.fft.fftfreq(chirps, params.repetition_interval_s)
-    slot_turns = np.multiply.outer(doppler_hz, np.array(params.channel_slot) * params.chirp_interval_s)
     scale = np.sqrt(params.milliwatt_per_unit_squared) / (chirps * length)
-    spectra *= (scale * np.exp(-2j * np.pi * slot_turns)).astype(np.complex64)[..., None]
+    spectra *= np.float32(scale) * _slot_turns(chirps, params)
     return spectra
+
+
+def slots_aligned(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray:
+    """Return samples complex64 [chirps, channels, samples] as if all transmitters sent in slot 0.
+
+    Speeds beyond half a turn a repetition are taken for others, and a single chirp, which shows none, stays as it is.
+    """
+    spectra = scipy.fft.fft(samples, axis=0, workers=1)
+    spectra *= _slot_turns(len(samples), params)
+    aligned: np.ndarray = scipy.fft.ifft(spectra, axis=0, workers=1, overwrite_x=True)
+    return aligned
+
+
+def slots_turned(samples: np.ndarray, params: DigitalArrayParams, closing_speed_mps: float) -> np.ndarray:
+    """Return samples complex64 [chirps, channels, samples] as if all transmitters sent in slot 0, for one speed.
+
+    For frames whose own Doppler says too little: a single chirp of each transmitter, with the speed of a track.
+    """
+    turns = 2.0 * closing_speed_mps / params.wavelength_m * params.chirp_interval_s * np.array(params.channel_slot)
+    return np.asarray(samples * np.exp(2j * np.pi * turns).astype(np.complex64)[:, None])
+
+
+def _slot_turns(chirps: int, params: DigitalArrayParams) -> np.ndarray:
+    """Return the factors that turn each Doppler bin back to slot 0, complex64 [Doppler, channels, 1]."""
+    doppler_hz = scipy.fft.fftfreq(chirps, params.repetition_interval_s)
+    turns = np.multiply.outer(doppler_hz, np.array(params.channel_slot) * params.chirp_interval_s)
+    return np.exp(-2j * np.pi * turns).astype(np.complex64)[..., None]
 
 
 def _window(count: int, name: str) -> np.ndarray:

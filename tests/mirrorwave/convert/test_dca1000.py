@@ -12,11 +12,14 @@ import pytest
 
 from mirrorwave.cli import main
 from models.perception.detection.cfar import CfarParams, detect
-from models.sensors.dca1000 import array_params, frame_samples, parse_cfg
-from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.forming.ra_forming import RaFormer
+from models.sensors.dca1000 import array_params, frame_samples, parse_cfg, parse_json
+from msgs.recording.mcap import RecordingReader
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.captures import DATA, needs
 
+TASK3 = DATA / "awr1843_com405_task3"
 AWR = DATA / "awr_77ghz_openradar" / "doppler_example_1.npy"
 LOOPS, SAMPLES = 32, 64
 #: Two transmitters of a row, 2 wavelengths apart; chirps 0 and 1 in turn.
@@ -196,6 +199,38 @@ def test_maps_serve_the_detectors(tmp_path: Path) -> None:
     peaks = detect(ra_map, CfarParams())
     assert peaks.range_m[0] == pytest.approx(RANGE_M, abs=0.05)
     assert np.degrees(peaks.azimuth_rad[0]) == pytest.approx(AZIMUTH_DEG, abs=0.5)
+
+
+@pytest.mark.parametrize("range_m", [3.0, 2.4])
+def test_a_card_that_takes_two_of_four_lanes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, range_m: float
+) -> None:
+    """Samples 0, 1, 4, 5, ... are stored; the point stands where it is, at 3.0 m of 3.1, and the loss is named."""
+    monkeypatch.setattr("tests.mirrorwave.convert.test_dca1000.RANGE_M", range_m)
+    stored = point()[..., np.arange(SAMPLES) % 4 < 2]
+    config = as_json_config() | {"sent_lanes": 4}
+    words = write(tmp_path, two_lanes(stored) * 2, json.dumps(config), "json")
+    assert main([*words, "--json"]) == 3
+    captured = capsys.readouterr()
+    assert "two of four lanes were not taken, so that only the nearer half of the ranges is" in captured.err
+    said = json.loads(captured.out)
+    assert (said["frames"], said["grid"]["range_bins"]) == (2, SAMPLES // 2)
+    assert_is_the_point(said["per_frame"][0]["returns"][0])
+
+
+def test_samples_of_two_lanes_make_even_ones() -> None:
+    """Tones on bins of the lower half come back exactly at samples 0, 2, 4, ...; noise has twice its power."""
+    config = parse_json(json.dumps(as_json_config() | {"sent_lanes": 4}).encode(), "a.json")
+    sample, bins = np.arange(SAMPLES), np.arange(8) * 4 + 3
+    tones = 1000.0 * np.exp(2j * np.pi * np.multiply.outer(bins, sample) / SAMPLES)
+    cube = np.broadcast_to(tones.reshape(1, 2, 4, SAMPLES), (LOOPS, 2, 4, SAMPLES))
+    codes = np.frombuffer(two_lanes(cube[..., sample % 4 < 2]), "<i2")
+    # codes are rounded: half a code each in I and Q, spread by the solution to no more than three times as much
+    expected = np.broadcast_to(tones[:, ::2], (LOOPS, 8, SAMPLES // 2))
+    np.testing.assert_allclose(frame_samples(codes, config), expected, atol=3.0)
+    noise = np.random.default_rng(2).normal(0.0, 1000.0, (LOOPS, 2, 4, SAMPLES // 2, 2)) @ [1.0, 1.0j]
+    samples = frame_samples(np.frombuffer(two_lanes(noise), "<i2"), config)
+    assert np.mean(np.abs(samples) ** 2) / 2e6 == pytest.approx(2.0, rel=0.03)
 
 
 FRAME = two_lanes(point())
@@ -405,3 +440,41 @@ def test_real_77_ghz_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert found["range_m"] == pytest.approx(2.93, abs=0.03)
     assert abs(found["closing_speed_mps"]) == pytest.approx(0.56, abs=0.02)
     assert abs(found["azimuth_deg"]) == pytest.approx(6.8, abs=0.3)
+
+
+def test_a_recording_gives_hidden_objects_its_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beams at the times of the frames, 40 ms apart; the map of a scan shows the point; nothing is overwritten."""
+    out = tmp_path / "beams.mcap"
+    words = [*write(tmp_path, two_lanes(point()) * 2), "--recording", str(out)]
+    assert main(words) == 0
+    with RecordingReader(out) as reader:
+        messages = list(reader.messages(("radar/setup", "radar/beam")))
+    setup, *beams = [each.message for each in messages]
+    assert isinstance(setup, RadarSetup)
+    assert [beam.stamp_ns for beam in beams] == [0] * 8 + [40_000_000] * 8
+    assert messages[1].log_time_ns == round(1e9 * LOOPS * 2 * CHIRP_S)
+    former = RaFormer(setup)
+    (ra_map,) = [ra_map for beam in beams[:8] for ra_map in former.add(beam)]
+    row, column = np.unravel_index(np.abs(ra_map.values).argmax(), ra_map.grid.shape)
+    assert ra_map.grid.range_m[row] == pytest.approx(RANGE_M, abs=0.05)
+    assert np.degrees(ra_map.grid.azimuth_rad[column]) == pytest.approx(AZIMUTH_DEG, abs=0.5)
+    capsys.readouterr()
+    assert main(words) == 2
+    assert "beams.mcap" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@needs(TASK3)
+def test_a_real_capture_by_its_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three transmitters in the order 2, 1, 3 and two of four lanes; the first 20 of its 1000 frames."""
+    capture = tmp_path / "cut.bin"
+    capture.write_bytes((TASK3 / "task3_gt_Raw_0.bin").read_bytes()[: 20 * 3072 + 5])
+    words = [str(capture), "--config", str(TASK3 / "1843_config_debug_task3.lua"), "--out", str(tmp_path / "out")]
+    assert main(["import", "dca1000", *words, "--json"]) == 3
+    said = json.loads(capsys.readouterr().out)
+    assert (said["frames"], said["frames_wanted"], said["left_bytes"], said["channels"]) == (20, 1000, 5, 8)
+    assert said["left_out_transmitters"] == [2]
+    assert said["loss"].startswith(
+        "whole frames: 20 of 1000, 5 bytes of one that is cut are left out; two of four lanes"
+    )
+    assert said["grid"]["range_bins"] * said["grid"]["range_bin_m"] == pytest.approx(2.90, abs=0.01)

@@ -6,7 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.forming.digital_array import DigitalArrayParams, form_digital_map, range_doppler
+from models.perception.forming.digital_array import (
+    DigitalArrayParams,
+    form_digital_map,
+    range_doppler,
+    slots_aligned,
+    slots_turned,
+)
 from msgs.values.radar import RangeAzimuthGrid
 from tests.captures import DATA, needs
 
@@ -81,6 +87,55 @@ def test_without_tdm_compensation_the_angle_errs() -> None:
     assert abs(azimuth_deg[np.abs(values["naive"]).argmax()]) >= 2.0
 
 
+@pytest.mark.parametrize(("speed_bins", "tolerance"), [(0, 1e-5), (7, 1e-5), (-60, 1e-5), (7.5, 0.05), (-31.3, 0.05)])
+def test_slots_are_aligned(speed_bins: float, tolerance: float) -> None:
+    """Channels of the second transmitter as if it sent with the first: exact on a Doppler bin.
+
+    Between bins, a phase step at the frame's ends stays; it is spread over all bins, and at the strongest one, under a
+    Hann window over slow time, the two transmitters agree to a few percent at worst.
+    """
+    params = DigitalArrayParams()
+    speed_mps = -speed_bins * 0.5 * params.wavelength_m / (128 * params.repetition_interval_s)
+    at_once = msgspec.structs.replace(params, channel_slot=(0,) * 8, chirp_interval_s=2 * params.chirp_interval_s)
+    aligned = slots_aligned(_target(params, 40.0, speed_mps, 0.3, 128, 128), params)
+    ours = range_doppler(aligned, at_once)[..., 40]
+    truth = range_doppler(_target(at_once, 40.0, speed_mps, 0.3, 128, 128), at_once)[..., 40]
+    peak = np.abs(truth).sum(axis=1).argmax()
+    assert np.abs(ours[peak] / truth[peak] - 1.0).max() <= tolerance
+    if tolerance < 0.01:
+        np.testing.assert_allclose(ours, truth, atol=1e-5)
+
+
+def test_a_known_speed_turns_single_chirps() -> None:
+    """One chirp of each transmitter shows no Doppler: with the speed given, channels are those of one slot, exactly.
+
+    Left as they are, 2 m/s at 92 us stand 4 pi 92e-6 2 / 3.8 mm = 35 deg apart, a step in the middle of the row.
+    """
+    params = DigitalArrayParams()
+    samples = _target(params, 40.0, 2.0, 0.3, 1, 128)
+    at_once = _target(msgspec.structs.replace(params, channel_slot=(0,) * 8), 40.0, 2.0, 0.3, 1, 128)
+    np.testing.assert_allclose(slots_turned(samples, params, 2.0), at_once, atol=1e-5)
+    step_deg = np.degrees(np.angle(samples[0, 4, 0] / at_once[0, 4, 0]))
+    assert step_deg == pytest.approx(-34.9, abs=0.1)
+    np.testing.assert_array_equal(slots_aligned(samples, params), samples)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+def test_three_transmitters_in_any_order(order: tuple[int, ...]) -> None:
+    """Phases at the peak are those of the direction alone, whichever slot each transmitter has; 3.1 of +-3.4 m/s.
+
+    Analytic: -k y sin(azimuth); tolerance 0.01 rad, of complex64.
+    """
+    wavelength_m = DigitalArrayParams().wavelength_m
+    places = tuple(0.5 * wavelength_m * (4 * transmitter + receiver) for transmitter in order for receiver in range(4))
+    params = DigitalArrayParams(channel_slot=tuple(slot for slot in range(3) for _ in range(4)), channel_y_m=places)
+    speed_mps = 0.5 * wavelength_m * 29 / (64 * params.repetition_interval_s)
+    spectra = range_doppler(_target(params, 30.0, speed_mps, -0.4, 64, 128), params)[..., 30]
+    peak = spectra[np.abs(spectra).sum(axis=1).argmax()]
+    turns = -(np.array(places) - places[0]) / wavelength_m * np.sin(-0.4)
+    assert np.abs(np.angle(peak * peak[0].conj() * np.exp(-2j * np.pi * turns))).max() <= 0.01
+
+
 def test_static_removal_keeps_movers() -> None:
     params = DigitalArrayParams(remove_static=True)
     wall = 100.0 * _target(params, 20.0, 0.0, 0.1, 64, 128)
@@ -145,6 +200,25 @@ def test_real_77_ghz_capture() -> None:
     assert formed.map.grid.range_m[row + 20] == pytest.approx(2.93, abs=0.03)
     assert abs(formed.closing_speed_mps[row + 20, column]) == pytest.approx(0.58, abs=0.05)
     assert abs(np.degrees(formed.map.grid.azimuth_rad[column])) == pytest.approx(6.5, abs=1.0)
+
+
+@needs(AWR)
+def test_real_channels_without_their_slots() -> None:
+    """The mover's documented phases, 20.5 deg an element once 9.8 deg of its Doppler between slots are taken off.
+
+    Doppler bin 7 of 128, slots half a repetition apart: 7 / 128 * 180 = 9.84 deg. One receiver is 15 deg off the phase
+    front, so that the line through 8 channels is good to 1 deg an element.
+    """
+    raw = np.load(AWR)
+    samples = (_unwrapped(raw.real) + 1j * _unwrapped(raw.imag)).astype(np.complex64)
+    documented_deg = np.array([0, 24, 50, 57, 96, 120, 146, 152])
+    params = DigitalArrayParams(remove_static=True)
+    at_once = msgspec.structs.replace(params, channel_slot=(0,) * 8, chirp_interval_s=2 * params.chirp_interval_s)
+    before, after = (range_doppler(samples, each)[7, :, 60] for each in (at_once, params))
+    before_deg, after_deg = (np.degrees(np.unwrap(np.angle(each / each[0]))) for each in (before, after))
+    np.testing.assert_allclose(before_deg, documented_deg, atol=2.0)
+    np.testing.assert_allclose(before_deg - after_deg, [0.0] * 4 + [9.84] * 4, atol=0.05)
+    assert np.polyfit(np.arange(8), after_deg, 1)[0] == pytest.approx(20.5, abs=1.0)
 
 
 @needs(PHASER)
