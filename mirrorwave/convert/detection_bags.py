@@ -116,9 +116,9 @@ def _of_topic(connections: list[Any], path: Path, topic: str | None) -> list[Any
 def _bag_errors(path: Path) -> Iterator[None]:
     try:
         yield
-    except OSError:
-        raise
-    except Exception as error:  # noqa: BLE001 - a damaged bag fails in whatever way the damage makes its reader
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
         raise ValueError(f"{path}: no ROS bag that can be read: {_reason(error)}") from None
 
 

@@ -44,7 +44,7 @@ class TargetListParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     #: Id that the sensor is set to.
     sensor_id: int = 0
-    list: Literal["clusters", "objects"] = "clusters"
+    kind: Literal["clusters", "objects"] = "clusters"
     mounting: Mounting = Mounting()
     #: The sensor's lateral distance is positive to the left; false where it is built in the other way up.
     left_positive: bool = True
@@ -99,7 +99,7 @@ class TargetListReader:
 
     def __init__(self, database: Database, params: TargetListParams, sensor: str = "") -> None:
         self._params, self._sensor = params, sensor
-        self._layout = _LAYOUTS[params.list]
+        self._layout = _LAYOUTS[params.kind]
         self._messages = {message.frame_id: message for message in database.messages}
         _require_signals(self._messages, self._layout)
         self._open: _Measurement | None = None
@@ -124,7 +124,7 @@ class TargetListReader:
         if sensor_id != self._params.sensor_id:
             self.strangers[sensor_id] += 1
         elif message.name not in self._layout:
-            self.refused[f"{message.name}: the list is to be of {self._params.list}"] += 1
+            self.refused[f"{message.name}: the list is to be of {self._params.kind}"] += 1
         elif len(data) < message.length:
             self.refused[f"{message.name}: shorter than {message.length} bytes"] += 1
         else:

@@ -159,7 +159,7 @@ def test_objects_are_read_where_they_are_asked_for() -> None:
     targets = [Target(3, 2600, 1523, speed_along=492), Target(4, 2600, 1024), Target(5, 2600, 1024)]
     frames = [(0x60A, object_status(3, 9)), *((0x60B, object_general(target)) for target in targets)]
     frames += [(0x60C, object_quality(target, state)) for target, state in zip(targets, (2, 3, 1), strict=True)]
-    target_list = reader(list="objects")
+    target_list = reader(kind="objects")
     (found,) = read(target_list, frames)
     assert found.range_m * np.exp(1j * found.azimuth_rad) == pytest.approx([20.0 + 100.0j, 20.0 + 0.2j], abs=1e-9)
     assert target_list.left_out == {"predicted, not measured": 1}
