@@ -391,7 +391,7 @@ def can_frames(count: int = 6) -> bytes:
 
 
 def target_lists() -> list[list[bytes]]:
-    """Two measurements of three targets of a radar's CAN, as `can_frames`: clusters of sensor 0, objects of sensor 1."""
+    """Two measurements of three targets on CAN, as `can_frames`: clusters of sensor 0, objects of sensor 1."""
     clusters = [(0x701, 8, bytes([at, 81, 66, 50, 123, 33, 129, 153])) for at in range(3)]
     clusters += [(0x702, 5, bytes([at, 136, 34, 19, 3])) for at in range(3)]
     objects = [(0x61B, 8, bytes([at, 81, 66, 50, 123, 33, 129, 153])) for at in range(3)]
