@@ -152,11 +152,11 @@ class DetectionMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 def missing_columns(mapping: DetectionMapping, known: list[str | int]) -> str:
     """Return the rule that the first column breaks which is not among the known ones; empty where all are."""
-    named = mapping.columns
+    wanted = mapping.columns
     for name in ("stamp", "scan"):
         if (source := getattr(mapping, name)) is not None:
-            named[name] = source.column
-    for name, column in named.items():
+            wanted[name] = source.column
+    for name, column in wanted.items():
         if column not in known:
             return f"{name}.column must be one of {', '.join(map(str, known))}, got {column!r}"
     return ""

@@ -146,7 +146,7 @@ class TargetListReader:
             # heard from the middle of a measurement on
             return []
         elif message.name == self._layout.general:
-            self._add_target(values)
+            ended = self._add_target(values)
         else:
             self._add_quality(values)
         return [*ended, *self._end()] if self._is_whole() else ended
@@ -161,16 +161,20 @@ class TargetListReader:
         self._scan_id += step
         self._open = _Measurement(stamp_ns, sum(int(status[name]) for name in self._layout.counts))
 
-    def _add_target(self, values: dict[str, Any]) -> None:
-        number = int(values["ID"])
+    def _add_target(self, values: dict[str, Any]) -> list[RadarDetections]:
+        """Take a target; one of the next measurement, whose status is lost, ends the open one."""
+        number, name = int(values["ID"]), self._layout.general
         if self._open is None:
-            self.refused[f"{self._layout.general}: no measurement is open"] += 1
-        elif number in self._open.targets:
-            self.refused[f"{self._layout.general}: an id twice in a measurement"] += 1
+            self.refused[f"{name}: no measurement is open"] += 1
+        elif number in self._open.targets or self._open.qualities:
+            reason = "an id twice" if number in self._open.targets else "after the qualities"
+            self.refused[f"{name}: {reason} in a measurement"] += 1
+            return self._end()
         elif len(self._open.targets) >= self._open.announced:
-            self.refused[f"{self._layout.general}: more than announced"] += 1
+            self.refused[f"{name}: more than announced"] += 1
         else:
             self._open.targets[number] = values
+        return []
 
     def _add_quality(self, values: dict[str, Any]) -> None:
         number = int(values["ID"])

@@ -179,7 +179,6 @@ def test_lateral_distances_can_count_the_other_way() -> None:
     [
         ((0x600, status(1, 0, 1)[:4]), "CLUSTER_STATUS: shorter than 5 bytes"),
         ((0x701, general(Target(9, 2600, 512))[:7]), "CLUSTER_GENERAL: shorter than 8 bytes"),
-        ((0x701, general(Target(0, 2600, 512))), "CLUSTER_GENERAL: an id twice in a measurement"),
         ((0x702, quality(Target(9, 2600, 512))), "CLUSTER_QUALITY: of no target"),
         ((0x60A, object_status(1, 1)), "OBJECT_STATUS: the list is to be of clusters"),
     ],
@@ -190,6 +189,23 @@ def test_frames_that_do_not_fit_are_refused_with_a_reason(frame: Frame, reason: 
     (found,) = read(target_list, [*frames[:2], frame, *frames[2:]])
     assert (len(found), found.lost) == (3, 0)
     assert target_list.refused == {reason: 1}
+
+
+@pytest.mark.parametrize(("with_quality", "missing"), [(True, 3), (True, 0), (False, 3)])
+def test_measurements_are_never_mixed(with_quality: bool, missing: int) -> None:
+    """A target is lost, and the next status too: what follows fills no gap of the measurement before."""
+    old, new = random_targets(5, 0), random_targets(5, 1)
+    target_list = reader()
+    read(
+        target_list, [*measurement(old, 1, with_quality=with_quality), *measurement(old, 2, with_quality=with_quality)]
+    )
+    frames = [frame for frame in measurement(old, 3, with_quality=with_quality) if not frame[1][0] == missing]
+    frames += measurement(new, 4, with_quality=with_quality)[1:]
+    found = read(target_list, [*frames, *measurement(new, 5, with_quality=with_quality)])
+    assert [(each.scan_id, len(each), each.lost) for each in found] == [(2, 4, 1), (4, 5, 0)]
+    position_m = np.array([target.position_m for target in old if target.number != missing])
+    assert np.allclose(found[0].range_m, np.hypot(*position_m.T))
+    assert target_list.missed == 1
 
 
 def test_more_than_announced_is_another_layout() -> None:
