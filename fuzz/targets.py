@@ -398,10 +398,11 @@ def _detection_table(parts: Parts, box: Box) -> None:
 
 def _target_list(parts: Parts, box: Box) -> None:
     from models.sensors.target_list import TargetListParams, TargetListReader
-    from nodes.can.bus import checkout_path, load_dbc
+    from msgs.files.shipped import shipped_path
+    from nodes.can.bus import load_dbc
 
     kind: Any = ("clusters", "objects")[number(parts, 0, 2)]
-    database = load_dbc(checkout_path("launch/can/target_radar.dbc"))
+    database = load_dbc(shipped_path("launch/can/target_radar.dbc"))
     reader = TargetListReader(database, TargetListParams(kind=kind, sensor_id=number(parts, 0, 8) // 2))
     found = []
     for frame, stamp_ns in _frames(part(parts, 1)):

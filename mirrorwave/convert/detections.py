@@ -12,7 +12,7 @@ from mirrorwave.convert.detection_tables import ScanRows, count_lines, table_sca
 from mirrorwave.convert.formats import Bar
 from models.sensors.detection_columns import DetectionMapping, detections_of
 from models.training.files import file_sha256
-from msgs.files.shipped import CHECKOUT
+from msgs.files.shipped import LAUNCH, shipped_path
 from msgs.recording.mcap import RecordingWriter, whole_recording
 from msgs.values.arrays import MAX_STAMP_NS
 from nodes.process.launch_file import read_yaml_mapping
@@ -20,7 +20,7 @@ from nodes.process.validation import convert_at
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 #: Mappings of messages that say what their fields are called.
-_SHIPPED = CHECKOUT / "launch" / "detections"
+_SHIPPED = LAUNCH / "detections"
 
 
 def read_mapping(path: Path) -> DetectionMapping:
@@ -44,6 +44,7 @@ def import_detections(
         raise ValueError(f"{source}: --topic is for bags, got {topic!r}")
     if mapping_path is None:
         raise ValueError(f"{source}: --mapping must name what the columns are, such as launch/detections/table.yaml")
+    mapping_path = shipped_path(mapping_path)
     mapping = _usable(mapping_path, needs_stamp=True)
     sink = _Sink(source, mapping)
     provenance = _provenance(source, mapping_path)
@@ -62,7 +63,7 @@ def _usable(path: Path, needs_stamp: bool) -> DetectionMapping:
 def _import_bag(source: Path, out: Path, mapping_path: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
     with open_bag(source, topic) as bag:
         name = "point_cloud2" if bag.kind == CLOUD else "radar_scan"
-        used = mapping_path or _SHIPPED / f"{name}.yaml"
+        used = shipped_path(mapping_path) if mapping_path else _SHIPPED / f"{name}.yaml"
         mapping = _usable(used, needs_stamp=False)
         sink = _Sink(source, mapping)
         provenance = _provenance(source, used) | {"topic": bag.topic, "type": bag.kind}

@@ -13,12 +13,13 @@ import msgspec
 
 from models.sensors.target_list import TargetListParams, TargetListReader
 from msgs.bus.interface import Outgoing, Received
+from msgs.files.shipped import shipped_path
 from msgs.values.arrays import require_positive
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.wording import counted
-from nodes.can.bus import BusParams, CanLink, LogFrame, checkout_path, load_dbc
+from nodes.can.bus import BusParams, CanLink, LogFrame, load_dbc
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset
 from nodes.vehicle_can import LiveSource
@@ -131,7 +132,7 @@ class DetectionsRadarNode(Node):
 
 def create(params: Params) -> DetectionsRadarNode:
     """Return the node; `ValueError` for a DBC that cannot be read or lacks the layout. A bus may appear later."""
-    path = checkout_path(params.dbc)
+    path = shipped_path(params.dbc)
     try:
         reader = TargetListReader(load_dbc(path), params.radar, params.sensor)
     except ValueError as error:

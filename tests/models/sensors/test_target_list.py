@@ -199,7 +199,7 @@ def test_measurements_are_never_mixed(with_quality: bool, missing: int) -> None:
     read(
         target_list, [*measurement(old, 1, with_quality=with_quality), *measurement(old, 2, with_quality=with_quality)]
     )
-    frames = [frame for frame in measurement(old, 3, with_quality=with_quality) if not frame[1][0] == missing]
+    frames = [frame for frame in measurement(old, 3, with_quality=with_quality) if frame[1][0] != missing]
     frames += measurement(new, 4, with_quality=with_quality)[1:]
     found = read(target_list, [*frames, *measurement(new, 5, with_quality=with_quality)])
     assert [(each.scan_id, len(each), each.lost) for each in found] == [(2, 4, 1), (4, 5, 0)]
