@@ -401,6 +401,44 @@ def can_frames(count: int = 6) -> bytes:
     return out
 
 
+def target_lists() -> list[list[bytes]]:
+    """Two measurements of three targets on CAN, as `can_frames`: clusters of sensor 0, objects of sensor 1."""
+    clusters = [(0x701, 8, bytes([at, 81, 66, 50, 123, 33, 129, 153])) for at in range(3)]
+    clusters += [(0x702, 5, bytes([at, 136, 34, 19, 3])) for at in range(3)]
+    objects = [(0x61B, 8, bytes([at, 81, 66, 50, 123, 33, 129, 153])) for at in range(3)]
+    objects += [(0x61C, 7, bytes([at, 136, 34, 16, 34, 64, 232])) for at in range(3)]
+    found = []
+    for choice, status, frames in ((0, (0x600, 5), clusters), (3, (0x61A, 4), objects)):
+        out = b""
+        for at in range(2):
+            first = bytes([2, 1, 0, at, 16]) if choice == 0 else bytes([3, 0, at, 16])
+            for number, length, data in [(*status, first), *frames]:
+                out += struct.pack("<IIBB", number, 59 * at, length, 0) + data
+        found.append([bytes([choice]), out])
+    return found
+
+
+DETECTION_TABLE = (
+    b"stamp_s,range_m,azimuth_deg,radial_speed_mps,rcs_dbsm\n1.25,10.0,30,-2,5\n1.25,20,-30,,5\n# a\n1.5,nan,0,0,0\n"
+)
+DETECTION_MAPPING = b"""x: {column: 2}
+y: {column: 3, unit: cm, negated: true}
+x_std: {value: 0.1}
+y_std: {column: 1, unit: mm}
+stamp: {column: 0, unit: ms}
+scan: {column: 1}
+table: {delimiter: ";", header: false, skip_lines: 1, comment: ""}
+"""
+
+
+def detection_tables() -> list[list[bytes]]:
+    """A table with a head under the mapping that is shipped, and one without."""
+    return [
+        [(ROOT / "launch/detections/table.yaml").read_bytes(), DETECTION_TABLE],
+        [DETECTION_MAPPING, b"made\n1;7;1;0\n2;7;2;0\n3;8;0;-3\n"],
+    ]
+
+
 def can_logs() -> list[list[bytes]]:
     """The same frames as each kind of log, its suffix first."""
     import can

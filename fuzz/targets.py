@@ -382,6 +382,40 @@ def _mapping(parts: Parts, box: Box) -> None:
         pass
 
 
+def _detection_table(parts: Parts, box: Box) -> None:
+    from mirrorwave.console import progress_bar
+    from mirrorwave.convert.detections import import_detections
+    from msgs.recording.mcap import RecordingReader
+
+    table, mapping = box.put("a.csv", part(parts, 1)), box.put("a.yaml", part(parts, 0))
+    out = box.new("out.mcap")
+    found = import_detections(table, out, mapping, None, progress_bar)
+    with RecordingReader(out) as reader:
+        scans = [item.message for item in reader.messages(("radar/detections",))]
+    assert (len(scans), sum(len(one) for one in scans)) == (found["scans"], found["detections"])
+    assert all(before.stamp_ns < after.stamp_ns for before, after in itertools.pairwise(scans))
+
+
+def _target_list(parts: Parts, box: Box) -> None:
+    from models.sensors.target_list import TargetListParams, TargetListReader
+    from msgs.files.shipped import shipped_path
+    from nodes.can.bus import load_dbc
+
+    kind: Any = ("clusters", "objects")[number(parts, 0, 2)]
+    database = load_dbc(shipped_path("launch/can/target_radar.dbc"))
+    reader = TargetListReader(database, TargetListParams(kind=kind, sensor_id=number(parts, 0, 8) // 2))
+    found = []
+    for frame, stamp_ns in _frames(part(parts, 1)):
+        if not frame.is_extended_id:
+            found += reader.add(frame.arbitration_id, bytes(frame.data), stamp_ns)
+        found += reader.tick(stamp_ns)
+    found += reader.tick(1 << 60)
+    assert [one.scan_id for one in found] == sorted({one.scan_id for one in found})
+    assert sum(one.lost for one in found) == reader.lost
+    for one in found:
+        assert _encoded(type(one)(**{name: getattr(one, name) for name in one.__struct_fields__})) == _encoded(one)
+
+
 def _can_log(parts: Parts, box: Box) -> None:
     from mirrorwave.convert.logs import CanSource, import_can
     from msgs.files.shipped import shipped_path
@@ -878,6 +912,10 @@ TARGETS: dict[str, Target] = {
     "dbc": Target(_dbc, ("text", "bytes"), _dbc_seeds, modules=_CAN),
     "mapping": Target(_mapping, ("yaml", "text", "bytes"), _mapping_seeds),
     "can_frames": Target(_can_frames, ("bytes",), _frame_seeds),
+    "target_list": Target(_target_list, ("bytes", "bytes"), _seeds("target_lists")),
+    "detection_table": Target(
+        _detection_table, ("yaml", "text"), _seeds("detection_tables"), modules=("yaml", "msgspec")
+    ),
     "can_log": Target(_can_log, ("bytes", "text"), _seeds("can_logs"), modules=("can",)),
     "viewer_client": Target(_viewer_client, ("json",), _client_seeds),
     "log_lines": Target(_log_lines, ("text",), _log_seeds, refusals=()),

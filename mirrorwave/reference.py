@@ -106,9 +106,13 @@ def commands_page() -> str:
 
 def node_modules() -> list[str]:
     """Dotted names of the modules that can stand in a launch file."""
-    names = sorted(path.stem for path in NODES_DIR.glob("*.py"))
-    sources = {name: (NODES_DIR / f"{name}.py").read_text(encoding="utf-8") for name in names}
-    return [f"nodes.{name}" for name, text in sources.items() if "\nclass Params(" in text and "\ndef create(" in text]
+    paths = sorted(NODES_DIR.rglob("*.py"))
+    sources = {path.relative_to(NODES_DIR.parent): path.read_text(encoding="utf-8") for path in paths}
+    return [
+        ".".join(path.with_suffix("").parts)
+        for path, text in sources.items()
+        if "\nclass Params(" in text and "\ndef create(" in text
+    ]
 
 
 def _topic_row(topic: Topic) -> tuple[str, ...]:

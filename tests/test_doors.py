@@ -271,6 +271,7 @@ def _size(count: int) -> str:
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from mirrorwave.annotate import clouds as annotate_clouds
+    from mirrorwave.convert import detection_tables
     from mirrorwave.diagnose import foreign_topic
     from models.perception import cards
     from models.perception.detection import onnx_model
@@ -308,12 +309,15 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "pages at the viewer": str(bev_viewer.Params().max_clients),
         "connections to the viewer that are no page": f"{limiter.MAX_PENDING}, for {limiter.PENDING_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
-        "launch, parameter, profile, CAN mapping or annotation file": (
+        "launch, parameter, profile, CAN or detection mapping or annotation file": (
             f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),
         "scene": f"{_size(scene.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels",
         "mesh": f"{_size(meshes.MAX_BYTES)}, {meshes.MAX_FACES:,} faces",
         "DBC": _size(MAX_DBC_BYTES),
+        "line of a table of detections; its columns": (
+            f"{_size(detection_tables.MAX_LINE)}; {detection_tables.MAX_COLUMNS}"
+        ),
         "line of a CAN log; object of a BLF, packed": (
             f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"
         ),

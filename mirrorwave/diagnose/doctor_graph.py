@@ -308,10 +308,16 @@ def check_room(check: str, folder: Path) -> Finding:
     return Finding(check, status, f"{free / _GIB:.1f} GiB free in {folder}: {free / 350e6:.0f} s of raw beams")
 
 
+_CAN_MODULES = ("nodes.vehicle_can", "nodes.can_out", "nodes.car_sim", "nodes.drivers.detections_radar")
+
+
 def _check_can(name: str, entry: dict[str, Any]) -> Iterator[Finding]:
     params = entry.get("params", {})
-    speaks_can = str(entry.get("module", "")) in ("nodes.vehicle_can", "nodes.can_out", "nodes.car_sim")
-    if speaks_can and params.get("interface", "socketcan") == "socketcan" and not params.get("log"):
+    if (
+        str(entry.get("module", "")) in _CAN_MODULES
+        and params.get("interface", "socketcan") == "socketcan"
+        and not params.get("log")
+    ):
         yield check_can_interface(f"bus of {name}", params.get("channel", "can0"))
 
 

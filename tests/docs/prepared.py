@@ -71,6 +71,11 @@ def _dca1000(folder: Path) -> None:
     (folder / "chirps.cfg").write_text(CFG)
 
 
+def _detections(folder: Path) -> None:
+    rows = [f"{0.06 * at:.2f},{10 + at},{5 * at - 10},-1.5,3" for at in range(5)]
+    (folder / "detections.csv").write_text("\n".join(["stamp_s,range_m,azimuth_deg,radial_speed_mps,rcs_dbsm", *rows]))
+
+
 #: What a page needs beside the checkout: file or folder -> how it is made. Those of one maker come together.
 MAKERS: dict[str, Callable[[Path], None]] = {
     "corner.mcap": _corner,
@@ -82,6 +87,7 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     "list.log": _list,
     "capture.bin": _dca1000,
     "chirps.cfg": _dca1000,
+    "detections.csv": _detections,
 }
 
 

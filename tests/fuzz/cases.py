@@ -24,6 +24,7 @@ from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
 from models.perception.tracking.scan_state import MemoryParams
 from models.sensors.dca1000_packets import datagram
+from models.sensors.target_list import TargetListReader
 from models.vehicle.can_state import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
@@ -71,7 +72,7 @@ from nodes import (
     vehicle_can,
 )
 from nodes.can.bus import CanLink, load_dbc, load_mapping
-from nodes.drivers import dca1000
+from nodes.drivers import dca1000, detections_radar
 from nodes.node import Node
 from nodes.recording import snapshot_recorder
 from nodes.recording.files import as_recorded
@@ -366,8 +367,8 @@ class WhimsicalBus:
                 )
         return can.Message(
             timestamp=whim.choice((0.0, 1.5, -3.0, 1e9, 1e18, 1e300, float("nan"), float("inf"))),
-            arbitration_id=whim.choice((0x100, 0x101, 0, 0x7FF)),
-            data=whim.randbytes(whim.choice((0, 1, 7, 8))),
+            arbitration_id=whim.choice((0x100, 0x101, 0, 0x7FF, 0x600, 0x701, 0x702)),
+            data=whim.randbytes(whim.choice((0, 1, 5, 7, 8))),
             is_extended_id=whim.random() < 0.2,
             is_error_frame=whim.random() < 0.1,
             is_remote_frame=whim.random() < 0.1,
@@ -398,6 +399,12 @@ def make_vehicle_can(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     if seed % 3 == 0:
         source = vehicle_can.LogSource(log_frames(seed), 10.0 ** random.Random(seed).uniform(-6.0, 6.0))
     return vehicle_can.VehicleCanNode(decoder(), source, random.Random(seed).choice((0.0, -1.0, 1e6)))
+
+
+def make_detections_radar(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    params = detections_radar.Params(interface="virtual", clock_offset_s=random.Random(seed).choice((0.0, -1.0, 1e6)))
+    reader = TargetListReader(load_dbc(shipped_path(params.dbc)), params.radar)
+    return detections_radar.DetectionsRadarNode(reader, vehicle_can.LiveSource(whimsical_link(seed)), params)
 
 
 def log_frames(seed: int) -> Any:
@@ -676,6 +683,9 @@ CASES: dict[str, Case] = {
         make_cfar, map_talk(), "nodes.dense_predictor", lambda folder: {"method": "cfar"}, map_talk
     ),
     "geometry": Case(make_geometry, peaks_talk(), "nodes.geometry", talk=peaks_talk, remembered=("tracks",)),
+    "detections_radar": Case(
+        make_detections_radar, (), "nodes.drivers.detections_radar", lambda folder: {"interface": "virtual"}
+    ),
     "vehicle_can": Case(make_vehicle_can, (), "nodes.vehicle_can", lambda folder: {"interface": "virtual"}),
     "link": Case(make_link, all_talk(), "nodes.link", lambda folder: dict(LINK)),
     "can_out": Case(

@@ -172,6 +172,32 @@ def can(
 
 
 @app.command()
+def detections(
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="Table (.csv, .tsv, .txt) or ROS bag (file, folder).")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of radar/detections.")],
+    mapping: Annotated[
+        Path | None, typer.Option("--mapping", help="From columns or fields to detections, YAML; bags have a default.")
+    ] = None,
+    topic: Annotated[str | None, typer.Option("--topic", help="Topic of a bag, where more than one fits.")] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Detections of a radar that gives no beats; exit code 3 if any are left out."""
+    from mirrorwave.convert.detections import import_detections
+
+    require_new_file(out)
+    counts = import_detections(source, out, mapping, topic, progress_bar)
+    for reason, count in counts["left_out"].items():
+        typer.echo(f"mirrorwave: {source}: left out: {count}: {reason}", err=True)
+    if counts["loss"]:
+        typer.echo(f"mirrorwave: {counts['loss']}", err=True)
+    if as_json:
+        print_json({"recording": str(out), **counts})
+    else:
+        print_line(f"{out}: {counted(counts['detections'], 'detection')} in {counted(counts['scans'], 'scan')}")
+    return ExitCode.DONE_WITH_LOSS if counts["left_out"] or counts["loss"] else ExitCode.DONE
+
+
+@app.command()
 def sigmf(
     capture: Annotated[Path, typer.Argument(metavar="META", help="Capture: its .sigmf-meta, .sigmf-data or stem.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of set-up and raw beams.")],

@@ -1,0 +1,123 @@
+"""`mirrorwave import detections`: a table or a ROS bag of a radar's detections as a recording of `radar/detections`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mirrorwave.convert.detection_bags import CLOUD, SUFFIXES, open_bag
+from mirrorwave.convert.detection_tables import ScanRows, count_lines, table_scans
+from mirrorwave.convert.formats import Bar
+from models.sensors.detection_columns import DetectionMapping, detections_of
+from models.training.files import file_sha256
+from msgs.files.shipped import LAUNCH, shipped_path
+from msgs.recording.mcap import RecordingWriter, whole_recording
+from msgs.values.arrays import MAX_STAMP_NS
+from nodes.process.launch_file import read_yaml_mapping
+from nodes.process.validation import convert_at
+
+TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
+#: Mappings of messages that say what their fields are called.
+_SHIPPED = LAUNCH / "detections"
+
+
+def read_mapping(path: Path) -> DetectionMapping:
+    """Return a mapping from YAML; `ValueError` names file, field, value and rule."""
+    return convert_at(read_yaml_mapping(path), DetectionMapping, f"{path}: ")
+
+
+def import_detections(
+    source: Path, out: Path, mapping_path: Path | None, topic: str | None, bar: Bar
+) -> dict[str, Any]:
+    """Write the detections of a table or a bag to the new recording `out`; returns counts and `loss`.
+
+    Raises `ValueError` where file, mapping and topic do not fit, or no scan comes out; `ImportError` without rosbags.
+    """
+    if source.is_dir() or source.suffix.lower() in SUFFIXES:
+        return _import_bag(source, out, mapping_path, topic, bar)
+    if source.suffix.lower() not in TEXT_SUFFIXES:
+        ends = ", ".join((*TEXT_SUFFIXES, *SUFFIXES))
+        raise ValueError(f"{source}: must be a table or a ROS bag, by the end of its name: {ends}, or a bag's folder")
+    if topic is not None:
+        raise ValueError(f"{source}: --topic is for bags, got {topic!r}")
+    if mapping_path is None:
+        raise ValueError(f"{source}: --mapping must name what the columns are, such as launch/detections/table.yaml")
+    mapping_path = shipped_path(mapping_path)
+    mapping = _usable(mapping_path, needs_stamp=True)
+    sink = _Sink(source, mapping)
+    provenance = _provenance(source, mapping_path)
+    with bar("lines", count_lines(source)) as advance, whole_recording(out, provenance) as writer:
+        sink.write(writer, table_scans(source, mapping, sink.left_out, advance))
+    return sink.summary("")
+
+
+def _usable(path: Path, needs_stamp: bool) -> DetectionMapping:
+    mapping = read_mapping(path)
+    if needs_stamp and mapping.stamp is None:
+        raise ValueError(f"{path}: stamp must be given: the column with a row's time")
+    return mapping
+
+
+def _import_bag(source: Path, out: Path, mapping_path: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
+    with open_bag(source, topic) as bag:
+        name = "point_cloud2" if bag.kind == CLOUD else "radar_scan"
+        used = shipped_path(mapping_path) if mapping_path else _SHIPPED / f"{name}.yaml"
+        mapping = _usable(used, needs_stamp=False)
+        sink = _Sink(source, mapping)
+        provenance = _provenance(source, used) | {"topic": bag.topic, "type": bag.kind}
+        with bar("messages", bag.count) as advance, whole_recording(out, provenance) as writer:
+            sink.write(writer, bag.scans(sink.left_out, advance))
+        return sink.summary(bag.loss) | {"topic": bag.topic}
+
+
+class _Sink:
+    """Writes scans and counts what becomes of them."""
+
+    def __init__(self, source: Path, mapping: DetectionMapping) -> None:
+        self._source, self._mapping = source, mapping
+        self._last_ns = -1
+        self.scans = self.detections = 0
+        self.left_out: Counter[str] = Counter()
+
+    def write(self, writer: RecordingWriter, scans: Iterator[ScanRows]) -> None:
+        """Write all scans; raises `ValueError` naming the file where none comes out."""
+        for rows in scans:
+            self._take(writer, rows)
+        if not self.detections:
+            reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
+            raise ValueError(f"{self._source}: gives no detection" + (f"; left out: {reasons}" if reasons else ""))
+
+    def _take(self, writer: RecordingWriter, rows: ScanRows) -> None:
+        count = len(next(iter(rows.columns.values()), ()))
+        if not self._last_ns < rows.stamp_ns <= MAX_STAMP_NS:
+            self.left_out["stamp is not after that of the scan before"] += count
+            return
+        self._last_ns = rows.stamp_ns
+        try:
+            detections, left_out = detections_of(rows.columns, self._mapping, rows.stamp_ns, self.scans)
+        except ValueError as error:
+            raise ValueError(f"{self._source}: {error}") from None
+        self.left_out += left_out
+        writer.write("radar/detections", detections, publisher="import", sequence=self.scans, sent_ns=rows.stamp_ns)
+        self.scans += 1
+        self.detections += len(detections)
+
+    def summary(self, loss: str) -> dict[str, Any]:
+        """Return counts; `loss` says why the source could not be read to its end."""
+        return {
+            "scans": self.scans, "detections": self.detections, "left_out": dict(self.left_out), "loss": loss or None,
+        }  # fmt: skip
+
+
+def _provenance(source: Path, mapping: Path) -> dict[str, str]:
+    checksum = {} if source.is_dir() else {"source_sha256": file_sha256(source)}
+    return {
+        "import": "detections",
+        "source": source.name,
+        **checksum,
+        "mapping": mapping.name,
+        "mapping_sha256": file_sha256(mapping),
+        "time_base": "stamps of the source",
+    }

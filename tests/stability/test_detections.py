@@ -1,0 +1,104 @@
+"""Hard cases of detections of others: times as text, errors of the plane in polar form, measurement counters."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from mirrorwave.convert.detection_tables import table_scans
+from models.sensors.detection_columns import DetectionMapping, detections_of, polar_covariance
+from models.sensors.target_list import TargetListParams, TargetListReader
+from nodes.can.bus import load_dbc
+from tests.nodes.drivers.target_radar_stand_in import measurement, random_targets
+from tests.stability.catalogue import Errors
+
+MAPPING = {
+    "range": {"column": "r"}, "azimuth": {"column": "a", "unit": "deg"}, "stamp": {"column": "t"},
+    "range_std": {"value": 0.1}, "azimuth_std": {"value": 0.01},
+}  # fmt: skip
+
+
+@pytest.mark.hard(
+    where="mirrorwave.convert.detection_tables",
+    naive="seconds as a double",
+    bound=0.0,
+    unit="ns",
+    source="decimal digits and integers",
+)
+def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: Path) -> None:
+    """Seconds since 1970 with nine decimals: doubles lie 240 ns apart."""
+    true_ns = (1_700_000_000 * 10**9 + np.arange(1000) * 50_000_003).tolist()
+    rows = "\n".join(f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d},5,0" for stamp_ns in true_ns)
+    path = tmp_path / "a.csv"
+    path.write_text("t,r,a\n" + rows + "\n")
+    mapping = msgspec.convert(MAPPING, DetectionMapping)
+    read_ns = [scan.stamp_ns for scan in table_scans(path, mapping, Counter(), lambda: None)]
+    naive_ns = [round(float(row.split(",")[0]) * 1e9) for row in rows.split("\n")]
+    errors(
+        naive=max(abs(a - b) for a, b in zip(naive_ns, true_ns, strict=True)),
+        ours=max(abs(a - b) for a, b in zip(read_ns, true_ns, strict=True)),
+    )
+
+
+@pytest.mark.hard(
+    where="models.sensors.detection_columns",
+    naive="longitudinal error as that of range, lateral as that of azimuth",
+    bound=1e-9,
+    unit="relative",
+    source="rounding of a rotation there and back",
+)
+def test_covariances_turn_with_the_azimuth(errors: Errors) -> None:
+    """0.1 m along and 1 m across: at 80 deg the range has the lateral error; turned back, the plane's comes out."""
+    variance_m2 = np.tile([0.01, 1.0], (81, 1))
+    range_m, azimuth_rad = np.full(81, 50.0), np.radians(np.arange(-80.0, 81.0, 2.0))
+    polar = polar_covariance(range_m, azimuth_rad, variance_m2)
+    cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    jacobian = np.stack([np.stack([cos, -range_m * sin], -1), np.stack([sin, range_m * cos], -1)], -2)
+    naive = np.stack([variance_m2[:, 0], variance_m2[:, 1] / range_m**2], -1)[:, :, None] * np.eye(2)
+    true = variance_m2[:, :, None] * np.eye(2)
+    ours_error, naive_error = (
+        np.abs(jacobian @ each @ jacobian.transpose(0, 2, 1) - true).max() for each in (polar, naive)
+    )
+    errors(naive=float(naive_error), ours=float(ours_error))
+
+
+@pytest.mark.hard(
+    where="models.sensors.detection_columns",
+    naive="degrees to radians alone",
+    bound=1e-12,
+    unit="rad",
+    source="rounding of the remainder",
+)
+def test_azimuths_of_a_full_turn_come_out_around_the_front(errors: Errors) -> None:
+    """A sensor that counts 0..360 deg clockwise: 350 deg are 10 deg to the left."""
+    degrees = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 359.999])
+    azimuth = {"column": "a", "unit": "deg", "negated": True}
+    mapping = msgspec.convert(MAPPING | {"azimuth": azimuth}, DetectionMapping)
+    found, _ = detections_of({"r": np.full(6, 9.0), "a": degrees}, mapping, 0, 0)
+    true_rad = np.angle(np.exp(-1j * np.radians(degrees)))
+    errors(
+        naive=float(np.abs(-np.radians(degrees) - true_rad).max()),
+        ours=float(np.abs(found.azimuth_rad - true_rad).max()),
+    )
+
+
+@pytest.mark.hard(
+    where="models.sensors.target_list",
+    naive="difference of counters as they are",
+    bound=0.0,
+    unit="scans",
+    source="integers",
+)
+def test_scan_numbers_go_on_at_the_counters_wrap(errors: Errors) -> None:
+    """65534, 65535, 0, 2: one measurement is missing, not minus 65535."""
+    counters = (65534, 65535, 0, 2)
+    reader = TargetListReader(load_dbc(Path("launch/can/target_radar.dbc")), TargetListParams())
+    frames = [frame for counter in counters for frame in measurement(random_targets(2, 0), counter)]
+    scans = [each.scan_id for number, data in frames for each in reader.add(number, data, 0)]
+    true = np.array([0, 1, 2, 4])
+    naive = np.array(counters) - counters[0]
+    errors(naive=float(np.abs(naive - true).max()), ours=float(np.abs(np.array(scans) - true).max()))
