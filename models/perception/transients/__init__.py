@@ -1,0 +1,1 @@
+"""Confocal photon transients of hidden objects: their shape by the light-cone transform, and the instrument's response."""
