@@ -528,6 +528,14 @@ def _dca1000(parts: Parts, box: Box) -> None:
             frame_samples(np.fromfile(file, "<i2", config.frame_bytes // 2), config)
 
 
+def _transients(parts: Parts, box: Box) -> None:
+    from models.sensors.confocal import read_confocal
+
+    scan = read_confocal(box.put("a.mat", part(parts, 0)))
+    assert scan.range_m.shape == (scan.bins,)
+    assert scan.wall_m.shape == (len(scan.counts),)
+
+
 def _json_files(parts: Parts, box: Box) -> None:
     from mirrorwave.studies.tradeoff.latency_budget import _recall
     from mirrorwave.studies.tradeoff.report import read_report
@@ -791,6 +799,12 @@ def _dca_seeds() -> list[Parts]:
     return [[b"\0", seeds.CFG, bytes(range(256)) * 2], [b"\1", seeds.CFG_JSON, bytes(512)]]
 
 
+def _transient_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [[seeds.transients(packed)] for packed in (False, True)]
+
+
 def _json_seeds() -> list[Parts]:
     from fuzz import seeds
 
@@ -861,6 +875,7 @@ TARGETS: dict[str, Target] = {
     "shard": Target(_shard, ("npz", "json"), _shard_seeds),
     "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy"), _xradarnlos_seeds),
     "dca1000": Target(_dca1000, ("bytes", "text", "bytes"), _dca_seeds),
+    "transients": Target(_transients, ("bytes",), _transient_seeds, modules=("scipy.io.matlab",)),
     "json_files": Target(_json_files, ("bytes", "json"), _json_seeds),
     "reflectance": Target(_reflectance, ("json", "npz", "json"), _table_seeds),
     "keys": Target(_keys, ("text", "text", "text"), _key_seeds),

@@ -7,6 +7,7 @@ counts (Richardson and Lucy's multiplicative update), the response by a search o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
@@ -137,9 +138,22 @@ class TargetFit:
     deviance: float
 
 
-def retroreflected_share(distance_m: np.ndarray, wall_cosine: np.ndarray, object_cosine: np.ndarray, exponent: float):  # type: ignore[no-untyped-def]
+#: Loss [P, Q] of distances, cosines at wall and plane, [P, Q], and the exponent of the plane's cosine.
+Loss = Callable[[np.ndarray, np.ndarray, np.ndarray, float], np.ndarray]
+
+
+def retroreflected_share(
+    distance_m: np.ndarray, wall_cosine: np.ndarray, object_cosine: np.ndarray, exponent: float
+) -> np.ndarray:
     """Return the loss over distance and angle of a patch that sends light back where it came from: r^-2."""
-    return wall_cosine * np.power(object_cosine, exponent) / np.square(distance_m)
+    return np.asarray(wall_cosine * np.power(object_cosine, exponent) / np.square(distance_m))
+
+
+def matt_share(
+    distance_m: np.ndarray, wall_cosine: np.ndarray, object_cosine: np.ndarray, exponent: float
+) -> np.ndarray:
+    """Return the same of a matt patch, which has no exponent: the squares of both cosines, r^-4."""
+    return np.asarray(np.square(wall_cosine * object_cosine / np.square(distance_m)))
 
 
 class TargetModel:
@@ -235,10 +249,15 @@ def fit_response(
 
 
 def fit_at(
-    scan: ConfocalTransients, window: Window, plane: Plane, observed: Observed, response: Response
+    scan: ConfocalTransients,
+    window: Window,
+    plane: Plane,
+    observed: Observed,
+    response: Response,
+    loss: Loss = retroreflected_share,
 ) -> TargetFit:
-    """Return the reflectances and gains under a response."""
+    """Return the reflectances and gains under a response and a law of loss over distance and angle."""
     placed = Plane(response.depth_m, plane.slopes, plane.places_m)
     model = TargetModel(scan, window, response.spad(scan), placed, observed.wall_m)
-    weights = retroreflected_share(*placed.seen_from(observed.wall_m), response.entrance_exponent)
+    weights = loss(*placed.seen_from(observed.wall_m), response.entrance_exponent)
     return fit_reflectance(observed, model, weights / weights.mean())
