@@ -47,8 +47,8 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 FIRST_BIN = 600
 #: Standard deviations of a pulse without a tail.
-PULSES_S = (30e-12, 60e-12, 100e-12, 150e-12, 200e-12)
-EXPONENTS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+PULSES_S = (30e-12, 60e-12, 100e-12, 150e-12)
+EXPONENTS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0)
 SPOT_RADIUS_M = 0.01
 
 
@@ -61,7 +61,7 @@ class Scene(NamedTuple):
 
 
 SCENES = {
-    "dot chart": Scene("data_dot_chart_40cm.mat", Window(620, 1100, 1500, 2048), 32),
+    "dot chart": Scene("data_dot_chart_40cm.mat", Window(620, 1100, 1500, 2048), 48),
     "exit sign": Scene("data_exit_sign.mat", Window(1240, 2040, 1000, 1240), 48),
 }
 
@@ -102,7 +102,7 @@ def simulated(
     scan: ConfocalTransients, window: Window, plane: Plane, observed: Observed, model: Fitted
 ) -> list[tuple[SpadParams, np.ndarray, np.ndarray]]:
     """Detector, delays and photons per pulse of wall points: the patches' with a fitted gain, and the background's."""
-    placed = Plane(model.response.depth_m, plane.slopes, plane.places_m)
+    placed = replace(plane, depth_m=model.response.depth_m)
     spad, sight = model.response.spad(scan), placed.seen_from(observed.wall_m)
     photons = model.loss(*sight, model.response.entrance_exponent) * model.fit.reflectance
     photons /= photons.sum(axis=1, keepdims=True)
@@ -175,7 +175,7 @@ def levels(scan: ConfocalTransients, window: Window, distance_m: float) -> dict:
 def measured(scene: Scene, folder: Path, seed: int, evaluations: int) -> tuple[dict, list, HiddenShape, ConfocalTransients]:
     scan = read_confocal(folder / scene.file)
     shape = hidden_shape(reconstruct(scan, FIRST_BIN), scan)
-    plane = plane_patches(scan, shape.plane, scene.side)
+    plane = plane_patches(shape, scan, scene.side)
     observed = Observed.of(scan, scene.window, *wall_points(scan, 4))
     start = Response(rms_s=30e-12, tail_share=0.35, tail_s=250e-12, entrance_exponent=2.0, depth_m=shape.plane[0])
     fitted = fit_response(scan, scene.window, plane, observed, start, evaluations)
@@ -230,7 +230,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder of the .mat files")
     parser.add_argument("--out", type=Path, help="folder for pictures")
-    parser.add_argument("--evaluations", type=int, default=60, help="responses tried in a fit")
+    parser.add_argument("--evaluations", type=int, default=45, help="responses tried in a fit")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", choices=list(SCENES), action="append")
     parser.add_argument("--json", action="store_true")

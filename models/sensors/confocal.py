@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,26 +43,27 @@ def _listed(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     """Return names, shapes and classes of a file's variables, before any is unpacked."""
     from scipy.io import whosmat
 
-    return _parsed(path, lambda: whosmat(str(path), appendmat=False))  # type: ignore[return-value]
+    return _parsed(path, lambda: whosmat(str(path), appendmat=False))
 
 
 def _loaded(path: Path) -> dict[str, np.ndarray]:
     from scipy.io import loadmat
 
-    return _parsed(  # type: ignore[return-value]
+    return _parsed(
         path, lambda: loadmat(str(path), appendmat=False, variable_names=[COUNTS, HALF_WIDTH])
     )
 
 
-def _parsed(path: Path, parse: object) -> object:
+def _parsed(path: Path, parse: Callable[[], Any]) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            return parse()  # type: ignore[operator]
-        except OSError:
-            raise
+            return parse()
         except Exception as error:
-            # scipy's parser documents no errors: cut and foreign bytes raise what they happen to break
+            # scipy's parser documents no errors: cut and foreign bytes raise what they happen to break, an OSError
+            # without a number where they end too early
+            if isinstance(error, OSError) and error.errno is not None:
+                raise
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise ValueError(f"{path}: must be a whole MATLAB file of version 5 to 7: {reason}") from None
 

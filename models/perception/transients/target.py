@@ -8,20 +8,21 @@ counts (Richardson and Lucy's multiplicative update), the response by a search o
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 from scipy import optimize
 
 from models.perception.transients.scan import ConfocalTransients
+from models.perception.transients.shape import HiddenShape
 from models.physics.photons.flux import counts_between, pulses_of
 from msgs.values.lidar import SpadParams
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 #: Bins summed before they are compared.
 BINS_PER_CELL = 4
-UPDATES = 15
+UPDATES = 40
 LEAST_COUNTS = 1e-3
 #: Response before and behind a delay that is looked at, in standard deviations and mean delays.
 BEFORE_RMS, BEHIND_TAILS = 8.0, 12.0
@@ -45,11 +46,13 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane in square patches: depth over the wall = depth_m + slopes . (x, y), middles `places_m` [Q, 2]."""
+    """A plane in square patches: depth over the wall = depth_m + slopes . (x, y)."""
 
     depth_m: float
     slopes: tuple[float, float]
+    #: Middles of the patches [Q, 2], and a first guess of their reflectances [Q].
     places_m: np.ndarray
+    reflectance: np.ndarray
 
     def seen_from(self, wall_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distance and the cosines at wall and plane from wall points [P, 2] to all patches, each [P, Q]."""
@@ -61,11 +64,14 @@ class Plane:
         return distance_m, wall_cosine, np.maximum(across @ normal[:2] + depth_m * normal[2], 0.0) / distance_m
 
 
-def plane_patches(scan: ConfocalTransients, plane: tuple[float, float, float], side: int) -> Plane:
-    """Return a plane cut into side x side patches over the scanned square."""
+def plane_patches(shape: HiddenShape, scan: ConfocalTransients, side: int) -> Plane:
+    """Return the plane of a reconstructed surface cut into side x side patches over the scanned square."""
     middle_m = scan.half_width_m * ((np.arange(side) + 0.5) * 2.0 / side - 1.0)
     x_m, y_m = np.meshgrid(middle_m, middle_m, indexing="ij")
-    return Plane(plane[0], plane[1:], np.stack([x_m.ravel(), y_m.ravel()], axis=1))
+    nearest = np.minimum(((np.arange(side) + 0.5) / side * len(scan.counts)).astype(int), len(scan.counts) - 1)
+    # an update is a product: what starts at 0 stays there
+    first_guess = np.maximum(shape.brightness[np.ix_(nearest, nearest)].ravel(), LEAST_COUNTS)
+    return Plane(shape.plane[0], shape.plane[1:], np.stack([x_m.ravel(), y_m.ravel()], axis=1), first_guess)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +201,11 @@ def _response(spad: SpadParams, bin_s: float, before: int, behind: int, bins: in
     return np.asarray(np.where(known, share[np.clip(later, 0, len(share) - 1)], 0.0).reshape(len(later), -1, BINS_PER_CELL).sum(axis=2))
 
 
-def fit_reflectance(observed: Observed, model: TargetModel, weights: np.ndarray) -> TargetFit:
+def fit_reflectance(
+    observed: Observed, model: TargetModel, weights: np.ndarray, first_guess: np.ndarray
+) -> TargetFit:
     """Return the reflectances [Q] of patches with weights [P, Q] and the gains, after `UPDATES` updates of each."""
-    reflectance, gain = np.ones(weights.shape[1]), np.ones(len(weights))
+    reflectance, gain = first_guess, np.ones(len(weights))
     for _ in range(UPDATES):
         gain = fitted_gain(observed, model.counts(weights * reflectance), gain)
         expected = gain[:, None] * model.counts(weights * reflectance) + observed.background
@@ -257,7 +265,7 @@ def fit_at(
     loss: Loss = retroreflected_share,
 ) -> TargetFit:
     """Return the reflectances and gains under a response and a law of loss over distance and angle."""
-    placed = Plane(response.depth_m, plane.slopes, plane.places_m)
+    placed = replace(plane, depth_m=response.depth_m)
     model = TargetModel(scan, window, response.spad(scan), placed, observed.wall_m)
     weights = loss(*placed.seen_from(observed.wall_m), response.entrance_exponent)
-    return fit_reflectance(observed, model, weights / weights.mean())
+    return fit_reflectance(observed, model, weights / weights.mean(), plane.reflectance)
