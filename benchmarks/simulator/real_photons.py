@@ -1,7 +1,7 @@
 """Real photons of hidden objects against the photon model: distance, response, fall-off, and the shape of histograms.
 
-Confocal transients of two scenes (not part of the project; tests/captures.py says where they lie). For each: the hidden
-plane by the light-cone transform; pulse, tail and fall-off by maximum likelihood from 64 wall points, each with its own
+Confocal transients of two scenes (not part of the project; tests/captures.py says where they lie). For each: the
+hidden plane by the light-cone transform; pulse, tail and fall-off by maximum likelihood from 64 wall points, each with its own
 gain; then the histograms of 64 other wall points by `expected_histogram`, with the fitted reflectances. Models differ in
 the detector's tail (without it the pulse is the most likely of `PULSES_S`) and in the hidden surface's law. Statistics
 of each wall point: chi-square per cell of 16 ps, and the largest distance between cumulative shapes
@@ -93,7 +93,9 @@ def models_of(
         fits = [fit_at(scan, scene.window, plane, observed, one, loss) for one in tries]
         best = int(np.argmin([one.deviance for one in fits]))
         models[f"Gaussian, {name}"] = Fitted(tries[best], loss, fits[best])
-    models["tail, matt"] = Fitted(response, matt_share, fit_at(scan, scene.window, plane, observed, response, matt_share))
+    models["tail, matt"] = Fitted(
+        response, matt_share, fit_at(scan, scene.window, plane, observed, response, matt_share)
+    )
     models["tail, retroreflective"] = Fitted(response, retroreflected_share, fitted[1])
     return models
 
@@ -169,10 +171,15 @@ def levels(scan: ConfocalTransients, window: Window, distance_m: float) -> dict:
     floor = counts[..., window.quiet_first : window.quiet_stop].mean(axis=2)
     hidden = counts[..., window.first : window.stop].sum(axis=2) - floor * (window.stop - window.first)
     share = (2.0 * scan.half_width_m / distance_m) ** 2 / np.pi * (SPOT_RADIUS_M / distance_m) ** 2
-    return {"measured": float(np.median(hidden / counts[..., : window.first].sum(axis=2))), "matt_at_most": float(share)}
+    return {
+        "measured": float(np.median(hidden / counts[..., : window.first].sum(axis=2))),
+        "matt_at_most": float(share),
+    }
 
 
-def measured(scene: Scene, folder: Path, seed: int, evaluations: int) -> tuple[dict, list, HiddenShape, ConfocalTransients]:
+def measured(
+    scene: Scene, folder: Path, seed: int, evaluations: int
+) -> tuple[dict, list, HiddenShape, ConfocalTransients]:
     scan = read_confocal(folder / scene.file)
     shape = hidden_shape(reconstruct(scan, FIRST_BIN), scan)
     plane = plane_patches(shape, scan, scene.side)
@@ -197,7 +204,9 @@ def measured(scene: Scene, folder: Path, seed: int, evaluations: int) -> tuple[d
         "snr": DEFAULT_SNR,
         "response": {**vars(fitted[0]), "irf_fwhm_s": fitted[0].rms_s * float(np.sqrt(8.0 * np.log(2.0)))},
         "deviance_over_entrance_exponent": fall_off,
-        "deviance_of_models": {name: round(model.fit.deviance - fitted[1].deviance, 1) for name, model in models.items()},
+        "deviance_of_models": {
+            name: round(model.fit.deviance - fitted[1].deviance, 1) for name, model in models.items()
+        },
         "floor_counts_per_bin": float(quiet.mean()),
         "floor_variance_over_mean": float(np.mean(quiet.var(axis=2) / np.maximum(quiet.mean(axis=2), 1e-9))),
         "floor_correlation_with_own_counts": float(np.corrcoef(own, quiet.mean(axis=2).ravel())[0, 1]),

@@ -1,4 +1,4 @@
-"""Confocal transients in MATLAB's files: `rect_data` [points, points, bins] and `width`, half the scanned square's side.
+"""Confocal transients in MATLAB's files: `rect_data` [points, points, bins] and `width`, half the square's side.
 
 The layout of the Stanford confocal data sets (2018): counts with each wall point's own return shifted to bin 0, bins
 of 4 ps that the file does not name.
@@ -49,9 +49,7 @@ def _listed(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
 def _loaded(path: Path) -> dict[str, np.ndarray]:
     from scipy.io import loadmat
 
-    return _parsed(
-        path, lambda: loadmat(str(path), appendmat=False, variable_names=[COUNTS, HALF_WIDTH])
-    )
+    return _parsed(path, lambda: loadmat(str(path), appendmat=False, variable_names=[COUNTS, HALF_WIDTH]))
 
 
 def _parsed(path: Path, parse: Callable[[], Any]) -> Any:
@@ -93,7 +91,9 @@ def _counts(values: np.ndarray) -> np.ndarray:
     if low < 0 or high > MAX_COUNT:
         raise ValueError(f"{COUNTS} must lie in 0..{MAX_COUNT}, got {(low if low < 0 else high).item()!r}")
     if values.dtype.kind == "f" and (np.floor(values) != values).any():
-        raise ValueError(f"{COUNTS} must be whole numbers of photons, got {float(values[np.floor(values) != values][0])}")
+        raise ValueError(
+            f"{COUNTS} must be whole numbers of photons, got {float(values[np.floor(values) != values][0])}"
+        )
     return values.astype(np.uint32)
 
 

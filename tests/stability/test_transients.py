@@ -1,10 +1,13 @@
-"""Hard cases of confocal transients: nothing, a single photon, full counters, sizes that are none, a pulse's far tail."""
+"""Hard cases of confocal transients: nothing, a single photon, full counters, sizes that are none, a tail."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from mpmath import mp, mpf
+from scipy.special import ndtr
 
 from models.perception.transients.light_cone import LightCone, reconstruct
 from models.perception.transients.scan import ConfocalTransients
@@ -106,11 +109,12 @@ def test_ahead_of_a_pulse_with_a_tail(errors: Errors) -> None:
     def until(at: mpf) -> mpf:
         return mp.ncdf(at) - mp.exp(ratio * ratio / 2 - ratio * at) * mp.ncdf(at - ratio)
 
-    wanted = [until(later) - until(earlier) for earlier, later in zip(z, z[1:], strict=False)]
-    from scipy.special import ndtr
+    wanted = [until(later) - until(earlier) for earlier, later in pairwise(z)]
 
     plain_z, plain_ratio = (edges_s - 20e-9) / spad.timing_rms_s, float(ratio)
-    naive = np.diff(1.0 - (1.0 - ndtr(plain_z)) - np.exp(plain_ratio**2 / 2 - plain_ratio * plain_z) * ndtr(plain_z - plain_ratio))
+    naive = np.diff(
+        1.0 - (1.0 - ndtr(plain_z)) - np.exp(plain_ratio**2 / 2 - plain_ratio * plain_z) * ndtr(plain_z - plain_ratio)
+    )
     ours = counts_between(spad, pulses_of(spad, [20e-9], [1.0]), edges_s)
 
     def worst(found: np.ndarray) -> float:

@@ -1,1 +1,1 @@
-"""Confocal photon transients of hidden objects: their shape by the light-cone transform, and the instrument's response."""
+"""Confocal photon transients: hidden shapes by the light-cone transform, and the response of the instrument."""

@@ -1,8 +1,8 @@
 """The light-cone transform: confocal transients of hidden surfaces as one convolution, and its Wiener inverse.
 
-Light from a wall point to a voxel at depth z and back takes the time 2 r / c with r^2 = z^2 + |x - x'|^2. In v = r^2 and
-u = z^2 that is v = u + |x - x'|^2: the same cone for every voxel, a convolution in (x, y, v) once the loss over distance,
-r^-2 of retroreflectors and r^-4 of matt surfaces, is taken out. Bins are re-sorted into v by the overlap of cells, so
+Light from a wall point to a voxel at depth z and back takes the time 2 r / c with r^2 = z^2 + |x - x'|^2. In v = r^2
+and u = z^2 that is v = u + |x - x'|^2: the same cone for every voxel, a convolution in (x, y, v) once the loss over
+distance, r^-2 of retroreflectors and r^-4 of matt surfaces, is taken out. Bins are re-sorted into v by the overlap of cells, so
 that counts are conserved. Source: O'Toole, Lindell, Wetzstein, Nature 555 (2018), 338-341.
 """
 
@@ -40,7 +40,7 @@ class LightCone:
         return self._along_bins(self._by_time, self._convolved(squared, self._cone) / self._loss)
 
     def adjoint(self, transients: np.ndarray) -> np.ndarray:
-        """Return the unfiltered backprojection of transients, the transpose of `forward`: each count over its sphere."""
+        """Return the backprojection of transients, the transpose of `forward`: each count over its sphere."""
         squared = self._along_bins(self._by_time.T, transients) / self._loss
         return self._along_bins(self._by_square.T, self._convolved(squared, np.conj(self._cone)))
 

@@ -68,6 +68,8 @@ def require_layout(name: str, shape: tuple[int, ...]) -> None:
     if len(shape) != 3 or shape[0] != shape[1]:
         raise ValueError(f"{name} must have shape (points, points, bins), got {tuple(shape)}")
     if shape[0] < MIN_POINTS or shape[2] < MIN_BINS:
-        raise ValueError(f"{name} must have at least {MIN_POINTS} points a side and {MIN_BINS} bins, got {tuple(shape)}")
+        raise ValueError(
+            f"{name} must have at least {MIN_POINTS} points a side and {MIN_BINS} bins, got {tuple(shape)}"
+        )
     if math.prod(shape) > MAX_COUNTS:
         raise ValueError(f"{name} must hold at most {MAX_COUNTS} counts, got {math.prod(shape)} of {tuple(shape)}")

@@ -165,7 +165,9 @@ def matt_share(
 class TargetModel:
     """Expected counts of patches at given weights: delays put on whole bins, and the response of a bin's photons."""
 
-    def __init__(self, scan: ConfocalTransients, window: Window, spad: SpadParams, plane: Plane, wall_m: np.ndarray) -> None:
+    def __init__(
+        self, scan: ConfocalTransients, window: Window, spad: SpadParams, plane: Plane, wall_m: np.ndarray
+    ) -> None:
         reach_s = spad.timing_rms_s * BEFORE_RMS
         before = int(np.ceil(reach_s / scan.bin_s))
         behind = int(np.ceil((reach_s + BEHIND_TAILS * spad.tail_s) / scan.bin_s))
@@ -195,15 +197,17 @@ def _response(spad: SpadParams, bin_s: float, before: int, behind: int, bins: in
     """Return the share of a node's photons in each cell of the window, [nodes, cells]."""
     edges_s = (np.arange(before + behind + 1) + 1) * bin_s
     wide = msgspec.structs.replace(spad, repetition_rate_hz=min(spad.repetition_rate_hz, 0.25 / edges_s[-1]))
-    share = counts_between(wide, pulses_of(wide, [(before + 1) * bin_s], [1.0]), edges_s)
+    share = counts_between(wide, pulses_of(wide, np.array([(before + 1) * bin_s]), np.ones(1)), edges_s)
     later = np.arange(bins)[None] - np.arange(bins + before + behind)[:, None] + behind + before
     known = (later >= 0) & (later < len(share))
-    return np.asarray(np.where(known, share[np.clip(later, 0, len(share) - 1)], 0.0).reshape(len(later), -1, BINS_PER_CELL).sum(axis=2))
+    return np.asarray(
+        np.where(known, share[np.clip(later, 0, len(share) - 1)], 0.0)
+        .reshape(len(later), -1, BINS_PER_CELL)
+        .sum(axis=2)
+    )
 
 
-def fit_reflectance(
-    observed: Observed, model: TargetModel, weights: np.ndarray, first_guess: np.ndarray
-) -> TargetFit:
+def fit_reflectance(observed: Observed, model: TargetModel, weights: np.ndarray, first_guess: np.ndarray) -> TargetFit:
     """Return the reflectances [Q] of patches with weights [P, Q] and the gains, after `UPDATES` updates of each."""
     reflectance, gain = first_guess, np.ones(len(weights))
     for _ in range(UPDATES):

@@ -256,7 +256,9 @@ def retroreflected_photons(
     exponent = seen_m2 * wall_cosine / (2.0 * np.pi * np.square(cone_rad * segment_m))
     grazing = spot_cosine == 0.0
     within = np.where(grazing, 0.0, -np.expm1(-exponent / np.where(grazing, 1.0, spot_cosine)))
-    caught = spot_cosine * np.square(spad.aperture_radius_m) / (np.square(wall_range_m) + np.square(spad.aperture_radius_m))
+    caught = (
+        spot_cosine * np.square(spad.aperture_radius_m) / (np.square(wall_range_m) + np.square(spad.aperture_radius_m))
+    )
     returned = _share("object_reflectance", object_reflectance) * within
     return photons_per_pulse(spad) * np.square(_share("wall_albedo", wall_albedo)) * out * returned * caught
 

@@ -82,11 +82,15 @@ def test_reflectances_and_gains_come_back() -> None:
     assert photons / photons[-1] == pytest.approx((1.0 + np.arange(POINTS)) / POINTS, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_search_finds_the_response() -> None:
-    """From a start that is off by a third: jitter within 15 %, share within 0.08, tail within 20 %, depth in 2 mm."""
+    """From a start that is off by a third: jitter within 15 %, share within 0.08, tail within 20 %, depth in 2 mm.
+
+    Known bias: reflectances of 40 updates are still a little smooth, which the response makes up for by a smaller tail.
+    """
     scan, plane = scan_and_plane()
     start = Response(rms_s=55e-12, tail_share=0.25, tail_s=180e-12, entrance_exponent=2.0, depth_m=0.404)
-    found, fit = fit_response(scan, WINDOW, plane, observed(scan), start, 100)
+    found, fit = fit_response(scan, WINDOW, plane, observed(scan), start, 200)
     assert found.rms_s == pytest.approx(TRUE.rms_s, rel=0.15)
     assert found.tail_share == pytest.approx(TRUE.tail_share, abs=0.08)
     assert found.tail_s == pytest.approx(TRUE.tail_s, rel=0.2)
