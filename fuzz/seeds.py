@@ -307,6 +307,17 @@ def network() -> list[bytes]:
     return [msgspec.json.encode(card), content]
 
 
+def transients(packed: bool) -> bytes:
+    """A confocal scan of 2 x 2 wall points and 16 bins as a MATLAB file."""
+    from scipy.io import savemat
+
+    file = io.BytesIO()
+    counts = np.arange(64, dtype=np.uint16).reshape(2, 2, 16)
+    savemat(file, {"rect_data": counts, "width": 0.2}, do_compression=packed)
+    # the header's time of writing
+    return b"MATLAB 5.0 MAT-file".ljust(116) + file.getvalue()[116:]
+
+
 CFG = b"""% Platform:xWR16xx
 sensorStop
 channelCfg 15 3 0

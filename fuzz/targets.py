@@ -579,6 +579,14 @@ def _card_datagrams(parts: Parts, box: Box) -> None:
     assert assembler.counts.placed + assembler.counts.refused + assembler.counts.repeated <= max(len(parts) - 1, 0)
 
 
+def _transients(parts: Parts, box: Box) -> None:
+    from models.sensors.confocal import read_confocal
+
+    scan = read_confocal(box.put("a.mat", part(parts, 0)))
+    assert scan.range_m.shape == (scan.bins,)
+    assert scan.wall_m.shape == (len(scan.counts),)
+
+
 def _json_files(parts: Parts, box: Box) -> None:
     from mirrorwave.studies.tradeoff.latency_budget import _recall
     from mirrorwave.studies.tradeoff.report import read_report
@@ -853,6 +861,12 @@ def _datagram_seeds() -> list[Parts]:
     return [[b"\1", *sent], [b"\0", sent[0], sent[2], sent[1], sent[1], report], [b"\2", *wrapped]]
 
 
+def _transient_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [[seeds.transients(packed)] for packed in (False, True)]
+
+
 def _json_seeds() -> list[Parts]:
     from fuzz import seeds
 
@@ -928,6 +942,7 @@ TARGETS: dict[str, Target] = {
     "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy"), _xradarnlos_seeds),
     "dca1000": Target(_dca1000, ("bytes", "text", "bytes"), _dca_seeds),
     "card_datagrams": Target(_card_datagrams, ("bytes",) * 9, _datagram_seeds),
+    "transients": Target(_transients, ("bytes",), _transient_seeds, modules=("scipy.io.matlab",)),
     "json_files": Target(_json_files, ("bytes", "json"), _json_seeds),
     "reflectance": Target(_reflectance, ("json", "npz", "json"), _table_seeds),
     "keys": Target(_keys, ("text", "text", "text"), _key_seeds),

@@ -99,7 +99,7 @@ def photon_snr(
     cell that is not positive. Source: Eqs. (11), (12).
     """
     # imported here: radars do not need it
-    from scipy.special import erf
+    from models.physics.photons.flux import share_within
 
     range_m = _positive("range_m", range_m)
     photons, earlier = _not_negative("photons", photons), _not_negative("earlier_photons", earlier_photons)
@@ -108,7 +108,7 @@ def photon_snr(
         blinds = (_gate(spad, range_m) == _gate(spad, earlier_range_m)) & (earlier_range_m < range_m)
         earlier = np.where(blinds, earlier, 0.0)
     cell_s = _cell_s(cell_m)
-    inside = photons * erf(0.5 * cell_s / (np.sqrt(2.0) * spad.timing_rms_s))
+    inside = photons * share_within(spad, 0.5 * cell_s)
     waiting = _waiting_pulses(spad, range_m, cell_s) * np.exp(-earlier)
     half = 0.5 * cell_s * spad.ambient_rate_hz
     # expm1 keeps the digits of an echo of one photon in a million pulses

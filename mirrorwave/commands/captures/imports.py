@@ -30,6 +30,13 @@ class DeviceOption(StrEnum):
     XWR18XX = "xwr18xx"
 
 
+class FalloffOption(StrEnum):
+    """Law of a hidden surface: r^-2 of retroreflectors, r^-4 of matt ones."""
+
+    RETROREFLECTIVE = "retroreflective"
+    MATT = "matt"
+
+
 @app.callback()
 def _group() -> None:
     """Bring captures and logs of others in."""
@@ -214,4 +221,34 @@ def sigmf(
         print_json({"recording": str(out), **counts})
     else:
         print_line(f"{out}: {counted(counts['beams'], 'beam')}, {counted(counts['truth'], 'truth')}")
+    return ExitCode.DONE
+
+
+@app.command()
+def transients(
+    capture: Annotated[Path, typer.Argument(metavar="FILE.mat", help="Photon counts of a confocal scan of a wall.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for picture, arrays and summary; empty or new.")],
+    min_range_m: Annotated[
+        float, typer.Option(metavar="M", help="Light from nearer than this to the wall is the wall's own.")
+    ] = 0.36,
+    bin_ps: Annotated[float, typer.Option(metavar="PS", help="Width of a time bin, which the file does not name.")] = (
+        4.0
+    ),
+    falloff: Annotated[
+        FalloffOption, typer.Option(help="Loss over distance of the hidden surface.")
+    ] = FalloffOption.RETROREFLECTIVE,
+    snr: Annotated[float, typer.Option(metavar="RATIO", help="Power of signal over noise; higher is sharper.")] = 1.0,
+    as_json: AsJson = False,
+) -> int:
+    """Real photons of a hidden object as its shape, by the light-cone transform."""
+    from mirrorwave.convert.transients import import_transients
+
+    summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff.value, snr)
+    if as_json:
+        print_json({"folder": str(out), **summary})
+    else:
+        print_line(
+            f"{out}: hidden surface {summary['distance_m']:.3f} m from the wall, tilted by {summary['tilt_deg']:.1f} "
+            f"deg; {summary['hidden_photons']} of {summary['photons']} photons; hidden.png, hidden.npz, summary.json"
+        )
     return ExitCode.DONE

@@ -1,7 +1,8 @@
 """Mean detections of an always armed photon counter: between times of a period, and the time that reaches a count.
 
 The flux is periodic. A path adds its photons as a Gaussian about its delay, `timing_rms_s` wide and wrapped over the
-period; ambient light adds a constant rate. `photon_counting` draws and expects histograms from it.
+period, of which `tail_share` come later still by an exponential delay; ambient light adds a constant rate. `counting`
+draws and expects histograms from it.
 """
 
 from __future__ import annotations
@@ -16,10 +17,14 @@ from msgs.values.lidar import SpadParams
 
 #: Standard deviations after which a Gaussian is zero in doubles.
 REACH = 38.5
+#: Mean delays after which a tail is below the rounding of its pulse, e^-40.
+TAIL_REACH = 40.0
 #: A rate of more photons overflows.
 MAX_PHOTONS = 1e100
-#: Nodes of a flux table in one standard deviation of the pulse.
+#: Nodes of a flux table in one standard deviation of the pulse, or in one mean delay of the tail.
 NODES_PER_RMS = 32
+#: From here on exp(y^2) erfc(y) is its asymptotic series.
+_LARGE_Y = 25.0
 #: Above so many periods a wrapped Gaussian is constant: its first harmonic is exp(-2 pi^2 2^2) = 5e-35.
 WIDEST_PERIODS = 2.0
 
@@ -68,7 +73,7 @@ def counts_between(spad: SpadParams, pulses: Pulses, edges_s: np.ndarray) -> np.
     counts = spad.ambient_rate_hz * np.diff(edges_s)
     if spad.timing_rms_s > WIDEST_PERIODS * spad.period_s:
         return np.asarray(counts + pulses.photons.sum() / spad.period_s * np.diff(edges_s))
-    _add_pulses(counts, edges_s, *pulses, spad.timing_rms_s, spad.period_s, _images(spad))
+    _add_pulses(counts, edges_s, *pulses, *_shape(spad), spad.period_s, _images(spad))
     return counts
 
 
@@ -78,58 +83,121 @@ def flux_table(spad: SpadParams, pulses: Pulses) -> FluxTable:
     if rms_s > WIDEST_PERIODS * period_s:
         rate_hz = spad.ambient_rate_hz + pulses.photons.sum() / period_s
         return FluxTable(np.array([0.0, period_s]), np.array([0.0, rate_hz * period_s]), np.full(2, rate_hz))
-    time_s = _nodes(pulses.time_s, rms_s, period_s)
+    time_s = _nodes(pulses.time_s, spad)
     rate_hz = np.full(len(time_s), spad.ambient_rate_hz)
-    _add_rates(rate_hz, time_s, *pulses, rms_s, period_s, _images(spad))
+    _add_rates(rate_hz, time_s, *pulses, *_shape(spad), period_s, _images(spad))
     counts = np.concatenate([[0.0], np.cumsum(counts_between(spad, pulses, time_s))])
     return FluxTable(time_s, counts, rate_hz)
 
 
 def _images(spad: SpadParams) -> int:
     """Return the number of periods to either side from which a pulse reaches into this one."""
-    return math.ceil(REACH * spad.timing_rms_s / spad.period_s)
+    return math.ceil((REACH * spad.timing_rms_s + _tail_reach_s(spad)) / spad.period_s)
 
 
-def _nodes(delay_s: np.ndarray, rms_s: float, period_s: float) -> np.ndarray:
+def _shape(spad: SpadParams) -> tuple[float, float, float]:
+    """Return the standard deviation of a pulse, the share of its tail, and that deviation over the mean delay."""
+    if spad.tail_share == 0.0:
+        return spad.timing_rms_s, 0.0, 1.0
+    return spad.timing_rms_s, spad.tail_share, spad.timing_rms_s / spad.tail_s
+
+
+def _tail_reach_s(spad: SpadParams) -> float:
+    return TAIL_REACH * spad.tail_s if spad.tail_share > 0.0 else 0.0
+
+
+def share_within(spad: SpadParams, half_s: float) -> float:
+    """Return the share of a path's photons within so many seconds to either side of its delay, without wrapping."""
+    rms_s, tail_share, ratio = _shape(spad)
+    before, behind = (_outside(z, tail_share, ratio) for z in (-half_s / rms_s, half_s / rms_s))
+    return float(1.0 - before - behind)
+
+
+def _nodes(delay_s: np.ndarray, spad: SpadParams) -> np.ndarray:
+    rms_s, period_s = spad.timing_rms_s, spad.period_s
     size, reach = math.ceil(NODES_PER_RMS * period_s / rms_s), math.ceil(REACH * NODES_PER_RMS)
     centres = np.unique(np.rint(delay_s / period_s * size).astype(np.int64))
-    if size <= 2 * reach * len(centres):
+    step = max(int(size * spad.tail_s / period_s / NODES_PER_RMS), 1)
+    later = np.arange(reach + 1, reach + _tail_reach_s(spad) / period_s * size, step).astype(np.int64)
+    offsets = np.concatenate([np.arange(-reach, reach + 1), later])
+    if size <= (len(offsets) - 1) * len(centres):
         return np.linspace(0.0, period_s, size + 1)
-    near = (centres[:, None] + np.arange(-reach, reach + 1)).ravel() % size
+    near = (centres[:, None] + offsets).ravel() % size
     return np.append(np.unique(np.append(near, 0)) * (period_s / size), period_s)
 
 
 @njit(cache=True, nogil=True)
-def _add_pulses(counts, edges_s, delay_s, photons, rms_s, period_s, images):  # type: ignore[no-untyped-def]
-    root = math.sqrt(0.5)
+def _scaled_erfc(y):  # type: ignore[no-untyped-def]
+    """Return exp(y^2) erfc(y) of a positive number."""
+    if y < _LARGE_Y:
+        return math.exp(y * y) * math.erfc(y)
+    x = 0.5 / (y * y)
+    return (1.0 - x * (1.0 - x * (3.0 - x * (15.0 - x * 105.0)))) / (y * math.sqrt(math.pi))
+
+
+@njit(cache=True, nogil=True)
+def _delayed(z, ratio):  # type: ignore[no-untyped-def]
+    """Return the share of a tail's photons that are due z standard deviations after the path's delay and still to come.
+
+    `ratio` is the standard deviation over the mean exponential delay.
+    """
+    y = math.sqrt(0.5) * (ratio - z)
+    if y > 0.0:
+        return 0.5 * math.exp(-0.5 * z * z) * _scaled_erfc(y)
+    return 0.5 * math.exp(0.5 * ratio * ratio - ratio * z) * math.erfc(y)
+
+
+@njit(cache=True, nogil=True)
+def _outside(z, tail_share, ratio):  # type: ignore[no-untyped-def]
+    """Return the share of a pulse on the far side of z: before it where z is negative, else after it."""
+    gaussian = 0.5 * math.erfc(math.sqrt(0.5) * abs(z))
+    if tail_share == 0.0:
+        return gaussian
+    delayed = tail_share * _delayed(z, ratio)
+    return max(gaussian - delayed, 0.0) if z < 0.0 else gaussian + delayed
+
+
+@njit(cache=True, nogil=True)
+def _add_pulses(  # type: ignore[no-untyped-def]
+    counts, edges_s, delay_s, photons, rms_s, tail_share, ratio, period_s, images
+):
+    reach_s = REACH * rms_s
+    later_s = reach_s + (TAIL_REACH * rms_s / ratio if tail_share > 0.0 else 0.0)
     for path in range(len(delay_s)):
         for image in range(-images, images + 1):
             centre = delay_s[path] + image * period_s
-            first = max(np.searchsorted(edges_s, centre - REACH * rms_s) - 1, 0)
-            last = min(np.searchsorted(edges_s, centre + REACH * rms_s), len(edges_s) - 1)
+            first = max(np.searchsorted(edges_s, centre - reach_s) - 1, 0)
+            last = min(np.searchsorted(edges_s, centre + later_s), len(edges_s) - 1)
             if first >= last:
                 continue
             z = (edges_s[first] - centre) / rms_s
-            tail = 0.5 * math.erfc(root * abs(z))
+            tail = _outside(z, tail_share, ratio)
             for cell in range(first, last):
                 next_z = (edges_s[cell + 1] - centre) / rms_s
-                next_tail = 0.5 * math.erfc(root * abs(next_z))
+                next_tail = _outside(next_z, tail_share, ratio)
                 # tails of one side are subtracted; across the middle both are missing from 1
-                share = 1.0 - tail - next_tail if z < 0.0 < next_z else abs(next_tail - tail)
+                share = 1.0 - tail - next_tail if z < 0.0 <= next_z else abs(next_tail - tail)
                 counts[cell] += photons[path] * share
                 z, tail = next_z, next_tail
 
 
 @njit(cache=True, nogil=True)
-def _add_rates(rate_hz, time_s, delay_s, photons, rms_s, period_s, images):  # type: ignore[no-untyped-def]
+def _add_rates(  # type: ignore[no-untyped-def]
+    rate_hz, time_s, delay_s, photons, rms_s, tail_share, ratio, period_s, images
+):
+    reach_s = REACH * rms_s
+    later_s = reach_s + (TAIL_REACH * rms_s / ratio if tail_share > 0.0 else 0.0)
     for path in range(len(delay_s)):
-        peak_hz = photons[path] / (math.sqrt(2.0 * math.pi) * rms_s)
+        peak_hz = photons[path] * (1.0 - tail_share) / (math.sqrt(2.0 * math.pi) * rms_s)
+        late_hz = photons[path] * tail_share * ratio / rms_s
         for image in range(-images, images + 1):
             centre = delay_s[path] + image * period_s
-            first = np.searchsorted(time_s, centre - REACH * rms_s)
-            for node in range(first, np.searchsorted(time_s, centre + REACH * rms_s)):
+            first = np.searchsorted(time_s, centre - reach_s)
+            for node in range(first, np.searchsorted(time_s, centre + later_s)):
                 z = (time_s[node] - centre) / rms_s
                 rate_hz[node] += peak_hz * math.exp(-0.5 * z * z)
+                if tail_share > 0.0:
+                    rate_hz[node] += late_hz * _delayed(z, ratio)
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,1 @@
+"""Confocal photon transients: hidden shapes by the light-cone transform, and the response of the instrument."""
