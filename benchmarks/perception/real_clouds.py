@@ -92,10 +92,11 @@ def ground(points_m: np.ndarray) -> np.ndarray:
     return np.asarray((points_m[:, 2] < GROUND_Z_M) & (np.hypot(points_m[:, 0], points_m[:, 1]) < GROUND_REACH_M))
 
 
-def apart_m(pair: Pair, pose: np.ndarray) -> tuple[float, float]:
-    """Return the median distance of nearest neighbours under a pose, of all source points and of its ground."""
+def apart_m(pair: Pair, pose: np.ndarray) -> tuple[float, ...]:
+    """Return the median distance of nearest neighbours under a pose, of all source points and of its ground if any."""
     distance_m = cKDTree(pair.target_m).query(moved(pose, pair.source_m))[0]
-    return float(np.median(distance_m)), float(np.median(distance_m[ground(pair.source_m)]))
+    subsets = (distance_m, distance_m[ground(pair.source_m)])
+    return tuple(float(np.median(subset)) for subset in subsets if len(subset))
 
 
 def errors(pair: Pair, poses: list[np.ndarray]) -> dict[str, Any]:

@@ -22,6 +22,8 @@ from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.calibrate.drive import Solved
+    from models.perception.forming.front_end_faults import FaultParams
+    from models.perception.forming.noise_floor import NoiseFloor
     from models.vehicle.mounting import Mounting
 
 app = typer.Typer(
@@ -78,21 +80,31 @@ def noise(
     scene: Annotated[
         Path | None, typer.Option(metavar="SCENE", help="Write this scene with the receiver, not the receiver alone.")
     ] = None,
+    leakage_to_m: Annotated[
+        float | None, typer.Option(help="Measure the leakage: the strongest return up to this range.")
+    ] = None,
+    image_about_khz: Annotated[
+        float | None,
+        typer.Option(help="Measure the imbalance of I and Q: where the receiver mirrors (0; beats shifted by -f: -f)."),
+    ] = None,
     scans: Scans = 20,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Noise floor, noise figure, 1/f corner and spurs of the receiver, for the simulator."""
+    """Noise, 1/f corner, spurs, leakage, I/Q imbalance of the receiver, for the simulator; sidebands are told."""
     import yaml
 
     from mirrorwave.calibrate.capture import Capture
     from mirrorwave.calibrate.radar import draw_noise, measure_noise, receiver_of, scene_with_receiver
+    from models.perception.forming.front_end_faults import FaultParams
     from msgs.files.whole_files import write_whole
 
     _require_new(out, plot)
+    image_about_hz = None if image_about_khz is None else 1e3 * image_about_khz
+    faults = FaultParams(leakage_to_m=leakage_to_m, image_about_hz=image_about_hz)
     source = Capture(capture)
     with progress_bar("scans", min(scans, source.scan_count())) as advance:
-        floor = measure_noise(source, scans, advance)
+        floor = measure_noise(source, scans, faults, advance)
     text = (
         yaml.safe_dump({"radar": receiver_of(floor)}, sort_keys=False)
         if scene is None
@@ -118,8 +130,32 @@ def noise(
         )
         for spur in floor.spurs:
             print_line(f"spur: {spur.power_dbm:.1f} dBm at {spur.frequency_hz / 1e6:.4f} MHz")
+        for line in _fault_lines(floor, faults):
+            print_line(line)
         print_line(f"wrote {out}")
     _end(source.loss, as_json)
+
+
+def _fault_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
+    """Return what was measured of leakage, imbalance and sidebands, and what was not."""
+    lines = []
+    if floor.leakage is not None:
+        lines.append(f"leakage: {floor.leakage.power_dbm:.1f} dBm at {floor.leakage.range_m:.2f} m")
+    elif faults.leakage_to_m is not None:
+        lines.append(f"leakage: nothing stands above the noise up to {faults.leakage_to_m:g} m")
+    if floor.imbalance is not None:
+        image = floor.imbalance
+        lines.append(
+            f"I/Q: gain {image.gain_db:.2f} dB, phase {image.phase_deg:.2f} deg, image {image.image_db:.1f} dB "
+            f"(standard deviation {100.0 * image.std_share:.0f} % of it)"
+        )
+    elif faults.image_about_hz is not None:
+        lines.append("I/Q: no image is resolved")
+    lines += [
+        f"sideband: {sideband.level_db:.1f} dB at +-{sideband.frequency_hz:.0f} Hz of every echo; not simulated"
+        for sideband in floor.sidebands
+    ]
+    return lines
 
 
 @app.command()
