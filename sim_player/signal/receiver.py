@@ -23,7 +23,7 @@ DITHER_STEPS = 1.0
 
 
 def leakage_beat(radar: RadarParams, power_dbm: float, range_m: float) -> np.ndarray:
-    """Return the leakage of the transmitter into the receiver: the beat of a range, the same in all beams; [samples]."""
+    """Return the leakage of the transmitter into the receiver: a range's beat, the same in all beams; [samples]."""
     return math.sqrt(ratio_from_db(power_dbm)) * beat_samples(radar, np.array([2.0 * range_m]))[0]
 
 

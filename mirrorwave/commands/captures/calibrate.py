@@ -159,6 +159,49 @@ def _fault_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
 
 
 @app.command()
+def array(
+    capture: CaptureFile,
+    out: Out,
+    range_m: Annotated[
+        tuple[float, float], typer.Option(metavar="LOW_M HIGH_M", help="Where the reflector is the strongest return.")
+    ],
+    azimuth_deg: Annotated[float, typer.Option(help="Azimuth of the reflector, left positive.")] = 0.0,
+    scans: Scans = 100,
+    as_json: AsJson = False,
+) -> None:
+    """Gain and phase of each element of a Phaser board, from a reflector heard element by element."""
+    from mirrorwave.calibrate.array import measure_array, write_calibration
+    from mirrorwave.calibrate.capture import Capture
+
+    _require_new(out, None)
+    source = Capture(capture)
+    with progress_bar("scans", min(scans, source.scan_count())) as advance:
+        calibration, responses = measure_array(source, range_m, azimuth_deg, scans, advance)
+    write_calibration(out, calibration, responses)
+    if as_json:
+        print_json({"out": str(out), "calibration": calibration, "range_m": responses.range_m, "loss": source.loss})
+    else:
+        print_table(
+            ("element", "gain", "phase_deg", "snr_db", "spread_deg"),
+            [
+                (index + 1, *(f"{value:.2f}" for value in row))
+                for index, row in enumerate(
+                    zip(
+                        calibration.gains,
+                        calibration.phases_deg,
+                        responses.snr_db,
+                        responses.phase_std_deg,
+                        strict=True,
+                    )
+                )
+            ],
+        )
+        print_line(f"reflector: {responses.range_m:.2f} m; channels {calibration.channel_gains_db} dB")
+        print_line(f"wrote {out}; use it with -p radar_driver.cn0566.calibration={out}")
+    _end(source.loss, as_json)
+
+
+@app.command()
 def extrinsic(
     recording: DriveFile,
     out: Out,
