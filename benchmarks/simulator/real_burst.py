@@ -92,10 +92,10 @@ def simulated(floor: NoiseFloor, real: RadarBeam, folder: Path, seed: int) -> Ra
     scene = load_scene(path)
     plain = setup()
     noisy = msgspec.structs.replace(plain.radar, noise_figure_db=scene.setup.radar.noise_figure_db)
-    first = _played(scene, msgspec.structs.replace(plain, radar=noisy), seed)
+    first = played(scene, msgspec.structs.replace(plain, radar=noisy), seed)
     gain_db = _echo_db(real) - _echo_db(first)
     louder = msgspec.structs.replace(noisy, transmit_power_w=noisy.transmit_power_w * 10.0 ** (0.1 * gain_db))
-    return _played(scene, msgspec.structs.replace(plain, radar=louder), seed)
+    return played(scene, msgspec.structs.replace(plain, radar=louder), seed)
 
 
 def _scene_file(folder: Path) -> Path:
@@ -104,7 +104,8 @@ def _scene_file(folder: Path) -> Path:
     return path
 
 
-def _played(scene: Scene, radar_setup: RadarSetup, seed: int) -> RadarBeam:
+def played(scene: Scene, radar_setup: RadarSetup, seed: int) -> RadarBeam:
+    """Return the beam of a scene under a set-up, with the effects of direct echoes and of the receiver."""
     return ScenePlayer(scene, seed, setup=radar_setup, effects=EFFECTS).beam(0, 0)
 
 

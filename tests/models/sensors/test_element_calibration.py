@@ -66,12 +66,12 @@ def test_phases_that_do_not_repeat_are_refused() -> None:
 
 
 def test_a_flank_is_no_reflector() -> None:
-    with pytest.raises(ValueError, match="the profile only falls or rises from 20.3 to 25 m"):
+    with pytest.raises(ValueError, match=r"the profile only falls or rises from 20.3 to 25 m"):
         element_responses(setup(), chirps(np.ones(8)), (20.3, 25.0))
 
 
 def test_beams_of_the_whole_array_are_refused() -> None:
     beams = BeamGrid()
     whole = radar_setup(PARAMS, beams, beam_table(PARAMS, PhaserCalibration(), beams).weights)
-    with pytest.raises(ValueError, match="record with radar_driver.cn0566.single_elements=true"):
+    with pytest.raises(ValueError, match=r"record with radar_driver.cn0566.single_elements=true"):
         element_responses(whole, np.zeros((4, 25, 1024)), (15.0, 25.0))

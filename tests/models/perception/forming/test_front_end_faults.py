@@ -60,8 +60,8 @@ def measured(params: FaultParams, beat_sign: int = 1, **asked: object) -> NoiseF
 @pytest.mark.parametrize("beat_sign", [1, -1])
 @pytest.mark.parametrize("about_hz", [0.0, -7.3e6])
 def test_imbalance_comes_back(beat_sign: int, about_hz: float) -> None:
-    """Q louder by 0.4 dB and late by 2 deg, about zero beat and about another frequency: an image of -30.8 dB. Tolerance
-    0.02 dB and 0.1 deg: the image's bins hold noise 40 dB under it."""
+    """Q louder by 0.4 dB and late by 2 deg, about zero beat and about another frequency: an image of -30.8 dB.
+    Tolerance 0.02 dB and 0.1 deg: the image's bins hold noise 40 dB under it."""
     floor = measured(
         FaultParams(image_about_hz=about_hz), beat_sign, front_end=FrontEnd(iq_gain_db=0.4, iq_phase_deg=2.0),
         about_hz=about_hz,
@@ -92,8 +92,8 @@ def test_leakage_on_the_flank_of_an_echo_is_refused() -> None:
 
 
 def test_sidebands_are_told_from_what_moves() -> None:
-    """Amplitude wobbles by 2 x -25 dB at 6 lines of the beam: a line of -25 dB on both sides. A mover, on one side, 10 dB
-    louder than the sidebands, is none. Tolerance 0.5 dB."""
+    """Amplitude wobbles by 2 x -25 dB at 6 lines of the beam: a line of -25 dB on both sides. A mover, on one side,
+    10 dB louder than the sidebands, is none. Tolerance 0.5 dB."""
     floor = measured(FaultParams(), wobble=10.0 ** (-25.0 / 20.0), mover_dbm=ECHO_DBM - 15.0)
     (sideband,) = floor.sidebands
     assert sideband.frequency_hz == pytest.approx(6.0 / RADAR.beam_duration_s)
