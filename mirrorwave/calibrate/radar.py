@@ -110,6 +110,28 @@ def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
     return scene_to_yaml(scene)
 
 
+def fault_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
+    """Return what was measured of leakage, imbalance and sidebands, and what was not."""
+    lines = []
+    if floor.leakage is not None:
+        lines.append(f"leakage: {floor.leakage.power_dbm:.1f} dBm at {floor.leakage.range_m:.2f} m")
+    elif faults.leakage_to_m is not None:
+        lines.append(f"leakage: nothing stands above the noise up to {faults.leakage_to_m:g} m")
+    if floor.imbalance is not None:
+        image = floor.imbalance
+        lines.append(
+            f"I/Q: gain {image.gain_db:.2f} dB, phase {image.phase_deg:.2f} deg, image {image.image_db:.1f} dB "
+            f"(standard deviation {100.0 * image.std_share:.0f} % of it)"
+        )
+    elif faults.image_about_hz is not None:
+        lines.append("I/Q: no image is resolved")
+    lines += [
+        f"sideband: {sideband.level_db:.1f} dB at +-{sideband.frequency_hz:.0f} Hz of every echo; not simulated"
+        for sideband in floor.sidebands
+    ]
+    return lines
+
+
 def save_background(values: np.ndarray, out: Path) -> None:
     """Write a background [beams, samples] as an array file."""
     with whole(out) as part, part.open("wb") as file:

@@ -22,8 +22,6 @@ from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.calibrate.drive import Solved
-    from models.perception.forming.front_end_faults import FaultParams
-    from models.perception.forming.noise_floor import NoiseFloor
     from models.vehicle.mounting import Mounting
 
 app = typer.Typer(
@@ -95,7 +93,7 @@ def noise(
     import yaml
 
     from mirrorwave.calibrate.capture import Capture
-    from mirrorwave.calibrate.radar import draw_noise, measure_noise, receiver_of, scene_with_receiver
+    from mirrorwave.calibrate.radar import draw_noise, fault_lines, measure_noise, receiver_of, scene_with_receiver
     from models.perception.forming.front_end_faults import FaultParams
     from msgs.files.whole_files import write_whole
 
@@ -130,32 +128,10 @@ def noise(
         )
         for spur in floor.spurs:
             print_line(f"spur: {spur.power_dbm:.1f} dBm at {spur.frequency_hz / 1e6:.4f} MHz")
-        for line in _fault_lines(floor, faults):
+        for line in fault_lines(floor, faults):
             print_line(line)
         print_line(f"wrote {out}")
     _end(source.loss, as_json)
-
-
-def _fault_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
-    """Return what was measured of leakage, imbalance and sidebands, and what was not."""
-    lines = []
-    if floor.leakage is not None:
-        lines.append(f"leakage: {floor.leakage.power_dbm:.1f} dBm at {floor.leakage.range_m:.2f} m")
-    elif faults.leakage_to_m is not None:
-        lines.append(f"leakage: nothing stands above the noise up to {faults.leakage_to_m:g} m")
-    if floor.imbalance is not None:
-        image = floor.imbalance
-        lines.append(
-            f"I/Q: gain {image.gain_db:.2f} dB, phase {image.phase_deg:.2f} deg, image {image.image_db:.1f} dB "
-            f"(standard deviation {100.0 * image.std_share:.0f} % of it)"
-        )
-    elif faults.image_about_hz is not None:
-        lines.append("I/Q: no image is resolved")
-    lines += [
-        f"sideband: {sideband.level_db:.1f} dB at +-{sideband.frequency_hz:.0f} Hz of every echo; not simulated"
-        for sideband in floor.sidebands
-    ]
-    return lines
 
 
 @app.command()
