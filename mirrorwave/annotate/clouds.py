@@ -19,6 +19,8 @@ MAX_POINTS = 20_000_000
 MAX_CLOUD_BYTES = 1 << 31
 #: Longest side of a plausible cloud. The same numbers read in metres and in millimetres rarely both pass.
 EXTENT_M = (2.0, 1000.0)
+#: A point nearer to its sensor is no return: scanners write a pulse without an echo as zeros.
+NO_RETURN_M = 0.01
 #: Bytes of a number in PLY, by both of its names.
 PLY_BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -36,7 +38,7 @@ MAX_LZF_RATIO = 100
 
 
 def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, int]:
-    """Points [N, 3] of a cloud in metres, and how many were left out because they are not finite.
+    """Points [N, 3] of a cloud in metres, and how many were left out: not finite, at the sensor (no return), strays.
 
     Raises ValueError that names file, rule and value: another format, unreadable, empty, more than `MAX_POINTS`,
     an extent that no street has (which is how millimetres read as metres show).
@@ -54,10 +56,11 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         )
     _require_tractable(path, len(points))
     points_m = points[:, :3].astype(np.float64) * (1e-3 if unit == "mm" else 1.0)
-    finite = np.isfinite(points_m).all(axis=1)
-    if not finite.any():
-        raise ValueError(f"{path}: points must be finite, none of {len(points)} is")
-    points_m = points_m[finite]
+    range_m = np.linalg.norm(points_m, axis=1)
+    returned = np.isfinite(range_m) & (range_m > NO_RETURN_M)
+    if not returned.any():
+        raise ValueError(f"{path}: points must be finite and not at the sensor (0, 0, 0), none of {len(points)} is")
+    points_m = points_m[returned]
     # a few far strays must not decide
     low, high = np.quantile(points_m, [0.02, 0.98], axis=0)
     extent_m = float((high - low).max())
@@ -66,7 +69,8 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
             f"{path}: extent must be {EXTENT_M[0]:g}..{EXTENT_M[1]:g} m, got {extent_m:.4g} m with unit {unit}: "
             f"is it {'m' if unit == 'mm' else 'mm'}?"
         )
-    return points_m, int(np.count_nonzero(~finite))
+    kept_m = points_m[(np.abs(points_m - np.median(points_m, axis=0)) <= EXTENT_M[1]).all(axis=1)]
+    return kept_m, len(points) - len(kept_m)
 
 
 def _require_tractable(path: Path, count: int) -> None:

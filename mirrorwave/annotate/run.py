@@ -167,7 +167,7 @@ def _take(
 ) -> None:  # fmt: skip
     """Add a cloud at its pose, with its report."""
     clouds.placed.append(PosedCloud(points_m, pose))
-    report: dict[str, Any] = {"file": cloud.file, "points": len(points_m), "not_finite": dropped}
+    report: dict[str, Any] = {"file": cloud.file, "points": len(points_m), "left_out": dropped}
     report |= {"radar_from_lidar": msgspec.to_builtins(Pose.of(pose)), "start": "calibrated"}
     if registration is not None:
         report |= {

@@ -17,6 +17,7 @@ from models.perception.forming.background import (
     background_quality,
     mean_chirp,
 )
+from models.perception.forming.front_end_faults import FaultParams
 from models.perception.forming.noise_floor import NoiseFloor, NoiseMeter
 from msgs.files.whole_files import whole
 from msgs.values.units import db_from_ratio
@@ -50,10 +51,12 @@ def measure_background(
         raise ValueError(f"{capture.path}: {error}") from None
 
 
-def measure_noise(capture: Capture, scans: int, on_scan: Callable[[], None] = lambda: None) -> NoiseFloor:
-    """Noise floor of up to so many scans; ValueError naming the file."""
+def measure_noise(
+    capture: Capture, scans: int, faults: FaultParams | None = None, on_scan: Callable[[], None] = lambda: None
+) -> NoiseFloor:
+    """Noise floor and faults of up to so many scans; ValueError naming the file."""
     try:
-        meter, scan_ids = NoiseMeter(capture.setup), set[int]()
+        meter, scan_ids = NoiseMeter(capture.setup, faults), set[int]()
         for beam in capture.beams():
             if beam.scan_id not in scan_ids and len(scan_ids) == scans:
                 break
@@ -76,22 +79,57 @@ def receiver_of(floor: NoiseFloor) -> dict[str, Any]:
             {"frequency_hz": float(f"{spur.frequency_hz:.9g}"), "power_dbm": round(spur.power_dbm, 3)}
             for spur in floor.spurs
         ]
+    front_end |= {name: float(f"{value:.6g}") for name, value in _static_faults(floor).items()}
     block: dict[str, Any] = {"noise_figure_db": round(floor.noise_figure_db, 4)}
     return {**block, "front_end": front_end} if front_end else block
 
 
+def _static_faults(floor: NoiseFloor) -> dict[str, float]:
+    """Fields of a scene's front end that hold the measured leakage and imbalance."""
+    fields: dict[str, float] = {}
+    if floor.leakage is not None:
+        fields |= {"leakage_dbm": floor.leakage.power_dbm, "leakage_range_m": floor.leakage.range_m}
+    if floor.imbalance is not None:
+        fields |= {"iq_gain_db": floor.imbalance.gain_db, "iq_phase_deg": floor.imbalance.phase_deg}
+    return fields
+
+
 def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
-    """The scene of a file as YAML, with this receiver; other faults of its front end stay as they are."""
+    """The scene of a file as YAML, with this receiver; faults of its front end that were not measured stay."""
     from sim_player.scene.description import check_scene, load_scene, scene_to_yaml
     from sim_player.scene.front_end import Spur
 
     scene = load_scene(path)
     spurs = tuple(Spur(frequency_hz=spur.frequency_hz, power_dbm=spur.power_dbm) for spur in floor.spurs)
-    front_end = msgspec.structs.replace(scene.radar.front_end, flicker_corner_hz=floor.flicker_corner_hz, spurs=spurs)
+    front_end = msgspec.structs.replace(
+        scene.radar.front_end, flicker_corner_hz=floor.flicker_corner_hz, spurs=spurs, **_static_faults(floor)
+    )
     radar = msgspec.structs.replace(scene.radar, noise_figure_db=floor.noise_figure_db, front_end=front_end)
     scene = msgspec.structs.replace(scene, radar=radar)
     check_scene(scene)
     return scene_to_yaml(scene)
+
+
+def fault_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
+    """Return what was measured of leakage, imbalance and sidebands, and what was not."""
+    lines = []
+    if floor.leakage is not None:
+        lines.append(f"leakage: {floor.leakage.power_dbm:.1f} dBm at {floor.leakage.range_m:.2f} m")
+    elif faults.leakage_to_m is not None:
+        lines.append(f"leakage: nothing stands above the noise up to {faults.leakage_to_m:g} m")
+    if floor.imbalance is not None:
+        image = floor.imbalance
+        lines.append(
+            f"I/Q: gain {image.gain_db:.2f} dB, phase {image.phase_deg:.2f} deg, image {image.image_db:.1f} dB "
+            f"(standard deviation {100.0 * image.std_share:.0f} % of it)"
+        )
+    elif faults.image_about_hz is not None:
+        lines.append("I/Q: no image is resolved")
+    lines += [
+        f"sideband: {sideband.level_db:.1f} dB at +-{sideband.frequency_hz:.0f} Hz of every echo; not simulated"
+        for sideband in floor.sidebands
+    ]
+    return lines
 
 
 def save_background(values: np.ndarray, out: Path) -> None:

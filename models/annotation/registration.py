@@ -76,9 +76,24 @@ class Hold:
     #: The slide in that motion [3], zero if it only turns.
     slide: np.ndarray
     eigenvalues: tuple[float, ...]
+    #: Unit motions (slide, turn times radius) of the eigenvalues, a column each [6, 6].
+    motions: np.ndarray
+
+    def unknown(self, min_hold: float) -> tuple[str, ...]:
+        """Return in words the motions held less than a limit, slides before turns; empty if the pose is known.
+
+        Motions that are all free mix at will: the mixture is chosen that parts slides from turns.
+        """
+        free = self.motions[:, np.array(self.eigenvalues) < min_hold]
+        if not free.size:
+            return ()
+        _, turns, mixtures = np.linalg.svd(free[3:], full_matrices=True)
+        # ascending by the share of the turn; a mixture beyond the singular values does not turn at all
+        order = np.argsort(np.concatenate([turns, np.zeros(len(mixtures) - len(turns))]), kind="stable")
+        return tuple(_words(motion)[0] for motion in (free @ mixtures[order].T).T)
 
 
-NOTHING_HELD = Hold(0.0, "finds no partners", np.zeros(3), ())
+NOTHING_HELD = Hold(0.0, "finds no partners", np.zeros(3), (), np.zeros((6, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +119,11 @@ class Registration:
     rmse_m: float
     pairs: int
     hold: Hold
-    #: Share of points, of the source or of a placed cloud, that lie where the other looked through.
+    #: Share of points, of the source or of a placed cloud, that lie where the other looked through; the middle of
+    #: those points in the target's frame, and the distance from it within which half of them lie.
     conflict: float
+    conflict_at_m: tuple[float, float, float]
+    conflict_radius_m: float
     #: Origin of the search: "given" or "global".
     start: str
 
@@ -123,12 +141,13 @@ class Registration:
         if not self.conflict <= params.max_conflict:
             return (
                 f"points must not stand where another viewpoint looked through, at most "
-                f"{params.max_conflict:g} (registration.max_conflict), got {self.conflict:.3f}"
+                f"{params.max_conflict:g} (registration.max_conflict), got {self.conflict:.3f}, half of them within "
+                f"{self.conflict_radius_m:.1f} m of ({', '.join(f'{value:.1f}' for value in self.conflict_at_m)}) m"
             )
-        if not self.hold.least >= params.min_hold:
+        if unknown := self.hold.unknown(params.min_hold):
             return (
                 f"pose must be held in all directions, at least {params.min_hold:g} (registration.min_hold), "
-                f"got {self.hold.least:.2g}: it {self.hold.weakest}"
+                f"got {self.hold.least:.2g}: it {', '.join(unknown)} ({len(unknown)} of 6 motions are unknown)"
             )
         return None
 
@@ -156,8 +175,11 @@ def register(
     """Register a source cloud [N, 3] to posed ones from a first pose [4, 4], or from any pose on level ground (None).
 
     Points are in the frame of their sensor. The same input gives the same bytes: poses are rounded to 1e-6 (metres,
-    radians), as sums over threads differ in their last bits. Raises ValueError if a cloud has too few planes.
+    radians), as sums over threads differ in their last bits. Raises ValueError if a cloud is no array of finite points
+    or has too few planes.
     """
+    for name, points_m in (("source", source_m), *(("target", cloud.points_m) for cloud in targets)):
+        _require_points(name, points_m)
     clouds = _Clouds(source_m, targets)
     if target_from_source is None:
         coarse_m = params.voxels_m[0]
@@ -174,6 +196,11 @@ def register(
     pose = _icp(clouds, target_from_source, params.voxels_m, params.max_iterations)
     result = _judged(clouds, pose, params.voxels_m[-1], start)
     return max([result, *_searched_along_slide(clouds, result, params)], key=lambda registration: registration.score)
+
+
+def _require_points(name: str, points_m: np.ndarray) -> None:
+    if points_m.ndim != 2 or points_m.shape[1] != 3 or not np.isfinite(points_m).all():
+        raise ValueError(f"{name} must be finite points of shape (N, 3), got {points_m.dtype} {points_m.shape}")
 
 
 def _searched_along_slide(clouds: _Clouds, first: Registration, params: RegistrationParams) -> list[Registration]:
@@ -273,23 +300,36 @@ def _judged(clouds: _Clouds, pose: np.ndarray, voxel_m: float, start: str) -> Re
     result = evaluate(source, target, 2.0 * voxel_m, pose)
     pairs = np.asarray(result.correspondence_set)
     if len(pairs) < MIN_POINTS:
-        return Registration(pose, float(result.fitness), 0.0, math.inf, len(pairs), NOTHING_HELD, 1.0, start)
+        fitness = float(result.fitness)
+        return Registration(pose, fitness, 0.0, math.inf, len(pairs), NOTHING_HELD, 1.0, (0.0, 0.0, 0.0), 0.0, start)
     points = moved(pose, np.asarray(source.points)[pairs[:, 0]])
     normals = np.asarray(target.normals)[pairs[:, 1]]
     across_m = np.sum((points - np.asarray(target.points)[pairs[:, 1]]) * normals, axis=1)
     return Registration(
         pose, float(result.fitness), float(np.count_nonzero(np.abs(across_m) <= FIRM_M) / len(source.points)),
         float(np.sqrt(np.mean(across_m**2))), len(pairs), plane_hold(points, normals),
-        max(_conflict(clouds.source_m, pose, cloud) for cloud in clouds.targets), start,
+        *_conflict(clouds, pose), start,
     )  # fmt: skip
 
 
-def _conflict(source_m: np.ndarray, pose: np.ndarray, other: PosedCloud) -> float:
-    """Return the share of points that lie where the other sensor looked through, the worse of both directions."""
-    source_from_other = np.linalg.inv(pose) @ other.target_from_sensor
-    source_conflict = looked_through(moved(np.linalg.inv(source_from_other), source_m), other.points_m)
-    target_conflict = looked_through(moved(source_from_other, other.points_m), source_m)
-    return max(float(source_conflict.mean()), float(target_conflict.mean()))
+def _conflict(clouds: _Clouds, pose: np.ndarray) -> tuple[float, tuple[float, float, float], float]:
+    """Return the share of points in conflict of the worst pair of views in the worse direction, their middle in the
+    target's frame and the distance of half of them from it.
+    """
+    worst, points_m = 0.0, np.zeros((0, 3))
+    for other in clouds.targets:
+        source_from_other = np.linalg.inv(pose) @ other.target_from_sensor
+        of_source = looked_through(moved(np.linalg.inv(source_from_other), clouds.source_m), other.points_m)
+        of_other = looked_through(moved(source_from_other, other.points_m), clouds.source_m)
+        if of_source.mean() > worst:
+            worst, points_m = float(of_source.mean()), moved(pose, clouds.source_m[of_source])
+        if of_other.mean() > worst:
+            worst, points_m = float(of_other.mean()), other.points_in_target_m()[of_other]
+    if not worst:
+        return 0.0, (0.0, 0.0, 0.0), 0.0
+    middle_m = np.median(points_m, axis=0)
+    radius_m = float(np.median(np.linalg.norm(points_m - middle_m, axis=1)))
+    return worst, (float(middle_m[0]), float(middle_m[1]), float(middle_m[2])), radius_m
 
 
 def looked_through(points_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
@@ -336,14 +376,20 @@ def plane_hold(points_m: np.ndarray, normals: np.ndarray) -> Hold:
     radius_m = max(float(np.sqrt(np.mean(np.sum(arms**2, axis=1)))), 1e-9)
     rows = np.concatenate([normals, np.cross(arms / radius_m, normals)], axis=1)
     values, vectors = np.linalg.eigh(rows.T @ rows / len(rows))
-    slide, turn = vectors[:3, 0], vectors[3:, 0]
+    eigenvalues = tuple(float(max(value, 0.0)) for value in values)
+    words, slide = _words(vectors[:, 0])
+    return Hold(eigenvalues[0], words, slide, eigenvalues, vectors)
+
+
+def _words(motion: np.ndarray) -> tuple[str, np.ndarray]:
+    """Return a unit motion [6] in words, and its slide's direction [3], zero if it turns more than it slides."""
+    slide, turn = motion[:3], motion[3:]
     is_slide = slide @ slide >= turn @ turn
     axis = slide if is_slide else turn
     axis = axis / np.linalg.norm(axis)
     axis = axis * (-1.0 if axis[np.argmax(np.abs(axis))] < 0.0 else 1.0) + 0.0
-    eigenvalues = tuple(float(max(value, 0.0)) for value in values)
     words = f"{'slides along' if is_slide else 'turns about'} ({', '.join(f'{value:.2f}' for value in axis)})"
-    return Hold(eigenvalues[0], words, axis if is_slide else np.zeros(3), eigenvalues)
+    return words, axis if is_slide else np.zeros(3)
 
 
 def rounded_pose(pose: np.ndarray) -> np.ndarray:

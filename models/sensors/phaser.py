@@ -20,6 +20,10 @@ from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 COLUMNS = 8
+#: Converter channel of each element, 1..8: four share a chip, and a chip a channel.
+CHANNEL_OF_ELEMENT = (0, 0, 0, 0, 1, 1, 1, 1)
+#: Beams that hear one element each; all look ahead.
+ELEMENT_BEAMS = BeamGrid(azimuth_deg=(0.0,) * COLUMNS)
 #: Steps of the phase registers, and the largest gain code.
 PHASE_STEP_DEG = 360.0 / 128.0
 PHASE_BITS = 7
@@ -227,7 +231,7 @@ class BeamTable:
 
     #: Register phases in element order 1..8, multiples of `PHASE_STEP_DEG` in [0, 360); float64 [beams, 8].
     phases_deg: np.ndarray
-    #: Gain codes in element order, the same for all beams; int [8].
+    #: Gain codes in element order; int [beams, 8].
     gain_codes: np.ndarray
     #: Weights of the columns from right to left as actually set, complex64 [beams, 8].
     weights: np.ndarray
@@ -249,8 +253,24 @@ def beam_table(params: PhaserParams, calibration: PhaserCalibration, beams: Beam
     equalised = GAIN_CODES * np.array(calibration.gains)
     gain_codes = np.floor(equalised * np.array(params.taper)).astype(np.int64)
     weights = gain_codes / equalised * np.exp(1j * np.radians(phases_deg - own_deg))
-    ordered = weights[:, ::-1] if params.first_element_left else weights
-    return BeamTable(phases_deg=phases_deg, gain_codes=gain_codes, weights=np.ascontiguousarray(ordered, np.complex64))
+    return BeamTable(
+        phases_deg=phases_deg, gain_codes=np.tile(gain_codes, (len(beams), 1)), weights=_in_columns(params, weights)
+    )
+
+
+def element_table(params: PhaserParams) -> BeamTable:
+    """Return registers of `ELEMENT_BEAMS`: beam k hears element k alone, at full gain and phase zero."""
+    only = np.eye(COLUMNS)
+    return BeamTable(
+        phases_deg=np.zeros((COLUMNS, COLUMNS)),
+        gain_codes=(GAIN_CODES * only).astype(np.int64),
+        weights=_in_columns(params, only),
+    )
+
+
+def _in_columns(params: PhaserParams, weights: np.ndarray) -> np.ndarray:
+    """Return weights [beams, 8] of elements in the order of columns, from right to left; complex64."""
+    return np.ascontiguousarray(weights[:, ::-1] if params.first_element_left else weights, np.complex64)
 
 
 def radar_setup(params: PhaserParams, beams: BeamGrid, weights: np.ndarray, stamp_ns: int = 0) -> RadarSetup:

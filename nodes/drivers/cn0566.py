@@ -17,11 +17,14 @@ from typing import Any
 import numpy as np
 
 from models.sensors.phaser import (
+    COLUMNS,
+    ELEMENT_BEAMS,
     BeamTable,
     PhaserCalibration,
     PhaserParams,
     beam_samples,
     beam_table,
+    element_table,
     limits,
     radar_setup,
     synthesiser_words,
@@ -52,6 +55,13 @@ class Params(PhaserParams, frozen=True, kw_only=True, forbid_unknown_fields=True
     converter_uri: str = "ip:192.168.2.1"
     #: YAML file of `PhaserCalibration`; None: a perfect board.
     calibration: str | None = None
+    #: Beams hear one element each, uncalibrated, for `mirrorwave calibrate array`.
+    single_elements: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.single_elements and self.calibration is not None:
+            raise ValueError("single_elements measures the bare board: calibration must not be given with it")
 
 
 def load_library() -> Any:
@@ -79,9 +89,13 @@ class Cn0566:
         self._params = params
         self._adi = library()
         self._calibration = load_calibration(Path(params.calibration)) if params.calibration else PhaserCalibration()
-        beams = beams or BeamGrid()
-        self._table: BeamTable = beam_table(params, self._calibration, beams)
+        beams = ELEMENT_BEAMS if params.single_elements else beams or BeamGrid()
+        self._table: BeamTable = (
+            element_table(params) if params.single_elements else beam_table(params, self._calibration, beams)
+        )
         self.setup: RadarSetup = radar_setup(params, beams, self._table.weights)
+        #: Gains as last written.
+        self._gain_codes = np.zeros(COLUMNS, np.int64)
         self._converter: Any = None
         self._board: Any = None
         self._timing: Any = None
@@ -100,8 +114,10 @@ class Cn0566:
         _LOG.info("%s", describe(self._params))
 
     def steer(self, beam_index: int) -> None:
-        """Write the phases of a beam; they take effect together, with the last write."""
+        """Write the phases of a beam, and gains if they differ; they take effect together, with the last write."""
         with self._linked():
+            if (self._table.gain_codes[beam_index] != self._gain_codes).any():
+                self._write_gains(beam_index)
             for element, phase_deg in enumerate(self._table.phases_deg[beam_index], start=1):
                 self._board.elements[element].rx_phase = float(phase_deg)
             self._board.latch_rx_settings()
@@ -216,13 +232,17 @@ class Cn0566:
 
     def _set_gains(self) -> None:
         self._board.configure(device_mode="rx")
-        for element, code in enumerate(self._table.gain_codes, start=1):
-            self._board.elements[element].rx_gain = int(code)
+        self._write_gains(0)
         self._board.latch_rx_settings()
         # the oscillator's own tuning voltage, and its path to the transmitter
         self._board._gpios.gpio_vctrl_1 = 1
         self._board._gpios.gpio_vctrl_2 = 1
         self._board._gpios.gpio_tx_sw = _TRANSMIT_SWITCH
+
+    def _write_gains(self, beam_index: int) -> None:
+        self._gain_codes = self._table.gain_codes[beam_index]
+        for element, code in enumerate(self._gain_codes, start=1):
+            self._board.elements[element].rx_gain = int(code)
 
     def _set_timing(self) -> None:
         timing = self._timing

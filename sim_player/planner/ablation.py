@@ -147,7 +147,9 @@ class EffectAblation:
         power_dbm = self.front_end.leakage_dbm
         if power_dbm is None:
             return np.zeros(RANGE_BINS, np.complex64)
-        return leakage_profile(self.radar, power_dbm, range(RANGE_BINS)).astype(np.complex64)
+        return leakage_profile(self.radar, power_dbm, self.front_end.leakage_range_m, range(RANGE_BINS)).astype(
+            np.complex64
+        )
 
     def spurs(self) -> np.ndarray:
         """Sum of the magnitudes of all spurs, float64 [bins]: their phases are drawn."""

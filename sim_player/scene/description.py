@@ -343,6 +343,8 @@ def _check_radar(radar: SceneRadar) -> None:
         raise ValueError(f"radar.front_end.adc_bits: must be 4..16, got {front_end.adc_bits!r}")
     if front_end.coupling_db is not None and not front_end.coupling_db < 0.0:
         raise ValueError(f"radar.front_end.coupling_db: must be negative, got {front_end.coupling_db!r}")
+    if not front_end.leakage_range_m >= 0.0:
+        raise ValueError(f"radar.front_end.leakage_range_m: must not be negative, got {front_end.leakage_range_m!r}")
     if front_end.flicker_corner_hz < 0.0:
         raise ValueError(
             f"radar.front_end.flicker_corner_hz: must not be negative, got {front_end.flicker_corner_hz!r}"

@@ -26,8 +26,9 @@ class FrontEnd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     iq_phase_deg: float = 0.0
     #: 1/f noise: frequency below which it exceeds the white noise; 0: none.
     flicker_corner_hz: float = 0.0
-    #: Transmitter straight into the receiver (a beat at nearly zero range): power at the receiver's input.
+    #: Transmitter straight into the receiver: power at the receiver's input, and the range at which it beats.
     leakage_dbm: float | None = None
+    leakage_range_m: float = 0.025
     #: Bits of the converter; the codes stay int16, its lower bits stay empty.
     adc_bits: int = 16
     spurs: tuple[Spur, ...] = ()

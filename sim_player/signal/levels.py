@@ -187,7 +187,7 @@ def _fixed_profiles(
 ) -> Iterator[np.ndarray]:
     """Yield the profiles of leakage and spurs of one beam."""
     if effects.leakage and front_end.leakage_dbm is not None:
-        yield leakage_profile(setup.radar, front_end.leakage_dbm, bins)
+        yield leakage_profile(setup.radar, front_end.leakage_dbm, front_end.leakage_range_m, bins)
     if not effects.spurs or not front_end.spurs:
         return
     for spur, turns in zip(front_end.spurs, spur_turns(front_end.spurs, seed), strict=True):
@@ -375,7 +375,7 @@ def _fixed_beats(
     """Yield leakage and spurs of one beam: one chirp of each and its phasor per chirp."""
     radar = setup.radar
     if effects.leakage and front_end.leakage_dbm is not None:
-        yield leakage_beat(radar, front_end.leakage_dbm), np.ones(radar.chirps_per_beam)
+        yield leakage_beat(radar, front_end.leakage_dbm, front_end.leakage_range_m), np.ones(radar.chirps_per_beam)
     if not effects.spurs or not front_end.spurs:
         return
     for spur, turns in zip(front_end.spurs, spur_turns(front_end.spurs, seed), strict=True):

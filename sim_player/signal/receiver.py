@@ -18,22 +18,18 @@ from msgs.values.units import ratio_from_db
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import noise_reads
 
-#: Round trip of the leakage: board and cable.
-LEAKAGE_LENGTH_M = 0.05
 #: Thermal noise per component, in steps of the converter, that makes rounding errors white (error 3e-9 at 1).
 DITHER_STEPS = 1.0
 
 
-def leakage_beat(radar: RadarParams, power_dbm: float) -> np.ndarray:
-    """Return the leakage of the transmitter into the receiver: a beat at nearly zero range, the same in all beams;
-    [samples].
-    """
-    return math.sqrt(ratio_from_db(power_dbm)) * beat_samples(radar, np.array([LEAKAGE_LENGTH_M]))[0]
+def leakage_beat(radar: RadarParams, power_dbm: float, range_m: float) -> np.ndarray:
+    """Return the leakage of the transmitter into the receiver: a range's beat, the same in all beams; [samples]."""
+    return math.sqrt(ratio_from_db(power_dbm)) * beat_samples(radar, np.array([2.0 * range_m]))[0]
 
 
-def leakage_profile(radar: RadarParams, power_dbm: float, bins: range) -> np.ndarray:
+def leakage_profile(radar: RadarParams, power_dbm: float, range_m: float, bins: range) -> np.ndarray:
     """Return the leakage as a Hann-windowed profile, complex128 [bins]."""
-    profile = range_profile(radar, np.array([LEAKAGE_LENGTH_M]), len(bins), first_bin=bins.start)[0]
+    profile = range_profile(radar, np.array([2.0 * range_m]), len(bins), first_bin=bins.start)[0]
     return math.sqrt(ratio_from_db(power_dbm)) * profile
 
 
@@ -45,10 +41,11 @@ def spur_turns(spurs: Sequence[Spur], seed: Sequence[int]) -> np.ndarray:
 def spur_beat(radar: RadarParams, spur: Spur, start_turns: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a free-running tone: one chirp of it [samples], and its phasor at each chirp's start [chirps].
 
-    The phase turns by 2 pi f T_c from chirp to chirp: a mean over chirps takes sin(pi f T_f) / (N_c sin(pi f T_c)).
+    The phase turns by 2 pi f T from chirp to chirp, T the time between them: a mean over chirps takes sin(pi f T_f) /
+    (N_c sin(pi f T)).
     """
     tone = np.exp(2j * np.pi * ((spur.frequency_hz / radar.sample_rate_hz * np.arange(radar.samples_per_chirp)) % 1.0))
-    turns = spur.frequency_hz * radar.chirp_period_s * np.arange(radar.chirps_per_beam) + start_turns
+    turns = spur.frequency_hz * radar.repetition_interval_s * np.arange(radar.chirps_per_beam) + start_turns
     return math.sqrt(ratio_from_db(spur.power_dbm)) * tone, np.exp(2j * np.pi * (turns % 1.0))
 
 

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mirrorwave.cli import main
 from models.perception.forming.ra_forming import RaFormer
 from models.sensors.phaser import PhaserParams
 from msgs.bus.interface import Outgoing
@@ -377,3 +378,70 @@ def test_a_beam_fits_its_topic() -> None:
 
     params = PhaserParams(chirps_per_beam=256)
     assert 4 * params.chirps_per_beam * params.samples_per_chirp < topic_facts("radar/beam").max_bytes
+
+
+def element_capture(monkeypatch: pytest.MonkeyPatch, kit: StandInKit, path: Path, scans: int, chirps: int = 16) -> Path:
+    """A capture of single elements, as the driver gives it."""
+    settings = {"single_elements": True, "chirps_per_beam": chirps}
+    with library_on(kit) as library:
+        node = start(monkeypatch, library, scans=scans, cn0566=settings)
+        setup, *beams = turns(node, 1 + 8 * scans)
+    write_capture(path, setup, iter(beams))
+    return path
+
+
+@needs_library
+@pytest.mark.parametrize("azimuth_deg", [0.0, 15.0])
+def test_a_board_is_calibrated_element_by_element(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, azimuth_deg: float
+) -> None:
+    """Layout: a reflector at 40 m, driver in single-element mode, `calibrate array`, and the file into the driver.
+
+    Analytic: phases to add are those that the stand-in's elements lack; gain times element times channel is one level.
+    Known bias: the stand-in's wave is plane, the calibration's a sphere, 0.4 deg at 40 m. Tolerance: 1 deg, 1 %.
+    """
+    kit = StandInKit(((40.0, azimuth_deg, 300.0),), 1.0 / np.array(GAINS), -np.array(PHASES_DEG), seed=5)
+    capture = element_capture(monkeypatch, kit, tmp_path / "elements.sigmf-meta", 4)
+    out = tmp_path / "board.yaml"
+    arguments = ("calibrate", "array", str(capture), "--out", str(out), "--range-m", "30", "50")
+    assert main([*arguments, "--azimuth-deg", str(azimuth_deg)]) == 0
+    found = cn0566.load_calibration(out)
+    off_deg = (np.array(found.phases_deg) - np.array(PHASES_DEG) + 180.0) % 360.0 - 180.0
+    assert np.abs(off_deg).max() < 1.0
+    channels = 10.0 ** (np.repeat(found.channel_gains_db, 4) / 20.0)
+    level = np.array(found.gains) / np.array(GAINS) * channels
+    assert np.abs(level / level.mean() - 1.0).max() < 0.01
+    assert max(found.gains) == 1.0
+
+
+@needs_library
+def test_elements_that_serve_no_calibration_are_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A dead element, a reflector that is not there, a gate beyond the profile, a converter at its limit, scans too
+    few: one line each."""
+    gains = np.ones(8)
+    gains[2] = 0.0
+    dead = element_capture(monkeypatch, StandInKit(((40.0, 0.0, 300.0),), gains), tmp_path / "dead.sigmf-meta", 4)
+    sound = element_capture(monkeypatch, StandInKit(((40.0, 0.0, 300.0),)), tmp_path / "sound.sigmf-meta", 4)
+    loud = element_capture(monkeypatch, StandInKit(((40.0, 0.0, 9000.0),)), tmp_path / "loud.sigmf-meta", 4)
+    few = element_capture(monkeypatch, StandInKit(((40.0, 0.0, 300.0),)), tmp_path / "few.sigmf-meta", 2)
+    for path, gate, said in (
+        (dead, ("30", "50"), "element 3 has"),
+        (sound, ("60", "70"), "the reflector must stand 20 dB over the noise of every element"),
+        (sound, ("30", "500"), "range_m must be 0 < LOW < HIGH <"),
+        (sound, ("nan", "50"), "range_m must be 0 < LOW < HIGH <"),
+        (loud, ("30", "50"), "samples must stay under full scale, those of element 1 do not"),
+        (few, ("30", "50"), "at least 4 complete scans, got 2"),
+    ):
+        out = tmp_path / "board.yaml"
+        assert main(["calibrate", "array", str(path), "--out", str(out), "--range-m", *gate]) == 2
+        line = capsys.readouterr().err
+        assert said in line
+        assert line.count("\n") == 1
+        assert not out.exists()
+
+
+def test_a_calibrated_board_is_not_measured_bare() -> None:
+    with pytest.raises(ValueError, match="calibration must not be given"):
+        cn0566.Params(single_elements=True, calibration="board.yaml")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.perception.annotation import pose_error
-from models.annotation.registration import import_open3d, planar_cloud, plane_hold
+from mirrorwave.annotate.clouds import read_cloud
+from models.annotation.registration import import_open3d, looked_through, planar_cloud, plane_hold
 from models.annotation.slice_labels import in_sight
 from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
 from sim_player.scene.description import scene_from_yaml
@@ -74,3 +76,42 @@ def test_a_wall_seen_edge_on(errors: Errors) -> None:
         int(np.count_nonzero(~in_sight(origin_m, points_m, np.full(400, own), walls_m, edges_m))) for own in (-1, 0)
     ]
     errors(naive=lost[0], ours=lost[1])
+
+
+@pytest.mark.hard(
+    where="models.annotation.registration.Hold.unknown",
+    naive="axis of the smallest eigenvalue",
+    bound=0.0,
+    unit="unknown motions not named",
+    source="a plane leaves two slides and a turn",
+)
+def test_a_flat_cloud(errors: Errors) -> None:
+    """A bare yard, level within rounding: three motions are free, and their eigenvectors are any mixture of them."""
+    rng = np.random.default_rng(9)
+    points_m = np.column_stack([rng.uniform(-30.0, 30.0, (4000, 2)), rng.normal(0.0, 1e-9, 4000)])
+    hold = plane_hold(points_m, np.tile([0.0, 0.0, 1.0], (4000, 1)))
+    named = {said.split(" (")[0] for said in hold.unknown(0.01)}
+    assert named == {"slides along", "turns about"}
+    errors(naive=float(3 - len([hold.weakest])), ours=float(3 - len(hold.unknown(0.01))))
+
+
+@pytest.mark.hard(
+    where="mirrorwave.annotate.clouds.read_cloud",
+    naive="zeros taken for points at the sensor",
+    bound=0.003,
+    unit="of the points in conflict",
+    source="registration.max_conflict",
+)
+def test_pulses_without_echo(errors: Errors, tmp_path: Path) -> None:
+    """Open sky: 7 % of a scanner's pulses come back as (0, 0, 0), and every other viewpoint looked through there."""
+    rng = np.random.default_rng(10)
+    azimuth = rng.uniform(-np.pi, np.pi, 20_000)
+    walls_m = np.column_stack([12.0 * np.cos(azimuth), 12.0 * np.sin(azimuth), rng.uniform(-1.5, 3.0, 20_000)])
+    cloud_m = np.concatenate([walls_m, np.zeros((1_500, 3))])
+    np.save(tmp_path / "a.npy", cloud_m)
+    # the other viewpoint stands 3 m aside
+    shift_m, other_m = np.array([3.0, 0.0, 0.0]), walls_m - [3.0, 0.0, 0.0]
+    shares = [
+        looked_through(points - shift_m, other_m).mean() for points in (cloud_m, read_cloud(tmp_path / "a.npy")[0])
+    ]
+    errors(naive=float(shares[0]), ours=float(shares[1]))

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from models.perception.forming.background import background_of
+from models.perception.forming.front_end_faults import FaultMeter, FaultParams, sidebands_of
 from models.perception.forming.noise_floor import _median_mean
 from models.vehicle.mounting import Motion
+from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from tests.stability.catalogue import Errors
@@ -77,3 +79,43 @@ def test_roundabout(errors: Errors) -> None:
         return float(np.abs((heading_rad - true_rad + np.pi) % (2.0 * np.pi) - np.pi).max())
 
     errors(naive=off(wrapped), ours=off(motion.poses(asked_s)[:, 2]))
+
+
+@pytest.mark.hard(
+    where="models.perception.forming.front_end_faults.FaultMeter.imbalance",
+    naive="ratio of image to echo, however small the echo",
+    bound=0.0,
+    unit="of the echo's field",
+    source="noise has no image",
+)
+def test_a_capture_of_noise_alone(errors: Errors) -> None:
+    """No echo in the beam: both sides of the spectrum hold noise, and their ratio is no imbalance."""
+    rng = np.random.default_rng(4)
+    chirp = rng.standard_normal(1024) + 1j * rng.standard_normal(1024)
+    meter = FaultMeter(RadarSetup(radar=RadarParams(samples_per_chirp=1024)), FaultParams(image_about_hz=0.0))
+    meter.add(chirp)
+    spectrum = np.fft.fft(chirp * np.hanning(1025)[:-1])
+    wanted, image = spectrum[6:506], spectrum[-6:-506:-1]
+    naive = abs(np.sum(wanted * image)) / np.sum(np.abs(wanted) ** 2)
+    found = meter.imbalance()
+    errors(naive=float(naive), ours=0.0 if found is None else 10.0 ** (found.image_db / 20.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.forming.front_end_faults.sidebands_of",
+    naive="strongest line beside the echoes",
+    bound=0.5,
+    unit="dB",
+    source="10 ranges of a line of -40 dB, in noise of 65,536 bins",
+)
+def test_a_mover_beside_the_sidebands(errors: Errors) -> None:
+    """Lines of -40 dB at both sides of ten echoes, and a target that moves, 20 dB over all of them, on one line."""
+    radar = RadarParams(chirps_per_beam=64, samples_per_chirp=1024)
+    power = np.random.default_rng(8).exponential(size=(1024, 64))
+    power[100:200:10, 0] += 1e8
+    power[100:200:10, [10, -10]] += 1e4
+    power[300, 10] += 1e7
+    by_offset = power.sum(axis=0)
+    (line,) = sidebands_of(radar, power.reshape(-1))
+    naive_db = 10.0 * math.log10(by_offset[3:-3].max() / by_offset[0])
+    errors(naive=abs(naive_db + 40.0), ours=abs(line.level_db + 40.0))

@@ -78,21 +78,31 @@ def noise(
     scene: Annotated[
         Path | None, typer.Option(metavar="SCENE", help="Write this scene with the receiver, not the receiver alone.")
     ] = None,
+    leakage_to_m: Annotated[
+        float | None, typer.Option(help="Measure the leakage: the strongest return up to this range.")
+    ] = None,
+    image_about_khz: Annotated[
+        float | None,
+        typer.Option(help="Measure the imbalance of I and Q: where the receiver mirrors (0; beats shifted by -f: -f)."),
+    ] = None,
     scans: Scans = 20,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Noise floor, noise figure, 1/f corner and spurs of the receiver, for the simulator."""
+    """Noise, 1/f corner, spurs, leakage, I/Q imbalance of the receiver, for the simulator; sidebands are told."""
     import yaml
 
     from mirrorwave.calibrate.capture import Capture
-    from mirrorwave.calibrate.radar import draw_noise, measure_noise, receiver_of, scene_with_receiver
+    from mirrorwave.calibrate.radar import draw_noise, fault_lines, measure_noise, receiver_of, scene_with_receiver
+    from models.perception.forming.front_end_faults import FaultParams
     from msgs.files.whole_files import write_whole
 
     _require_new(out, plot)
+    image_about_hz = None if image_about_khz is None else 1e3 * image_about_khz
+    faults = FaultParams(leakage_to_m=leakage_to_m, image_about_hz=image_about_hz)
     source = Capture(capture)
     with progress_bar("scans", min(scans, source.scan_count())) as advance:
-        floor = measure_noise(source, scans, advance)
+        floor = measure_noise(source, scans, faults, advance)
     text = (
         yaml.safe_dump({"radar": receiver_of(floor)}, sort_keys=False)
         if scene is None
@@ -118,7 +128,52 @@ def noise(
         )
         for spur in floor.spurs:
             print_line(f"spur: {spur.power_dbm:.1f} dBm at {spur.frequency_hz / 1e6:.4f} MHz")
+        for line in fault_lines(floor, faults):
+            print_line(line)
         print_line(f"wrote {out}")
+    _end(source.loss, as_json)
+
+
+@app.command()
+def array(
+    capture: CaptureFile,
+    out: Out,
+    range_m: Annotated[
+        tuple[float, float], typer.Option(metavar="LOW_M HIGH_M", help="Where the reflector is the strongest return.")
+    ],
+    azimuth_deg: Annotated[float, typer.Option(help="Azimuth of the reflector, left positive.")] = 0.0,
+    scans: Scans = 100,
+    as_json: AsJson = False,
+) -> None:
+    """Gain and phase of each element of a Phaser board, from a reflector heard element by element."""
+    from mirrorwave.calibrate.array import measure_array, write_calibration
+    from mirrorwave.calibrate.capture import Capture
+
+    _require_new(out, None)
+    source = Capture(capture)
+    with progress_bar("scans", min(scans, source.scan_count())) as advance:
+        calibration, responses = measure_array(source, range_m, azimuth_deg, scans, advance)
+    write_calibration(out, calibration, responses)
+    if as_json:
+        print_json({"out": str(out), "calibration": calibration, "range_m": responses.range_m, "loss": source.loss})
+    else:
+        print_table(
+            ("element", "gain", "phase_deg", "snr_db", "spread_deg"),
+            [
+                (index + 1, *(f"{value:.2f}" for value in row))
+                for index, row in enumerate(
+                    zip(
+                        calibration.gains,
+                        calibration.phases_deg,
+                        responses.snr_db,
+                        responses.phase_std_deg,
+                        strict=True,
+                    )
+                )
+            ],
+        )
+        print_line(f"reflector: {responses.range_m:.2f} m; channels {calibration.channel_gains_db} dB")
+        print_line(f"wrote {out}; use it with -p radar_driver.cn0566.calibration={out}")
     _end(source.loss, as_json)
 
 

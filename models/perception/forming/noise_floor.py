@@ -1,8 +1,9 @@
 """Noise floor of a receiver from raw beams: white level, 1/f corner and spurs, read between the echoes.
 
-The chirps of a beam follow one another without a gap, so whatever stands still repeats from chirp to chirp: in the
-spectrum of the whole beam it lies on the multiples of 1 / T_c alone, what moves lies close beside them, and all other
-bins hold noise and free-running tones. Captures with echoes therefore serve as well as those of an open field.
+Whatever stands still repeats from chirp to chirp: in the spectrum of the whole beam, with zeros where the radar rests,
+it lies on the multiples of 1 / T alone (T from chirp to chirp), what moves lies close beside them, and all other bins
+hold noise, free-running tones and sidebands of the oscillator, which lie alike on both sides of every echo. Captures
+with echoes therefore serve as well as those of an open field.
 
 The model is that of the simulator: P(f) = P_white (1 + f_corner / max(|f|, 1 / T_f)) per sample band.
 """
@@ -17,6 +18,14 @@ from scipy import fft
 from scipy.optimize import least_squares
 from scipy.special import gammaincinv
 
+from models.perception.forming.front_end_faults import (
+    FaultMeter,
+    FaultParams,
+    Imbalance,
+    Leakage,
+    Sideband,
+    sidebands_of,
+)
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import BOLTZMANN_J_PER_K, REFERENCE_TEMPERATURE_K, db_from_ratio
 
@@ -61,6 +70,11 @@ class NoiseFloor(msgspec.Struct, frozen=True, kw_only=True):
     #: Frequency below which 1/f noise exceeds the white one; 0: none seen.
     flicker_corner_hz: float
     spurs: tuple[FoundSpur, ...]
+    #: Lines on both sides of every echo; the simulator has none.
+    sidebands: tuple[Sideband, ...]
+    #: None: not asked for, or not above the noise.
+    leakage: Leakage | None
+    imbalance: Imbalance | None
     #: White noise over the sampled band of each beam, and the largest difference of one from their mean.
     beam_power_dbm: tuple[float, ...]
     beam_spread_db: float
@@ -72,21 +86,27 @@ class NoiseFloor(msgspec.Struct, frozen=True, kw_only=True):
 class NoiseMeter:
     """Gathers the spectra of beams; ValueError for beams too short to tell noise from echoes."""
 
-    def __init__(self, setup: RadarSetup) -> None:
+    def __init__(self, setup: RadarSetup, faults: FaultParams | None = None) -> None:
         radar = setup.radar
         if radar.chirps_per_beam < MIN_CHIRPS:
             raise ValueError(
                 f"noise is read between the echoes: chirps_per_beam must be at least {MIN_CHIRPS}, "
                 f"got {radar.chirps_per_beam}"
             )
-        self._setup, self._count = setup, radar.chirps_per_beam * radar.samples_per_chirp
+        #: Samples from chirp to chirp; those after a chirp's own are rest.
+        self._interval = round(radar.repetition_interval_s * radar.sample_rate_hz)
+        self._setup, self._count = setup, radar.chirps_per_beam * self._interval
+        self._faults = FaultMeter(setup, faults or FaultParams())
         #: Mean periodogram over all beams, and the white level's sum and number of each.
         self._power = np.zeros(self._count, np.float64)
         self._white = np.zeros((2, len(setup.beams)))
         self._scans: set[int] = set()
         # a sine over the beam (Hann) keeps echoes on their own three bins
         self._window = np.hanning(self._count + 1)[:-1].astype(np.float32)
-        self._between = _between_echoes(radar)
+        #: Sum of squares of the window over what is sampled.
+        sampled = self._window.reshape(-1, self._interval)[:, : radar.samples_per_chirp]
+        self._window_power = float((sampled.astype(np.float64) ** 2).sum())
+        self._between = _between_echoes(radar, self._count)
         self._high = np.abs(np.fft.fftfreq(self._count)) > 0.25
 
     def add(self, beam: RadarBeam) -> None:
@@ -95,10 +115,12 @@ class NoiseMeter:
         shape = radar.chirps_per_beam, radar.samples_per_chirp, 2
         if beam.samples.shape != shape:
             raise ValueError(f"beam.samples must have shape {shape}, got {beam.samples.shape}")
-        series = beam.samples.astype(np.float32).view(np.complex64).reshape(-1)
-        spectrum = fft.fft(series * self._window, overwrite_x=True)
+        series = np.zeros((radar.chirps_per_beam, self._interval), np.complex64)
+        series[:, : radar.samples_per_chirp] = beam.samples.astype(np.float32).view(np.complex64)[..., 0]
+        self._faults.add(series[:, : radar.samples_per_chirp].mean(axis=0))
+        spectrum = fft.fft(series.reshape(-1) * self._window, overwrite_x=True)
         # density per sample band: white noise of power P shows P in every bin
-        scale = 10.0 ** (beam.full_scale_dbm / 10.0) / 32768**2 / float((self._window**2).sum(dtype=np.float64))
+        scale = 10.0 ** (beam.full_scale_dbm / 10.0) / 32768**2 / self._window_power
         power = (spectrum.real**2 + spectrum.imag**2) * np.float32(scale)
         self._power += power
         self._white[:, beam.beam_index] += _median_mean(power[self._between & self._high]), 1.0
@@ -113,12 +135,15 @@ class NoiseMeter:
         if not beam_mw.min() > 0.0:
             raise ValueError("the capture holds beams without any noise: the receiver was off, or its codes too coarse")
         radar, beams = self._setup.radar, int(number.sum())
-        frequency_hz, power_mw = _bands(radar, self._power / beams, self._between, beams)
+        mean_power = self._power / beams
+        sidebands = sidebands_of(radar, mean_power)
+        between = _beside(radar, self._between, sidebands)
+        frequency_hz, power_mw = _bands(radar, mean_power, between, beams)
         white_mw, corner_hz = _fit(radar, frequency_hz, power_mw)
         beam_dbm = tuple(db_from_ratio(float(power)) for power in beam_mw)
         modelled = white_mw * (1.0 + corner_hz / np.maximum(frequency_hz, 1.0 / radar.beam_duration_s))
         off_db = 10.0 * np.log10(power_mw / modelled)
-        per_bin = 1.5 / self._count
+        per_bin = 1.5 / (radar.chirps_per_beam * radar.samples_per_chirp)
         return NoiseFloor(
             scans=len(self._scans),
             beams=beams,
@@ -126,7 +151,10 @@ class NoiseMeter:
             bin_dbm=db_from_ratio(white_mw * per_bin),
             noise_figure_db=noise_figure_db(radar, white_mw),
             flicker_corner_hz=corner_hz,
-            spurs=_spurs(radar, self._power / beams, self._between, self._setup.beat_sign),
+            spurs=_spurs(radar, mean_power, between, self._setup.beat_sign),
+            sidebands=sidebands,
+            leakage=self._faults.leakage(white_mw * per_bin),
+            imbalance=self._faults.imbalance(),
             beam_power_dbm=beam_dbm,
             beam_spread_db=float(np.abs(np.array(beam_dbm) - np.mean(beam_dbm)).max()),
             bands=tuple(
@@ -147,12 +175,21 @@ def noise_figure_db(radar: RadarParams, power_mw: float) -> float:
     return db_from_ratio(power_mw / (1e3 * BOLTZMANN_J_PER_K * REFERENCE_TEMPERATURE_K * radar.sample_rate_hz))
 
 
-def _between_echoes(radar: RadarParams) -> np.ndarray:
-    """Return the bins of a whole beam's spectrum away from the multiples of 1 / T_c, bool [chirps * samples]."""
+def _between_echoes(radar: RadarParams, count: int) -> np.ndarray:
+    """Return the bins of a whole beam's spectrum away from the multiples of 1 / T, bool [count]."""
     chirps = radar.chirps_per_beam
-    off = np.arange(chirps * radar.samples_per_chirp) % chirps
+    off = np.arange(count) % chirps
     off = np.minimum(off, chirps - off)
     return np.asarray(off > max(2, round(_GUARD_SHARE * chirps)))
+
+
+def _beside(radar: RadarParams, between: np.ndarray, sidebands: tuple[Sideband, ...]) -> np.ndarray:
+    """Return the bins between the echoes that are not of their sidebands, a Hann window's lobe wide, bool [count]."""
+    chirps = radar.chirps_per_beam
+    off = np.arange(len(between)) % chirps
+    off = np.minimum(off, chirps - off)
+    bins = [sideband.frequency_hz * radar.beam_duration_s for sideband in sidebands]
+    return between & ~np.any([np.abs(off - bin_) < 2.5 for bin_ in bins], axis=0) if bins else between
 
 
 def _median_mean(power: np.ndarray, averages: int = 1) -> float:
@@ -208,10 +245,14 @@ def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign
     loud &= (power >= np.roll(power, 1)) & (power >= np.roll(power, -1))
     bins = np.flatnonzero(loud)
     bins = bins[np.argsort(-power[bins], kind="stable")]
+    chirps, rests = radar.chirps_per_beam, radar.repetition_interval_s > radar.chirp_period_s
     kept: list[int] = []
     for bin_ in bins.tolist():
         # a Hann window's lobe, and the skirt of a strong tone
-        if all(abs(bin_ - earlier) > 16 for earlier in kept) and len(kept) < MAX_SPURS:
+        near = any(abs(bin_ - earlier) <= 16 for earlier in kept)
+        # a tone that is cut by rests has lines beside it, 1 / T apart
+        cut = rests and any((bin_ - earlier + 4) % chirps <= 8 for earlier in kept)
+        if not near and not cut and len(kept) < MAX_SPURS:
             kept.append(bin_)
     return tuple(_spur_at(radar, power, bin_, beat_sign) for bin_ in kept)
 
@@ -221,8 +262,8 @@ def _spur_at(radar: RadarParams, power: np.ndarray, at: int, beat_sign: int) -> 
     count = len(power)
     around = np.arange(at - 4, at + 5) % count
     lobe = power[around]
-    # over a Hann window's lobe the powers sum to the tone's, the number of samples times (2/3 at its top)
-    tone_mw = float(lobe.sum()) / count
+    # over a Hann window's lobe the powers sum to the tone's, the number of taken samples times (2/3 at its top)
+    tone_mw = float(lobe.sum()) / (radar.chirps_per_beam * radar.samples_per_chirp)
     offset = float((np.arange(-4, 5) * lobe).sum() / lobe.sum())
     turns = (at + offset) / count
     frequency_hz = (turns - 1.0 if turns > 0.5 else turns) * radar.sample_rate_hz

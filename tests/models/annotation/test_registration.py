@@ -108,6 +108,72 @@ def test_hold_of_three_planes_is_known() -> None:
     assert hold.weakest.startswith("turns about")
 
 
+def box_faces(faces: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points [N, 3] with normals on faces of a room 6 m x 10 m x 3 m: "x", "y", "z" one each, "X", "Y" both."""
+    rng = np.random.default_rng(seed)
+    half_m = np.array([3.0, 5.0, 1.5])
+    points, normals = [], []
+    for face in faces:
+        axis = "xyz".index(face.lower())
+        for side in (1.0, -1.0) if face.isupper() else (-1.0,):
+            place = rng.uniform(-half_m, half_m, (4000, 3))
+            place[:, axis] = side * half_m[axis]
+            points.append(place)
+            normals.append(np.tile(np.eye(3)[axis], (4000, 1)))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+@pytest.mark.parametrize(
+    ("faces", "unknown"),
+    [
+        ("z", ("slides", "slides", "turns about (0.00, 0.00, 1.00)")),
+        ("Xz", ("slides along (0.00, 1.00, 0.00)",)),
+        ("XYz", ()),
+    ],
+)
+def test_unknown_motions_of_plane_corridor_and_room(faces: str, unknown: tuple[str, ...]) -> None:
+    """Analytic: a plane leaves two slides in it and the turn about its normal, a corridor its length, a room nothing.
+    The free motions of a plane are parted into pure slides, which are level, and a pure turn."""
+    free = plane_hold(*box_faces(faces)).unknown(PARAMS.min_hold)
+    assert len(free) == len(unknown)
+    for said, rule in zip(free, unknown, strict=True):
+        assert said.startswith(rule)
+    assert all("0.00)" in said for said in free if said.startswith("slides"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("faces", "said"), [("z", "3 of 6 motions are unknown"), ("Xz", "1 of 6"), ("XYz", None)])
+def test_clouds_that_leave_motions_unknown_are_refused(faces: str, said: str | None) -> None:
+    """The same rooms as clouds of 1 cm of noise from two places 0.4 m apart: three unknown, one unknown, placed. In the
+    room tolerance 2 cm and 0.2 deg."""
+    truth = rigid((0.4, 0.1, 0.0), 0.0, 0.0, 0.05)
+    target_m = box_faces(faces, 1)[0] + np.random.default_rng(2).normal(0.0, 0.01, (len(box_faces(faces)[0]), 3))
+    source_m = moved(np.linalg.inv(truth), box_faces(faces, 3)[0])
+    found = register(source_m, [PosedCloud(target_m, np.eye(4))], np.eye(4), PARAMS)
+    if said is not None:
+        assert said in (found.fault(PARAMS) or "")
+        return
+    assert found.fault(PARAMS) is None
+    away_m, turned_rad = pose_error(truth, found.target_from_source)
+    assert away_m <= 0.02
+    assert math.degrees(turned_rad) <= 0.2
+
+
+def test_clouds_without_overlap_are_refused() -> None:
+    room_m = box_faces("XYz")[0]
+    found = register(room_m, [PosedCloud(room_m, np.eye(4))], rigid((60.0, 0.0, 0.0), 0.0, 0.0, 0.0), PARAMS)
+    assert "overlap must be at least 0.3 (registration.min_fitness), got 0.000" in (found.fault(PARAMS) or "")
+
+
+@pytest.mark.parametrize("bad", [np.zeros((0, 2)), np.full((100, 3), np.nan), np.full((100, 3), np.inf)])
+def test_arrays_that_are_no_points_are_refused(bad: np.ndarray) -> None:
+    room_m = box_faces("XYz")[0]
+    with pytest.raises(ValueError, match="source must be finite points of shape"):
+        register(bad, [PosedCloud(room_m, np.eye(4))], np.eye(4), PARAMS)
+    with pytest.raises(ValueError, match="target must be finite points of shape"):
+        register(room_m, [PosedCloud(bad, np.eye(4))], np.eye(4), PARAMS)
+
+
 def test_rounding_keeps_a_pose_rigid() -> None:
     pose = rigid((1.23456789, -2.0, 0.5), 0.1, -0.2, 2.5)
     kept = rounded_pose(pose)

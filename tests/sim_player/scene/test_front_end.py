@@ -13,7 +13,6 @@ from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_codes, noise_bank
 from sim_player.signal.levels import noise_density_mw, noise_profiles, record_beam
 from sim_player.signal.receiver import (
-    LEAKAGE_LENGTH_M,
     convert,
     converter_step,
     dither_objection,
@@ -52,10 +51,10 @@ def test_a_free_spur_averages_away_over_chirps() -> None:
 
 def test_leakage_stands_at_zero_range() -> None:
     """-30 dBm at 5 cm: bin 0, a tenth of a bin wide of it; Hann loses under 0.1 dB."""
-    profile = leakage_profile(RADAR, -30.0, range(-2, 20))
+    profile = leakage_profile(RADAR, -30.0, 0.025, range(-2, 20))
     assert np.abs(profile).argmax() == 2
     assert 20.0 * np.log10(np.abs(profile[2])) == pytest.approx(-30.0, abs=0.1)
-    exact = range_profile(RADAR, np.array([LEAKAGE_LENGTH_M]), 20)[0]
+    exact = range_profile(RADAR, np.array([0.05]), 20)[0]
     np.testing.assert_allclose(profile[2:], math.sqrt(1e-3) * exact, rtol=1e-12)
 
 

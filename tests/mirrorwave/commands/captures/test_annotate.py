@@ -187,15 +187,23 @@ def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, suffix: str, as_text
 
 
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-PLY += b"0 0 0\n4 4 4\n1 2 3\n"
+PLY += b"0 0 1\n4 4 4\n1 2 3\n"
 PCD = b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA ascii\n"
-PCD += b"0 0 0\n4 4 4\n1 2 3\n"
+PCD += b"0 0 1\n4 4 4\n1 2 3\n"
 
 
 def test_small_clouds_of_text_are_read(tmp_path: Path) -> None:
     for name, content in (("a.ply", PLY), ("a.pcd", PCD)):
         (tmp_path / name).write_bytes(content)
-        assert read_cloud(tmp_path / name)[0].tolist() == [[0, 0, 0], [4, 4, 4], [1, 2, 3]]
+        assert read_cloud(tmp_path / name)[0].tolist() == [[0, 0, 1], [4, 4, 4], [1, 2, 3]]
+
+
+def test_pulses_without_echo_and_strays_are_left_out(tmp_path: Path) -> None:
+    """Zeros where a scanner got no echo, one point beyond all numbers and one that is none."""
+    odd = np.array([[0.0, 0.0, 0.0], [1e30, 0.0, 0.0], [np.nan, 1.0, 1.0]])
+    np.save(tmp_path / "a.npy", np.concatenate([street(), odd]))
+    points_m, left_out = read_cloud(tmp_path / "a.npy")
+    assert (len(points_m), left_out) == (len(street()), 3)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +211,7 @@ def test_small_clouds_of_text_are_read(tmp_path: Path) -> None:
     [
         ("a.npy", 1e3 * street(), "extent must be 2..1000 m, got .* with unit m: is it mm"),
         ("a.npy", 1e-3 * street(), "is it mm"),
-        ("a.npy", np.full((9, 3), np.nan), "must be finite, none of 9 is"),
+        ("a.npy", np.full((9, 3), np.nan), "must be finite and not at the sensor .*, none of 9 is"),
         ("a.npy", np.zeros((0, 3)), "shape"),
         ("a.npy", np.zeros((4, 2)), "shape"),
         ("a.npy", np.array([["a", "b", "c"]]), "numbers of shape"),

@@ -106,3 +106,27 @@ def test_beams_too_short_for_a_band_are_refused() -> None:
     meter.add(msgspec.structs.replace(one, samples=codes))
     with pytest.raises(ValueError, match="beams of 8 chirps of 16 samples are too short"):
         meter.result()
+
+
+def test_beams_with_rests_between_chirps_give_level_and_tone() -> None:
+    """Chirps of 0.68 us every 1.2 us: white noise within 0.1 dB and a tone within 0.5 dB and 3 kHz, as without rests;
+    the tone's lines 1 / T beside it are not tones of their own."""
+    # 148.56 turns from chirp to chirp: away from the echoes' lines
+    interval, spur_hz = 1800, 123.8e6
+    radar = msgspec.structs.replace(RADAR, chirp_interval_s=interval / RADAR.sample_rate_hz)
+    setup = RadarSetup(radar=radar)
+    rng = np.random.default_rng(3)
+    time_s = np.arange(RADAR.chirps_per_beam * interval) / RADAR.sample_rate_hz
+    tone = np.sqrt(ratio_from_db(SPUR_DBM)) * np.exp(2j * np.pi * spur_hz * time_s)
+    meter = NoiseMeter(setup)
+    for index in range(4):
+        noise = rng.standard_normal((2, len(time_s))) * np.sqrt(0.5 * RADAR.noise_power_mw)
+        values = (tone + noise[0] + 1j * noise[1]) / np.sqrt(setup.milliwatt_per_code_squared)
+        taken = values.reshape(-1, interval)[:, : RADAR.samples_per_chirp]
+        codes = np.rint(np.stack([taken.real, taken.imag], axis=-1)).astype(np.int16)
+        meter.add(msgspec.structs.replace(beam(index), samples=codes))
+    floor = meter.result()
+    assert floor.noise_figure_db == pytest.approx(11.0, abs=0.1)
+    (spur,) = floor.spurs
+    assert spur.frequency_hz == pytest.approx(spur_hz, abs=3e3)
+    assert spur.power_dbm == pytest.approx(SPUR_DBM, abs=0.5)
