@@ -205,6 +205,7 @@ class Dca1000Radar(Node):
             self._first_scan = self._last_scan + 1 - frame.number
         scan = self._last_scan = self._first_scan + frame.number
         lost = lost_loops(frame.gaps, self._config)
+        was_whole = not self._loss
         self._loss = (
             f"scan {scan}: {frame.missing_bytes} of {self._config.frame_bytes} bytes are missing, zeros in "
             f"{int(lost.sum())} of {counted(len(lost), 'loop')}"
@@ -216,7 +217,8 @@ class Dca1000Radar(Node):
             return []
         if frame.gaps:
             self.shed.add("frame", "filled")
-            _LOG.info("%s", self._loss)
+            if was_whole:
+                _LOG.info("%s", self._loss)
         with self.stages("beams"):
             beams = row_beams(frame_samples(frame.codes, self._config), self._setup, self._array, lost)
         messages = beam_messages(beams, self._setup, scan, frame.stamp_ns)

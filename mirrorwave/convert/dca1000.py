@@ -73,8 +73,11 @@ def import_capture(
 ) -> dict[str, Any]:
     """Write `maps-NNNNN.npz`, `ra_map.png` and, last, `summary.json`; returns the summary.
 
-    Raises `ValueError` where `out` holds something or the capture is cut while it is read.
+    Raises `ValueError` where `out` holds something, the capture is cut while it is read, or one loop a frame leaves
+    nothing beside what stands still.
     """
+    if params.remove_static and config.frame.loops < 2:
+        raise ValueError(f"{config_path}: frameCfg.loops must be at least 2 to remove what stands still, got 1")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: must be a new or an empty folder")
     provenance = _provenance(capture, config_path, config)

@@ -8,7 +8,7 @@ import pytest
 
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.values.diagnostics import NodeState
-from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
+from msgs.values.radar import ArrayParams, BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
 
@@ -110,12 +110,12 @@ def test_compensation_can_be_switched_off() -> None:
 
 
 def test_a_setup_that_cannot_be_used_changes_nothing_and_is_said(node: RaFormerNode) -> None:
-    """Chirps of 256 samples for a map of 512 bins: the scan under way, of the set-up before, goes on."""
-    short = RadarSetup(radar=RadarParams(chirps_per_beam=8, samples_per_chirp=256))
-    steps(node, setup(), beam(0), received(short, "radar/setup"))
+    """More beams and columns than maps can be formed of in time: the scan under way, of the set-up before, goes on."""
+    large = RadarSetup(array=ArrayParams(columns=256), beams=BeamGrid(azimuth_deg=tuple(range(-20, 20))))
+    steps(node, setup(), beam(0), received(large, "radar/setup"))
     state, reason = node.health()
     assert state is NodeState.DEGRADED
-    assert "at most samples_per_chirp = 256, got 512" in reason
+    assert "at most 16384 beams times (2 columns - 1), got 40 beams and 256 columns" in reason
     (out,) = steps(node, *[beam(index) for index in range(1, 25)])
     assert out.message.missing_beams == ()
     assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [("setup", "refused", 1)]

@@ -384,6 +384,12 @@ def test_files_and_options_are_checked(tmp_path: Path, capsys: pytest.CaptureFix
     assert main(words) == 2
 
 
+def test_a_single_loop_has_nothing_that_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = CFG.replace(f"frameCfg 0 1 {LOOPS} 2", "frameCfg 0 1 1 2")
+    assert main([*write(tmp_path, two_lanes(point(loops=1)) * 2, config), "--remove-static"]) == 2
+    assert "frameCfg.loops must be at least 2 to remove what stands still, got 1" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_silence_has_no_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A frame of zeros, as the board writes for packets that it lost, is a map like any other."""

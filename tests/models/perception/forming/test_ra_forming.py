@@ -470,3 +470,10 @@ def test_grid_of_another_radar_is_refused() -> None:
         RaFormer(SETUP, FormingParams(decimation=3))
     with pytest.raises(ValueError, match=r"grid\.range_bins must be at most samples_per_chirp = 256"):
         RaFormer(SETUP, FormingParams(decimation=8))
+
+
+def test_short_chirps_have_a_map_of_their_own_bins() -> None:
+    """128 samples, as a 77 GHz board gives: 128 bins; more where the chirp has them."""
+    radar = msgspec.structs.replace(SETUP.radar, samples_per_chirp=128, bandwidth_hz=3e9)
+    assert RaFormer(msgspec.structs.replace(SETUP, radar=radar)).folder.grid.range_bins == 128
+    assert RaFormer(SETUP).folder.grid.range_bins == 512
