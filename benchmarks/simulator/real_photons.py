@@ -110,8 +110,8 @@ def simulated(
     scan: ConfocalTransients, window: Window, plane: Plane, observed: Observed, model: Fitted
 ) -> list[tuple[SpadParams, np.ndarray, np.ndarray]]:
     """Detector, delays and photons per pulse of wall points: the patches' with a fitted gain, and the background's."""
-    placed = replace(plane, depth_m=model.response.depth_m)
-    spad, sight = model.response.spad(scan), placed.seen_from(observed.wall_m)
+    moved = replace(plane, depth_m=model.response.depth_m)
+    spad, sight = model.response.spad(scan), moved.seen_from(observed.wall_m)
     photons = model.loss(*sight, model.response.entrance_exponent) * model.fit.reflectance
     photons /= photons.sum(axis=1, keepdims=True)
     delay_bins = (2.0 * sight[0] / (SPEED_OF_LIGHT_MPS * scan.bin_s)).astype(np.int64)
