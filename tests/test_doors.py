@@ -275,7 +275,8 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from mirrorwave.diagnose import foreign_topic
     from models.perception import cards
     from models.perception.detection import onnx_model
-    from models.sensors import config_file
+    from models.perception.transients import scan
+    from models.sensors import config_file, confocal
     from msgs.bus import codec
     from msgs.bus import sequencing as tally
     from msgs.bus.topics import TOPICS
@@ -323,6 +324,8 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
+        "configuration of a DCA1000 capture": _size(import_dca1000._MAX_CONFIG_BYTES),
+        "confocal transients, packed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
         "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
         "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),
         "message of a recording": _size(codec.MAX_INLINE_BYTES),

@@ -1,12 +1,12 @@
 """Real photons of hidden objects against the photon model: distance, response, fall-off, and the shape of histograms.
 
 Confocal transients of two scenes (not part of the project; tests/captures.py says where they lie). For each: the
-hidden plane by the light-cone transform; pulse, tail and fall-off by maximum likelihood from 64 wall points, each with its own
-gain; then the histograms of 64 other wall points by `expected_histogram`, with the fitted reflectances. Models differ in
-the detector's tail (without it the pulse is the most likely of `PULSES_S`) and in the hidden surface's law. Statistics
-of each wall point: chi-square per cell of 16 ps, and the largest distance between cumulative shapes
-(Kolmogorov-Smirnov); "null" has them of histograms drawn by `draw_histogram` from the last model. Level: hidden counts
-over the wall's own, as measured and at most for a matt plane of reflectance 1 under a spot of 1 cm radius.
+hidden plane by the light-cone transform; pulse, tail and fall-off by maximum likelihood from 64 wall points, each with
+a gain of its own; then the histograms of 64 other wall points by `expected_histogram`, with the fitted reflectances.
+Models differ in the detector's tail (without it the pulse is the most likely of `PULSES_S`) and in the law of the
+hidden surface. Statistics of each wall point: chi-square per cell of 16 ps, and the largest distance between cumulative
+shapes (Kolmogorov-Smirnov); "null" has them of histograms drawn by `draw_histogram` from the last model. Level: hidden
+counts over the wall's own, as measured and at most for a matt plane of reflectance 1 under a spot of 1 cm radius.
 Usage: OPENBLAS_NUM_THREADS=1 python -m benchmarks.simulator.real_photons --data DIR [--seed 0] [--json] [--out DIR]
 """
 
@@ -53,16 +53,22 @@ SPOT_RADIUS_M = 0.01
 
 
 class Scene(NamedTuple):
-    """A file, where its object returns, and the patches along a side that its plane is cut into."""
+    """A file, where its object returns, and the patches along a side of the plane."""
 
     file: str
     window: Window
     side: int
+    #: Where the search starts, the depth apart.
+    start: Response
 
 
 SCENES = {
-    "dot chart": Scene("data_dot_chart_40cm.mat", Window(620, 1100, 1500, 2048), 48),
-    "exit sign": Scene("data_exit_sign.mat", Window(1240, 2040, 1000, 1240), 48),
+    "dot chart": Scene(
+        "data_dot_chart_40cm.mat", Window(620, 1100, 1500, 2048), 48, Response(28e-12, 0.43, 250e-12, 2.5, 0.0)
+    ),
+    "exit sign": Scene(
+        "data_exit_sign.mat", Window(1240, 2040, 1000, 1240), 48, Response(28e-12, 0.43, 250e-12, 6.0, 0.0)
+    ),
 }
 
 
@@ -104,8 +110,8 @@ def simulated(
     scan: ConfocalTransients, window: Window, plane: Plane, observed: Observed, model: Fitted
 ) -> list[tuple[SpadParams, np.ndarray, np.ndarray]]:
     """Detector, delays and photons per pulse of wall points: the patches' with a fitted gain, and the background's."""
-    placed = replace(plane, depth_m=model.response.depth_m)
-    spad, sight = model.response.spad(scan), placed.seen_from(observed.wall_m)
+    moved = replace(plane, depth_m=model.response.depth_m)
+    spad, sight = model.response.spad(scan), moved.seen_from(observed.wall_m)
     photons = model.loss(*sight, model.response.entrance_exponent) * model.fit.reflectance
     photons /= photons.sum(axis=1, keepdims=True)
     delay_bins = (2.0 * sight[0] / (SPEED_OF_LIGHT_MPS * scan.bin_s)).astype(np.int64)
@@ -184,7 +190,7 @@ def measured(
     shape = hidden_shape(reconstruct(scan, FIRST_BIN), scan)
     plane = plane_patches(shape, scan, scene.side)
     observed = Observed.of(scan, scene.window, *wall_points(scan, 4))
-    start = Response(rms_s=30e-12, tail_share=0.35, tail_s=250e-12, entrance_exponent=2.0, depth_m=shape.plane[0])
+    start = replace(scene.start, depth_m=shape.plane[0])
     fitted = fit_response(scan, scene.window, plane, observed, start, evaluations)
     fall_off = {
         f"{exponent:g}": round(

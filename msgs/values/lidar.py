@@ -57,7 +57,7 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     irf_fwhm_s: float = 200e-12
     jitter_rms_s: float = 16e-12
     #: Share of the signal's detections that come late by an exponential delay, of mean `tail_s`: carriers that diffuse
-    #: into the detector's junction. Not in Table 2; 0.3 of them 0.25 ns late are measured on a fast red-enhanced one.
+    #: into the detector's junction. Not in Table 2; half of them, 0.25 ns late on average, fit real transients.
     tail_share: float = 0.0
     tail_s: float = 0.0
     dead_time_s: float = 4e-9

@@ -2,8 +2,8 @@
 
 Light from a wall point to a voxel at depth z and back takes the time 2 r / c with r^2 = z^2 + |x - x'|^2. In v = r^2
 and u = z^2 that is v = u + |x - x'|^2: the same cone for every voxel, a convolution in (x, y, v) once the loss over
-distance, r^-2 of retroreflectors and r^-4 of matt surfaces, is taken out. Bins are re-sorted into v by the overlap of cells, so
-that counts are conserved. Source: O'Toole, Lindell, Wetzstein, Nature 555 (2018), 338-341.
+distance, r^-2 of retroreflectors and r^-4 of matt surfaces, is taken out. Bins are re-sorted into v by the overlap of
+cells, so that counts are conserved. Source: O'Toole, Lindell, Wetzstein, Nature 555 (2018), 338-341.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def reconstruct(
 ) -> np.ndarray:
     """Return the reflectance of the hidden volume over depth, float32 [points, points, bins], not below 0.
 
-    Bins before `first_bin` hold the return of the wall itself and count as dark. Raises `ValueError` for a bin that does
-    not exist.
+    Bins before `first_bin` hold the return of the wall itself and count as dark. Raises `ValueError` for a bin that
+    does not exist.
     """
     if not 0 <= first_bin < scan.bins:
         raise ValueError(f"first_bin must lie in 0..{scan.bins - 1}, got {first_bin!r}")

@@ -269,7 +269,7 @@ def fit_at(
     loss: Loss = retroreflected_share,
 ) -> TargetFit:
     """Return the reflectances and gains under a response and a law of loss over distance and angle."""
-    placed = replace(plane, depth_m=response.depth_m)
-    model = TargetModel(scan, window, response.spad(scan), placed, observed.wall_m)
-    weights = loss(*placed.seen_from(observed.wall_m), response.entrance_exponent)
+    moved = replace(plane, depth_m=response.depth_m)
+    model = TargetModel(scan, window, response.spad(scan), moved, observed.wall_m)
+    weights = loss(*moved.seen_from(observed.wall_m), response.entrance_exponent)
     return fit_reflectance(observed, model, weights / weights.mean(), plane.reflectance)
