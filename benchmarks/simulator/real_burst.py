@@ -140,6 +140,18 @@ def _noise_db(beam: RadarBeam, low_m: float, high_m: float) -> float:
     return round(10.0 * float(np.log10(np.median(cells) / np.log(2.0) / echo)), 1)
 
 
+def _negative(range_m: np.ndarray, level_db: np.ndarray) -> dict[str, float]:
+    """Return the strongest negative beat beyond the leakage, and the level where it would be mirrored from."""
+    at = int(np.argmax(np.where(range_m < -10.0, level_db, -np.inf)))
+    shift_m = 2.0 * PARAMS.offset_hz / PARAMS.sample_rate_hz * PARAMS.samples_per_chirp * setup().radar.range_bin_m
+    mirror_m = -float(range_m[at]) - shift_m
+    mirror_db = float(level_db[np.abs(range_m - mirror_m) < 2.0 * setup().radar.range_bin_m].max())
+    return {
+        "range_m": round(float(range_m[at]), 2), "level_db": round(float(level_db[at]), 1),
+        "mirror_m": round(mirror_m, 2), "mirror_db": round(mirror_db, 1),
+    }  # fmt: skip
+
+
 def figures(beam: RadarBeam, floor: NoiseFloor) -> dict[str, Any]:
     """Return the figures of a beam, levels in dB of its strongest echo."""
     range_m, level_db = profile_db(beam)
@@ -154,6 +166,7 @@ def figures(beam: RadarBeam, floor: NoiseFloor) -> dict[str, Any]:
             for low, high in FLOORS_M
         },
         "noise_db": {f"{low:g}..{high:g} m": _noise_db(beam, low, high) for low, high in FLOORS_M},
+        "strongest_negative": _negative(range_m, level_db - echo_db),
         "leakage": None if floor.leakage is None else {
             "range_m": round(floor.leakage.range_m, 2),
             "level_db": round(reference_dbm - PARAMS.full_scale_dbm + 20.0 * np.log10(32768.0) - echo_db, 1),

@@ -67,3 +67,9 @@ def write_calibration(out: Path, calibration: PhaserCalibration, responses: Elem
     )
     fields = {name: list(value) for name, value in msgspec.to_builtins(calibration).items()}
     write_whole(out, (note + yaml.safe_dump(fields, sort_keys=False, default_flow_style=None)).encode())
+
+
+def element_rows(calibration: PhaserCalibration, responses: ElementResponses) -> list[tuple[str, ...]]:
+    """Number, gain, phase, SNR and spread of each element, for a table."""
+    columns = (calibration.gains, calibration.phases_deg, responses.snr_db, responses.phase_std_deg)
+    return [(str(index), *(f"{value:.2f}" for value in row)) for index, row in enumerate(zip(*columns, strict=True), 1)]

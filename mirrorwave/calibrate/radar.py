@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import yaml
 
 from mirrorwave.calibrate.capture import Capture, complete_scans
 from models.perception.forming.background import (
@@ -69,6 +70,13 @@ def measure_noise(
         raise ValueError(str(error) if str(capture.path) in str(error) else f"{capture.path}: {error}") from None
 
 
+def receiver_text(floor: NoiseFloor, scene: Path | None) -> str:
+    """YAML of a scene with this receiver, or of its `radar` block alone."""
+    if scene is not None:
+        return scene_with_receiver(scene, floor)
+    return yaml.safe_dump({"radar": receiver_of(floor)}, sort_keys=False)
+
+
 def receiver_of(floor: NoiseFloor) -> dict[str, Any]:
     """The `radar` block of a scene whose receiver has this floor."""
     front_end: dict[str, Any] = {}
@@ -110,9 +118,14 @@ def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
     return scene_to_yaml(scene)
 
 
-def fault_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
-    """Return what was measured of leakage, imbalance and sidebands, and what was not."""
-    lines = []
+def floor_lines(floor: NoiseFloor, faults: FaultParams) -> list[str]:
+    """Return what was measured of noise, spurs, leakage, imbalance and sidebands, and what was not, for people."""
+    lines = [
+        f"white: {floor.power_dbm:.2f} dBm over the band, {floor.bin_dbm:.2f} dBm per bin of a beam, noise figure "
+        f"{floor.noise_figure_db:.2f} dB; beams differ by {floor.beam_spread_db:.2f} dB at most",
+        f"1/f corner: {floor.flicker_corner_hz / 1e3:.1f} kHz; rms from the model {floor.model_rms_db:.2f} dB",
+    ]
+    lines += [f"spur: {spur.power_dbm:.1f} dBm at {spur.frequency_hz / 1e6:.4f} MHz" for spur in floor.spurs]
     if floor.leakage is not None:
         lines.append(f"leakage: {floor.leakage.power_dbm:.1f} dBm at {floor.leakage.range_m:.2f} m")
     elif faults.leakage_to_m is not None:

@@ -90,10 +90,8 @@ def noise(
     as_json: AsJson = False,
 ) -> None:
     """Noise, 1/f corner, spurs, leakage, I/Q imbalance of the receiver, for the simulator; sidebands are told."""
-    import yaml
-
     from mirrorwave.calibrate.capture import Capture
-    from mirrorwave.calibrate.radar import draw_noise, fault_lines, measure_noise, receiver_of, scene_with_receiver
+    from mirrorwave.calibrate.radar import draw_noise, floor_lines, measure_noise, receiver_text
     from models.perception.forming.front_end_faults import FaultParams
     from msgs.files.whole_files import write_whole
 
@@ -103,12 +101,7 @@ def noise(
     source = Capture(capture)
     with progress_bar("scans", min(scans, source.scan_count())) as advance:
         floor = measure_noise(source, scans, faults, advance)
-    text = (
-        yaml.safe_dump({"radar": receiver_of(floor)}, sort_keys=False)
-        if scene is None
-        else scene_with_receiver(scene, floor)
-    )
-    write_whole(out, text.encode())
+    write_whole(out, receiver_text(floor, scene).encode())
     if plot is not None:
         draw_noise(floor, plot)
     if as_json:
@@ -119,16 +112,7 @@ def noise(
             ("range_m", "measured_dbm", "model_dbm"),
             [(band.range_m, f"{band.measured_dbm:.2f}", f"{band.modelled_dbm:.2f}") for band in bands],
         )
-        print_line(
-            f"white: {floor.power_dbm:.2f} dBm over the band, {floor.bin_dbm:.2f} dBm per bin of a beam, noise figure "
-            f"{floor.noise_figure_db:.2f} dB; beams differ by {floor.beam_spread_db:.2f} dB at most"
-        )
-        print_line(
-            f"1/f corner: {floor.flicker_corner_hz / 1e3:.1f} kHz; rms from the model {floor.model_rms_db:.2f} dB"
-        )
-        for spur in floor.spurs:
-            print_line(f"spur: {spur.power_dbm:.1f} dBm at {spur.frequency_hz / 1e6:.4f} MHz")
-        for line in fault_lines(floor, faults):
+        for line in floor_lines(floor, faults):
             print_line(line)
         print_line(f"wrote {out}")
     _end(source.loss, as_json)
@@ -146,7 +130,7 @@ def array(
     as_json: AsJson = False,
 ) -> None:
     """Gain and phase of each element of a Phaser board, from a reflector heard element by element."""
-    from mirrorwave.calibrate.array import measure_array, write_calibration
+    from mirrorwave.calibrate.array import element_rows, measure_array, write_calibration
     from mirrorwave.calibrate.capture import Capture
 
     _require_new(out, None)
@@ -159,18 +143,7 @@ def array(
     else:
         print_table(
             ("element", "gain", "phase_deg", "snr_db", "spread_deg"),
-            [
-                (index + 1, *(f"{value:.2f}" for value in row))
-                for index, row in enumerate(
-                    zip(
-                        calibration.gains,
-                        calibration.phases_deg,
-                        responses.snr_db,
-                        responses.phase_std_deg,
-                        strict=True,
-                    )
-                )
-            ],
+            element_rows(calibration, responses),
         )
         print_line(f"reflector: {responses.range_m:.2f} m; channels {calibration.channel_gains_db} dB")
         print_line(f"wrote {out}; use it with -p radar_driver.cn0566.calibration={out}")

@@ -38,6 +38,8 @@ _GUARD_SHARE = 0.08
 SPUR_DB = 15.0
 #: Bands of frequency in which the floor is read, to either sign; a factor each.
 _BANDS = 24
+#: Largest share of codes at the converter's limits.
+MAX_CLIPPED = 1e-3
 #: Largest number of tones that are reported, strongest first.
 MAX_SPURS = 16
 
@@ -115,6 +117,12 @@ class NoiseMeter:
         shape = radar.chirps_per_beam, radar.samples_per_chirp, 2
         if beam.samples.shape != shape:
             raise ValueError(f"beam.samples must have shape {shape}, got {beam.samples.shape}")
+        clipped = float(np.mean((beam.samples == 32767) | (beam.samples == -32768)))
+        if clipped > MAX_CLIPPED:
+            raise ValueError(
+                f"at most {100.0 * MAX_CLIPPED:g} % of codes may stand at full scale, {100.0 * clipped:.1f} % of beam "
+                f"{beam.beam_index} do: clipping makes noise and tones of its own"
+            )
         series = np.zeros((radar.chirps_per_beam, self._interval), np.complex64)
         series[:, : radar.samples_per_chirp] = beam.samples.astype(np.float32).view(np.complex64)[..., 0]
         self._faults.add(series[:, : radar.samples_per_chirp].mean(axis=0))

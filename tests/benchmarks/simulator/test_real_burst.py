@@ -38,6 +38,8 @@ def test_the_real_burst_and_its_twin(tmp_path: Path) -> None:
         assert note["floor_db"][span] > copy["floor_db"][span] + 10.0
     (spur,), (copied,) = note["spurs_khz_db_of_leakage"], copy["spurs_khz_db_of_leakage"]
     assert copied == pytest.approx(spur, abs=0.6)
+    # what lies at negative range is louder than what it would be the image of
+    assert note["strongest_negative"]["level_db"] > note["strongest_negative"]["mirror_db"] + 10.0
     draw(real, twin, tmp_path / "burst.png")
     assert (tmp_path / "burst.png").stat().st_size > 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.simulator.real_burst import driven_beam, recorded_burst, setup
 from models.perception.forming.coarray import AzimuthInterpolator, ideal_beams
 from models.perception.forming.ra_forming import BeamFolder, FormingParams
 from models.physics.waveform import beat_frequency_hz
@@ -19,7 +20,7 @@ from models.sensors.phaser import (
     radar_setup,
     synthesiser_words,
 )
-from msgs.values.radar import BeamGrid, RadarBeam, RangeAzimuthGrid
+from msgs.values.radar import BeamGrid, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.captures import DATA, needs
 
@@ -186,33 +187,16 @@ def test_wrong_calibrations_are_refused(changes: dict[str, object], message: str
         PhaserCalibration(**changes)  # type: ignore[arg-type]
 
 
-def recorded_burst() -> np.ndarray:
-    """32 chirps of 1024 samples, one summed channel, the straight part of each ramp; complex [32, 1024]."""
-    words = [
-        np.array([int(word, 16) for word in (BURST / f"post_ddc_{part}.hex").read_text().split()]) for part in "iq"
-    ]
-    codes = [np.where(word >= 1 << 15, word - (1 << 16), word) for word in words]
-    return np.asarray((codes[0] + 1j * codes[1]).reshape(32, 1024))
-
-
 @needs(BURST)
 def test_the_recorded_burst_shows_what_its_note_says() -> None:
     """4 MS/s, 500 MHz in 300 us, beat offset 100 kHz. Its note: strongest at 171.9 kHz, 6.5 m; leakage at 113 kHz,
     1.2 m, 3.3 dB below; the median 33.7 dB below. No ground truth exists. Tolerance: one range bin; 2 to 3 dB, for
     the offset of 25.6 bins moves both between the bins, where a Hann window loses up to 1.4 dB.
     """
-    params = PhaserParams(chirps_per_beam=32)
-    burst = np.zeros((32, params.interval_samples), complex)
-    burst[:, 120:1144] = recorded_burst()
-    samples = beam_samples([burst.ravel(), np.zeros(burst.size)], params)
-    beams = BeamGrid(azimuth_deg=(0.0,))
-    setup = radar_setup(params, beams, beam_table(params, PhaserCalibration(), beams).weights)
-    grid = RangeAzimuthGrid(range_bin_m=setup.radar.range_bin_m, range_bins=480)
-    beam = RadarBeam(
-        stamp_ns=0, scan_id=0, beam_index=0, beam_count=1, azimuth_rad=0.0, samples=samples,
-        full_scale_dbm=setup.full_scale_dbm,
-    )  # fmt: skip
-    profile, _, saturated, _ = BeamFolder(setup, FormingParams(mode="welch"), grid).fold(beam)
+    board = setup()
+    grid = RangeAzimuthGrid(range_bin_m=board.radar.range_bin_m, range_bins=480)
+    beam = driven_beam(recorded_burst(DATA))
+    profile, _, saturated, _ = BeamFolder(board, FormingParams(mode="welch"), grid).fold(beam)
     level_db = 20.0 * np.log10(np.abs(profile))
     assert saturated == 0
     strongest_m = grid.range_bin_m * int(level_db[8:].argmax() + 8)

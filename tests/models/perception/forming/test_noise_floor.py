@@ -130,3 +130,12 @@ def test_beams_with_rests_between_chirps_give_level_and_tone() -> None:
     (spur,) = floor.spurs
     assert spur.frequency_hz == pytest.approx(spur_hz, abs=3e3)
     assert spur.power_dbm == pytest.approx(SPUR_DBM, abs=0.5)
+
+
+def test_a_clipped_burst_is_refused() -> None:
+    """A tone of three times full scale: most codes stand at a limit, and its harmonics would pass for spurs."""
+    sample = np.arange(COUNT).reshape(RADAR.chirps_per_beam, -1)
+    tone = 1e5 * np.exp(2j * np.pi * 0.1234 * sample)
+    codes = np.clip(np.stack([tone.real, tone.imag], axis=-1), -32768, 32767).astype(np.int16)
+    with pytest.raises(ValueError, match=r"at most 0.1 % of codes may stand at full scale, 7\d\.\d % of beam 0 do"):
+        NoiseMeter(SETUP).add(msgspec.structs.replace(beam(0), samples=codes))
