@@ -28,11 +28,13 @@ class ClassParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     #: Road users end below this height over ground, and nothing lies so far below it.
     max_height_m: float = 4.5
     ground_margin_m: float = 0.5
+    #: Images half of whose neighbours within this reach are higher belong to a building, a mast or a tree.
+    tall_reach_m: float = 2.5
     #: Heights count so many standard deviations.
     height_sigmas: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("min_depth_m", "max_height_m", "ground_margin_m", "height_sigmas"):
+        for name in ("min_depth_m", "max_height_m", "ground_margin_m", "tall_reach_m", "height_sigmas"):
             require_positive(f"classes.{name}", getattr(self, name))
 
 
@@ -51,7 +53,16 @@ def classified_peaks(
     peaks = as_peaks(returns, blank)
     mirrored = mirrored_mask(returns, peaks, geometry, params)
     path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
-    return msgspec.structs.replace(peaks, path_class=path_class).take(~(mirrored & too_high))
+    image = np.flatnonzero(mirrored)
+    left_out = np.zeros(len(peaks), bool)
+    left_out[image] = too_high[image] | among_most(returns.points_m[image], too_high[image], params.tall_reach_m)
+    return msgspec.structs.replace(peaks, path_class=path_class).take(~left_out)
+
+
+def among_most(points_m: np.ndarray, marked: np.ndarray, reach_m: float) -> np.ndarray:
+    """Return which points [N, 2] have marks [N] on half of those within reach, themselves included; bool [N]."""
+    near = np.hypot(*np.moveaxis(points_m[:, None] - points_m, -1, 0)) <= reach_m
+    return np.asarray(2 * (near & marked).sum(axis=1) >= near.sum(axis=1))
 
 
 def as_peaks(returns: Returns, blank: Peaks) -> Peaks:

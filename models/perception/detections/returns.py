@@ -108,18 +108,19 @@ def joined_returns(returns: Returns, sensor: DetectionSensor, most: int) -> Retu
     """Return the strongest of each resolution cell with the mean of its cell's positions; at most `most`, strongest
     first.
 
-    A cell is one range resolution by one beam width by `SAME_SPEED_MPS`; returns of one reflector that fall into two
+    A cell is one range resolution by one beam width, near the radar by one range resolution, by `SAME_SPEED_MPS`;
+    returns of one reflector that fall into two
     cells stay two. The error of a mean is no smaller than that of its strongest return: errors within a cell are those
     of one measurement.
     """
     if len(returns) == 0:
         return returns
-    speed = np.nan_to_num(returns.speed_mps, nan=1e6)
-    beam_rad = np.radians(sensor.beam_width_deg)
-    cells = np.stack(
-        [returns.range_m / sensor.range_resolution_m, returns.azimuth_rad / beam_rad, speed / SAME_SPEED_MPS], axis=1
-    )
-    _, first, cell = np.unique(np.floor(cells), axis=0, return_index=True, return_inverse=True)
+    resolution_m = sensor.range_resolution_m
+    ring = np.floor(returns.range_m / resolution_m)
+    sector_rad = np.maximum(np.radians(sensor.beam_width_deg), 1.0 / (ring + 0.5))
+    speed = np.floor(np.nan_to_num(returns.speed_mps, nan=1e6) / SAME_SPEED_MPS)
+    cells = np.stack([ring, np.floor(returns.azimuth_rad / sector_rad), speed], axis=1)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     weight = 10.0 ** (0.05 * (returns.snr_db - returns.snr_db.max()))
     total = np.bincount(cell, weight)
     mean = {

@@ -27,7 +27,7 @@ class WallPointParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     min_share: float = 0.5
     min_contrast: float = 2.2
     #: Extent along the line over the radius.
-    min_extent: float = 1.2
+    min_extent: float = 0.8
     #: What moves faster over ground is no wall.
     max_speed_mps: float = 0.6
 
