@@ -1,8 +1,8 @@
 """Classes of returns without a map or a network: walls told by point statistics, images by the walls they lie behind.
 
 A return is an image where its own ray crosses a wall between its ends, below the wall's top, and it lies behind it.
-What is surely below the ground came by way of the ground, and an image surely higher than any road user is one of the
-building opposite: both are left out.
+What is surely below the ground came by way of the ground and is left out. An image surely higher than any road user,
+or among such images, is one of the building opposite: it is folded like any other and forms no object.
 """
 
 from __future__ import annotations
@@ -28,20 +28,22 @@ class ClassParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     #: Road users end below this height over ground, and nothing lies so far below it.
     max_height_m: float = 4.5
     ground_margin_m: float = 0.5
-    #: Images half of whose neighbours within this reach are higher belong to a building, a mast or a tree.
+    #: Images belong to a building or a tree where such a share of those within reach is higher.
     tall_reach_m: float = 2.5
+    tall_share: float = 0.5
     #: Heights count so many standard deviations.
     height_sigmas: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("min_depth_m", "max_height_m", "ground_margin_m", "tall_reach_m", "height_sigmas"):
+        for name in ("min_depth_m", "max_height_m", "ground_margin_m", "tall_reach_m", "tall_share", "height_sigmas"):
             require_positive(f"classes.{name}", getattr(self, name))
 
 
 def classified_peaks(
     returns: Returns, blank: Peaks, sensor: DetectionSensor, geometry: GeometryParams, params: ClassParams
 ) -> Peaks:
-    """Return the peaks of returns with their classes, without those that the ground or a height explains.
+    """Return the peaks of returns with their classes; without those from below the ground, and of no score where their
+    height says that they are no road user's.
 
     `blank` has the message's own fields.
     """
@@ -54,15 +56,16 @@ def classified_peaks(
     mirrored = mirrored_mask(returns, peaks, geometry, params)
     path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
     image = np.flatnonzero(mirrored)
-    left_out = np.zeros(len(peaks), bool)
-    left_out[image] = too_high[image] | among_most(returns.points_m[image], too_high[image], params.tall_reach_m)
-    return msgspec.structs.replace(peaks, path_class=path_class).take(~left_out)
+    tall = share_near(returns.points_m[image], too_high[image], params.tall_reach_m) >= params.tall_share
+    score = peaks.score.copy()
+    score[image] = np.where(tall | too_high[image], 0.0, score[image])
+    return msgspec.structs.replace(peaks, path_class=path_class, score=score)
 
 
-def among_most(points_m: np.ndarray, marked: np.ndarray, reach_m: float) -> np.ndarray:
-    """Return which points [N, 2] have marks [N] on half of those within reach, themselves included; bool [N]."""
+def share_near(points_m: np.ndarray, marked: np.ndarray, reach_m: float) -> np.ndarray:
+    """Return the share of marked ones among the points [N, 2] within reach of each, itself included; [N]."""
     near = np.hypot(*np.moveaxis(points_m[:, None] - points_m, -1, 0)) <= reach_m
-    return np.asarray(2 * (near & marked).sum(axis=1) >= near.sum(axis=1))
+    return np.asarray((near & marked).sum(axis=1) / near.sum(axis=1))
 
 
 def as_peaks(returns: Returns, blank: Peaks) -> Peaks:

@@ -22,11 +22,11 @@ from msgs.values.perception import Wall
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
     """Return which folded positions nothing in direct sight explains; bool [N].
 
-    Three rules explain a position, each with a switch: it lies on a wall; it lies at a direct return of like strength;
+    One without any score is no object's. Three rules explain a position, each with a switch: it lies on a wall; it lies at a direct return of like strength;
     it fits in one vehicle with a group of direct returns of like strength, as another side of a visible object. A
     position in open view without any such return stays, because its occluder may be undetected.
     """
-    explained = np.zeros(len(recovered), bool)
+    explained = recovered.score <= 0.0
     reach_m = params.same_place_m + params.same_place_sigmas * recovered.largest_std_m
     if params.reject_in_open_view:
         explained |= ~_behind_something(recovered, walls, returns, params)
