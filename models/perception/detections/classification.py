@@ -88,25 +88,32 @@ def as_peaks(returns: Returns, blank: Peaks) -> Peaks:
 def mirrored_mask(returns: Returns, peaks: Peaks, geometry: GeometryParams, params: ClassParams) -> np.ndarray:
     """Return which direct peaks are images behind a wall that nearer returns form; bool [N].
 
-    The nearest wall that hides any marks them; walls are then fitted again among the rest, so that no image makes a
-    wall. Ends when no wall hides a direct return.
+    Walls are fitted again among the rest, so that no image makes a wall, until no wall hides a direct return.
     """
-    points_m = returns.points_m
     mirrored = np.zeros(len(peaks), bool)
     for _ in range(geometry.walls.max_walls):
         direct = np.flatnonzero(~mirrored)
-        seen, walls = direct_structure(peaks.take(direct), geometry)
-        hidden = np.zeros(len(direct), bool)
-        for index in sorted(range(len(walls)), key=lambda index: walls[index].offset_m):
-            wall_heights_m = returns.height_m[direct[seen.wall == index]]
-            hidden = behind_walls(points_m[direct], drawn_in(walls[index]), params.min_depth_m)
-            hidden &= ~passes_over(returns.take(direct), walls[index], wall_heights_m, params)
-            if hidden.any():
-                break
+        structure, walls = direct_structure(peaks.take(direct), geometry)
+        hidden = hidden_behind(returns.take(direct), walls, structure.wall, params)
         if not hidden.any():
             break
         mirrored[direct[hidden]] = True
     return mirrored
+
+
+def hidden_behind(returns: Returns, walls: list[Wall], wall_of_return: np.ndarray, params: ClassParams) -> np.ndarray:
+    """Return the returns behind the walls that they form, bool [N]; nearest wall first, and none that is an image
+    itself for the most part.
+    """
+    points_m = returns.points_m
+    hidden = np.zeros(len(returns), bool)
+    for index in sorted(range(len(walls)), key=lambda index: walls[index].offset_m):
+        own = wall_of_return == index
+        if not own.any() or hidden[own].mean() > 0.5:
+            continue
+        behind = behind_walls(points_m, drawn_in(walls[index]), params.min_depth_m) & ~own
+        hidden |= behind & ~passes_over(returns, walls[index], returns.height_m[own], params)
+    return hidden
 
 
 def passes_over(returns: Returns, wall: Wall, wall_heights_m: np.ndarray, params: ClassParams) -> np.ndarray:
