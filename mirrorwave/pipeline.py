@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
+from functools import partial
 
 import msgspec
 
@@ -94,7 +95,7 @@ class Pipeline:
         views = []
         for ra_map in maps:
             self.scans_with_loss += bool(ra_map.missing_beams)
-            views += self._viewed(ra_map.scan_id, lambda: self.chain.view(ra_map))
+            views += self._viewed(ra_map.scan_id, partial(self.chain.view, ra_map))
         return views
 
     def _viewed(self, scan_id: int, view: Callable[[], ScanView]) -> list[ScanView]:
@@ -132,7 +133,7 @@ class Pipeline:
 
     def _of_detections(self, detections: RadarDetections) -> list[ScanView]:
         self.scans_with_loss += detections.lost > 0
-        return self._viewed(detections.scan_id, lambda: self._view_of(detections))
+        return self._viewed(detections.scan_id, partial(self._view_of, detections))
 
     def _view_of(self, detections: RadarDetections) -> ScanView:
         peaks = self._detections.peaks(detections)

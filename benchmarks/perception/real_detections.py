@@ -123,7 +123,7 @@ def truck(box: Box, recovered: Recovered, peaks: Peaks) -> dict[str, Any]:
 
 
 def left_wall(recovered: Recovered, y_m: float) -> dict[str, float]:
-    """Return the number and the median of folded y near a wall on the left, ahead of the radar and before the trucks."""
+    """Return the number and the median of folded y near a wall on the left, before the trucks."""
     x, y = recovered.points_m.T
     near = (x > 10.0) & (x < 60.0) & (np.abs(y - y_m) <= LEFT_BAND_M)
     return {"lidar_y_m": y_m, "folded": int(near.sum()), "median_y_m": round(float(np.median(y[near])), 2)}

@@ -649,9 +649,7 @@ CASES: dict[str, Case] = {
         talk=radar_talk,
     ),
     "lidar_former": Case(make_lidar_former, lidar_talk(), "nodes.lidar_former", talk=lidar_talk),
-    "detection_peaks": Case(
-        make_detection_peaks, detections_talk(), "nodes.detection_peaks", talk=detections_talk
-    ),
+    "detection_peaks": Case(make_detection_peaks, detections_talk(), "nodes.detection_peaks", talk=detections_talk),
     "dense_predictor": Case(
         make_network,
         map_talk(),

@@ -11,9 +11,9 @@ import pytest
 
 from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.detections.ego_doppler import over_ground
+from models.perception.detections.sensor import DetectionSensor
 from models.perception.detections.stage import DetectionsStage
 from models.perception.geometry.stage import recover_bev
-from models.perception.detections.sensor import DetectionSensor
 from msgs.values.detections import MAX_DETECTIONS, RadarDetections
 from msgs.values.perception import MAX_PEAKS, BevFrame, Peaks
 from tests.models.perception.detections.street import SENSOR, detections, standing_speeds, street_points
@@ -69,9 +69,8 @@ def test_missing_speeds_heights_and_strengths_change_no_wall(share: float) -> No
 
 def test_duplicates_count_once() -> None:
     message = detections(street_points())
-    twice = {
-        name: np.concatenate([getattr(message, name)] * 2) for name in ("range_m", "azimuth_rad", "covariance", "snr_db")
-    }
+    columns = ("range_m", "azimuth_rad", "covariance", "snr_db")
+    twice = {name: np.concatenate([getattr(message, name)] * 2) for name in columns}
     peaks, frame = through(message)
     again, frame_of_twice = through(msgspec.structs.replace(message, **twice))
     np.testing.assert_allclose(again.range_m, peaks.range_m)

@@ -15,7 +15,6 @@ from models.perception.detections.returns import Returns
 from models.perception.detections.sensor import DetectionSensor
 from models.perception.geometry.mirrors import RADAR, behind_walls, hits
 from models.perception.geometry.stage import GeometryParams, direct_structure
-from models.perception.geometry.walls import WallParams
 from msgs.values.arrays import require_positive
 from msgs.values.perception import PathClass, Peaks, Wall
 

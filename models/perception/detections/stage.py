@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 
-import msgspec
 import numpy as np
 
 from models.perception.detections.classification import ClassParams, classified_peaks

@@ -32,7 +32,7 @@ class WallPointParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     max_speed_mps: float = 0.6
 
     def __post_init__(self) -> None:
-        for name in ("radius_m", "min_points", "flatness_m", "min_share", "min_contrast", "min_extent", "max_speed_mps"):
+        for name in self.__struct_fields__:
             require_positive(f"wall_points.{name}", getattr(self, name))
 
 
@@ -93,9 +93,7 @@ def _on_lines(
 
 
 @njit(cache=True, nogil=True)
-def _neighbours(
-    points_m: np.ndarray, order: np.ndarray, first: int, i: int, radius_m: float, near: np.ndarray
-) -> int:
+def _neighbours(points_m: np.ndarray, order: np.ndarray, first: int, i: int, radius_m: float, near: np.ndarray) -> int:
     """Write the indices of the points within the radius of point `i` to `near`; return how many there are."""
     count = 0
     for k in range(first, len(order)):

@@ -22,9 +22,10 @@ from msgs.values.perception import Wall
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
     """Return which folded positions nothing in direct sight explains; bool [N].
 
-    One without any score is no object's. Three rules explain a position, each with a switch: it lies on a wall; it lies at a direct return of like strength;
-    it fits in one vehicle with a group of direct returns of like strength, as another side of a visible object. A
-    position in open view without any such return stays, because its occluder may be undetected.
+    One without any score is no object's. Four rules explain a position, each with a switch: it lies on a wall; it lies
+    at a direct return of like strength; it fits in one vehicle with a group of direct returns of like strength, as
+    another side of a visible object; nothing hides it. Without the last a position in open view that has no such return
+    stays, because its occluder may be undetected.
     """
     explained = recovered.score <= 0.0
     reach_m = params.same_place_m + params.same_place_sigmas * recovered.largest_std_m

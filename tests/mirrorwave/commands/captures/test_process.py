@@ -166,7 +166,8 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
     other.write_bytes(capture.read_bytes()[:100])
     wrong = {
         recording_of(tmp_path / "view.mcap", [("radar/setup", setup), ("perception/hidden_objects", view)]): (
-            "holds no radar/beam, no lidar/histograms and no radar/detections to process; it holds perception/hidden_objects, radar/setup: "
+            "holds no radar/beam, no lidar/histograms and no radar/detections to process; "
+            "it holds perception/hidden_objects, radar/setup: "
             f"`mirrorwave view {tmp_path / 'view.mcap'}` shows it. Raw data are recorded with --raw"
         ),
         recording_of(tmp_path / "car.mcap", [("vehicle/state", VehicleState(stamp_ns=0))]): (

@@ -22,9 +22,7 @@ def test_a_detection_without_covariance_has_that_of_the_sensor() -> None:
     returns = returns_of(msgspec.structs.replace(message, covariance=covariance), UNKNOWN, SENSOR)
     np.testing.assert_array_equal(returns.covariance[0], own)
     np.testing.assert_allclose(returns.covariance[2, 0, 0], SENSOR.range_std_m**2)
-    np.testing.assert_allclose(
-        returns.covariance[2, 1, 1], 2.0 * np.radians(SENSOR.azimuth_std_deg) ** 2, rtol=0.02
-    )
+    np.testing.assert_allclose(returns.covariance[2, 1, 1], 2.0 * np.radians(SENSOR.azimuth_std_deg) ** 2, rtol=0.02)
 
 
 @pytest.mark.parametrize("wrong", [[[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]]])

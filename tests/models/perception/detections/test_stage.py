@@ -58,25 +58,23 @@ def test_images_of_a_standing_world_keep_its_speed() -> None:
     message = detections(street_points())
     speeds = standing_speeds(message, np.array([9.0, 0.0]))
     speeds[-11:] += 3.0
-    peaks = DetectionsStage(SENSOR, DETECTION_GEOMETRY).peaks(
-        msgspec.structs.replace(message, radial_speed_mps=speeds)
-    )
+    peaks = DetectionsStage(SENSOR, DETECTION_GEOMETRY).peaks(msgspec.structs.replace(message, radial_speed_mps=speeds))
     image = peaks.path_class == PathClass.MIRRORED
     np.testing.assert_allclose(np.median(peaks.radial_speed_mps[image]), 3.0, atol=0.05)
     np.testing.assert_allclose(peaks.radial_speed_mps[~image], 0.0, atol=0.05)
 
 
 @pytest.mark.parametrize(
-    ("image_mps", "return_mps", "hidden"), [(0.0, 0.1, False), (4.0, 0.1, True), (4.0, -1.0, False), (np.nan, 4.0, False)]
+    ("image_mps", "return_mps", "hidden"),
+    [(0.0, 0.1, False), (4.0, 0.1, True), (4.0, -1.0, False), (np.nan, 4.0, False)],
 )
-def test_a_standing_return_does_not_explain_a_moving_image(
-    image_mps: float, return_mps: float, hidden: bool
-) -> None:
+def test_a_standing_return_does_not_explain_a_moving_image(image_mps: float, return_mps: float, hidden: bool) -> None:
     """A folded position at a direct return of like strength, behind the building, so that no other rule decides."""
     at_m, other = np.array([[28.0, 12.0]]), np.zeros((1, 2, 2))
     recovered = Recovered(
-        points_m=at_m, images_m=images(at_m), image_covariance_m2=other, wall_covariance_m2=other, wall=np.zeros(1, int),
-        second=np.full(1, NO_WALL), score=np.ones(1), snr_db=np.full(1, 20.0), stamp_ns=np.zeros(1, np.int64),
+        points_m=at_m, images_m=images(at_m), image_covariance_m2=other, wall_covariance_m2=other,
+        wall=np.zeros(1, int), second=np.full(1, NO_WALL), score=np.ones(1), snr_db=np.full(1, 20.0),
+        stamp_ns=np.zeros(1, np.int64),
         radial_speed_mps=np.array([image_mps]),
     )  # fmt: skip
     returns = DirectReturns(at_m, np.full(1, 20.0), np.zeros(1, int), np.full(1, NO_WALL), np.array([return_mps]))
