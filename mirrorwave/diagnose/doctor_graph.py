@@ -222,10 +222,10 @@ def _is_spare_sensor(graph: _Graph, topic: str) -> bool:
     """Return whether a sensor is silent because nobody reads it, or because one of the other kind is in use."""
     kinds = (*SENSOR_TOPICS, (DETECTIONS_TOPIC,))
     for kind in kinds:
-        raw, others = kind[-1], [other[-1] for other in kinds if other is not kind]
+        raw, rivals = kind[-1], [rival[-1] for rival in kinds if rival is not kind]
         if topic in kind and _is_silent(graph, raw):
-            in_use = (not _is_silent(graph, other) for other in others)
-            looks = any(in_use) if raw in graph.publishers else any(other in graph.publishers for other in others)
+            in_use = (not _is_silent(graph, rival) for rival in rivals)
+            looks = any(in_use) if raw in graph.publishers else any(rival in graph.publishers for rival in rivals)
             return looks or not graph.rows(topic, "in").keys() - {"supervisor"}
     return False
 

@@ -85,10 +85,10 @@ def _on_lines(
         i = order[at]
         while points_m[order[first], 0] < points_m[i, 0] - radius_m:
             first += 1
-        found = _neighbours(points_m, order, first, i, radius_m, near)
-        if found >= min_points:
+        count_near = _neighbours(points_m, order, first, i, radius_m, near)
+        if count_near >= min_points:
             limits = (radius_m, flatness_m, min_share, min_contrast, min_extent)
-            result[i] = _is_on_line(points_m, covariance_m2, weight, i, near[:found], min_points, limits)
+            result[i] = _is_on_line(points_m, covariance_m2, weight, i, near[:count_near], min_points, limits)
     return result
 
 
