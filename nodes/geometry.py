@@ -107,8 +107,11 @@ class GeometryNode(Node):
         return [Outgoing("perception/hidden_objects", view)]
 
     def _map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:
-        """Return the map that peaks were detected in; one that the bus has dropped is counted."""
-        if self._stage.predictor is None:
+        """Return the map that peaks were detected in; one that the bus has dropped is counted.
+
+        A radar that gives detections has none.
+        """
+        if self._stage.predictor is None or peaks.sensor is not None:
             return None
         own = (item for item in self._maps if (item.stamp_ns, item.scan_id) == (peaks.stamp_ns, peaks.scan_id))
         ra_map = next(own, None)
