@@ -1,9 +1,10 @@
-"""`python -m benchmarks.perception.simulated_detections [--places N] [--moving] [--json FILE]`: hidden objects from
+"""`python -m benchmarks.perception.simulated_detections [--first N] [--places N] [--moving] [--json FILE]`: hidden objects from
 detections of a simulated radar that gives no beats.
 
 Every path of a random place (all effects, the default radar) that is over the threshold is a detection, with the errors
 of a sensor; no class, no map, no network. Places are those of the validation sets of
-`launch/evaluation/object_sets.yaml`, on which `DETECTION_GEOMETRY` was chosen.
+`launch/evaluation/object_sets.yaml`; `DETECTION_GEOMETRY` was chosen on the first 40 at rest, which are left out unless
+`--first 0` asks for them.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import best_power_mw, object_images, scene_truth
 
 SENSOR = DetectionSensor(threshold_db=15.0)
-#: Heights differ from truth by those of the antenna.
 MIN_RANGE_M = 0.5
+#: Places at rest on which the parameters were chosen.
+CHOSEN_ON = 40
 
 
 def detections_of(setup: RadarSetup, paths: Paths, sensor: DetectionSensor, seed: list[int]) -> RadarDetections:
@@ -99,13 +101,16 @@ def summary(rows: list[tuple[ScanRow, float]]) -> dict[str, Any]:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.perception.simulated_detections", description=__doc__)
+    parser.add_argument("--first", type=int, help="number of the first place (40 at rest, 0 moving)")
     parser.add_argument("--places", type=int, default=60)
     parser.add_argument("--moving", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     places = read_sets().sets["validation_moving" if options.moving else "validation"]
     variants = {"open view counts": _open_view_counts(), "default": DETECTION_GEOMETRY}
-    results = [measured(places, index, SENSOR, variants) for index in range(min(options.places, places.places))]
+    first = (0 if options.moving else CHOSEN_ON) if options.first is None else options.first
+    indices = range(first, min(first + options.places, places.places))
+    results = [measured(places, index, SENSOR, variants) for index in indices]
     table = {name: summary([result[name] for result in results]) for name in variants}
     for name, row in table.items():
         print(name, " ".join(f"{key}={value:.3g}" for key, value in row.items()))
