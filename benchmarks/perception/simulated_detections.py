@@ -1,10 +1,10 @@
-"""`python -m benchmarks.perception.simulated_detections [--first N] [--places N] [--moving] [--json FILE]`: hidden objects from
-detections of a simulated radar that gives no beats.
+"""Hidden objects from detections of a simulated radar that gives no beats.
 
 Every path of a random place (all effects, the default radar) that is over the threshold is a detection, with the errors
 of a sensor; no class, no map, no network. Places are those of the validation sets of
 `launch/evaluation/object_sets.yaml`; `DETECTION_GEOMETRY` was chosen on the first 40 at rest, which are left out unless
 `--first 0` asks for them.
+Usage: python -m benchmarks.perception.simulated_detections [--first N] [--places 100] [--moving] [--json FILE]
 """
 
 from __future__ import annotations
@@ -102,12 +102,16 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.perception.simulated_detections", description=__doc__)
     parser.add_argument("--first", type=int, help="number of the first place (40 at rest, 0 moving)")
-    parser.add_argument("--places", type=int, default=60)
+    parser.add_argument("--places", type=int, default=100)
     parser.add_argument("--moving", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     places = read_sets().sets["validation_moving" if options.moving else "validation"]
-    variants = {"open view counts": _open_view_counts(), "default": DETECTION_GEOMETRY}
+    variants = {
+        "default": DETECTION_GEOMETRY,
+        "what nothing hides counts": _open_view_counts(),
+        "geometry of maps": GeometryParams(),
+    }
     first = (0 if options.moving else CHOSEN_ON) if options.first is None else options.first
     indices = range(first, min(first + options.places, places.places))
     results = [measured(places, index, SENSOR, variants) for index in indices]
