@@ -35,7 +35,8 @@ class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """One scan: what is hidden, what it was found in, and the truth where the capture holds it."""
 
     frame: BevFrame
-    ra_map: RangeAzimuthMap
+    #: None of a radar that gives detections.
+    ra_map: RangeAzimuthMap | None
     peaks: Peaks
     truth: SceneTruth | None = None
 

@@ -40,6 +40,7 @@ _NODE_OF_STAGE = {
     "last beam": "ra_former",
     "map": "lidar_former",
     "detect": "dense_predictor",
+    "classify": "detection_peaks",
     "geometry": "geometry",
     "tracking": "geometry",
 }

@@ -6,8 +6,9 @@ What the graph does with messages that its nodes cannot take is done here too: t
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
+from functools import partial
 
 import msgspec
 
@@ -15,16 +16,19 @@ from mirrorwave.node_chain import NodeParams
 from models.perception.chain import ScanView
 from models.perception.forming.photon_map import PhotonFormer
 from models.perception.timing import Timed
+from msgs.values.detections import RadarDetections
 from msgs.values.environment import WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
+from nodes import detection_peaks
 from nodes.geometry import BiasLog
 from nodes.inputs.refusals import Refusals
 from nodes.node import ShedTally
 from nodes.player import Event
 from nodes.process.launch_file import LaunchFile
+from nodes.process.validation import convert_at
 from nodes.ra_former import PATIENCE_NS
 
 _LOG = logging.getLogger(__name__)
@@ -37,6 +41,8 @@ class Pipeline:
         values = {name: entry.params for name, entry in launch.nodes.items()}
         self.chain = NodeParams.of(values, "{node}.params").chain(timed)
         self._photons = PhotonFormer(timed)
+        of_detections = convert_at(values.get("detection_peaks", {}), detection_peaks.Params, "detection_peaks.params")
+        self._detections = detection_peaks.detections_stage(of_detections, timed)
         shed = ShedTally()
         self._refused_beams = Refusals(_LOG, shed, "beam")
         self._refused_histograms = Refusals(_LOG, shed, "scan")
@@ -61,6 +67,7 @@ class Pipeline:
                 self._photons.set_up(message)
             case VehicleState():
                 self.chain.add_state(message)
+                self._detections.add_state(message)
             case WallPriors():
                 self.chain.add_walls(message)
             case RadarBeam():
@@ -68,6 +75,8 @@ class Pipeline:
                 views += self._of_beam(message)
             case PhotonHistograms():
                 views += self._of_histograms(message)
+            case RadarDetections():
+                views += self._of_detections(message)
         return views
 
     def finish(self) -> list[ScanView]:
@@ -85,16 +94,21 @@ class Pipeline:
         """Return the views of maps but those of maps that a stage cannot take."""
         views = []
         for ra_map in maps:
-            self.scans += 1
             self.scans_with_loss += bool(ra_map.missing_beams)
-            try:
-                views.append(self.chain.view(ra_map))
-            except ValueError as error:
-                self._refused_scans.refuse("scan", error, f"scan {ra_map.scan_id}")
-                continue
-            self._refused_scans.accept()
-            self._bias_log.note(self.chain.views.yaw_rate_bias)
+            views += self._viewed(ra_map.scan_id, partial(self.chain.view, ra_map))
         return views
+
+    def _viewed(self, scan_id: int, view: Callable[[], ScanView]) -> list[ScanView]:
+        """Return the view of one scan; none where a stage cannot take it."""
+        self.scans += 1
+        try:
+            result = view()
+        except ValueError as error:
+            self._refused_scans.refuse("scan", error, f"scan {scan_id}")
+            return []
+        self._refused_scans.accept()
+        self._bias_log.note(self.chain.views.yaw_rate_bias)
+        return [result]
 
     def _set_up(self, setup: RadarSetup) -> None:
         """Go on with another set-up; a stage that cannot use it keeps its own."""
@@ -116,6 +130,14 @@ class Pipeline:
         if maps:
             self._refused_beams.accept()
         return self.views(maps)
+
+    def _of_detections(self, detections: RadarDetections) -> list[ScanView]:
+        self.scans_with_loss += detections.lost > 0
+        return self._viewed(detections.scan_id, partial(self._view_of, detections))
+
+    def _view_of(self, detections: RadarDetections) -> ScanView:
+        peaks = self._detections.peaks(detections)
+        return ScanView(self.chain.views.view(peaks), None, peaks)
 
     def _of_histograms(self, histograms: PhotonHistograms) -> list[ScanView]:
         try:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.perception.cards import learned_path
+from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams
@@ -54,6 +55,8 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
+    #: In place of these for peaks of a radar that gives detections: they come with the limits of their sensor.
+    detections: GeometryParams = DETECTION_GEOMETRY
 
 
 class GeometryNode(Node):
@@ -104,8 +107,11 @@ class GeometryNode(Node):
         return [Outgoing("perception/hidden_objects", view)]
 
     def _map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:
-        """Return the map that peaks were detected in; one that the bus has dropped is counted."""
-        if self._stage.predictor is None:
+        """Return the map that peaks were detected in; one that the bus has dropped is counted.
+
+        A radar that gives detections has none.
+        """
+        if self._stage.predictor is None or peaks.sensor is not None:
             return None
         own = (item for item in self._maps if (item.stamp_ns, item.scan_id) == (peaks.stamp_ns, peaks.scan_id))
         ra_map = next(own, None)
@@ -131,7 +137,7 @@ class BiasLog:
 
 def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
     """Return the stage that parameters name; errors as `parts_of`."""
-    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params))
+    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params), params.detections)
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:

@@ -12,7 +12,7 @@ import msgspec
 
 from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.topics import SENSOR_TOPICS
+from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 WALLS_TOPIC = "environment/walls"
 #: What the sensors say, walls known from elsewhere, and the truth. All else in a recording is the graph's own work and
 #: is done again.
-SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", WALLS_TOPIC, "sim/truth")
+SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), DETECTIONS_TOPIC, "vehicle/state", WALLS_TOPIC, "sim/truth")
 #: What is said once, before all else.
 SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
 #: What must be known before a beam.

@@ -324,7 +324,6 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
-        "configuration of a DCA1000 capture": _size(import_dca1000._MAX_CONFIG_BYTES),
         "confocal transients, packed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
         "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
         "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),

@@ -19,7 +19,7 @@ import msgspec
 from mirrorwave.commands.graph.nodes import Heartbeats, node_row, shed_text, topic_rows
 from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
 from mirrorwave.diagnose.findings import Finding, Status
-from msgs.bus.topics import SENSOR_TOPICS, TOPICS
+from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
@@ -220,9 +220,12 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
 
 def _is_spare_sensor(graph: _Graph, topic: str) -> bool:
     """Return whether a sensor is silent because nobody reads it, or because one of the other kind is in use."""
-    for (setup, raw), (_, other) in zip(SENSOR_TOPICS, reversed(SENSOR_TOPICS), strict=True):
-        if topic in (setup, raw) and _is_silent(graph, raw):
-            looks = not _is_silent(graph, other) if raw in graph.publishers else other in graph.publishers
+    kinds = (*SENSOR_TOPICS, (DETECTIONS_TOPIC,))
+    for kind in kinds:
+        raw, rivals = kind[-1], [rival[-1] for rival in kinds if rival is not kind]
+        if topic in kind and _is_silent(graph, raw):
+            in_use = (not _is_silent(graph, rival) for rival in rivals)
+            looks = any(in_use) if raw in graph.publishers else any(rival in graph.publishers for rival in rivals)
             return looks or not graph.rows(topic, "in").keys() - {"supervisor"}
     return False
 

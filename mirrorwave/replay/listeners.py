@@ -15,7 +15,14 @@ from msgs.recording.mcap import Recorded
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
 
 #: Topics of one scan, each made of those before.
-CHAIN = ("radar/beam", "lidar/histograms", "radar/ra_map", "perception/peaks", "perception/hidden_objects")
+CHAIN = (
+    "radar/beam",
+    "lidar/histograms",
+    "radar/detections",
+    "radar/ra_map",
+    "perception/peaks",
+    "perception/hidden_objects",
+)
 HEARTBEAT = "diagnostics/node"
 #: Scans on their way at once: the former folds one while the other is looked at. What is in between waits in the nodes'
 #: queues, which hold more than that.

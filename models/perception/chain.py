@@ -25,10 +25,10 @@ from msgs.values.vehicle import VehicleState
 
 
 class ScanView(NamedTuple):
-    """One scan: what is hidden, and the map and the peaks it was found in."""
+    """One scan: what is hidden, and the map and the peaks it was found in; a radar of detections gives no map."""
 
     frame: BevFrame
-    ra_map: RangeAzimuthMap
+    ra_map: RangeAzimuthMap | None
     peaks: Peaks
 
 

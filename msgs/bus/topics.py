@@ -51,8 +51,8 @@ _ALL = (
         name="radar/detections",
         type=RadarDetections,
         rate_hz=17.0,
-        max_bytes=MIB // 2,
-        history_bytes=4 * MIB,
+        max_bytes=2 * MIB,
+        history_bytes=16 * MIB,
         newest_only=True,
     ),
     Topic(name="lidar/setup", type=LidarSetup, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=MIB, latched=True),
@@ -90,6 +90,9 @@ _ALL = (
 TOPICS: dict[str, Topic] = {topic.name: topic for topic in _ALL}
 #: Set-up topic of each kind of sensor, and the topic of its measurements; a graph has one kind of sensor.
 SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histograms"))
+
+#: Of a radar that gives no beats; it needs no set-up.
+DETECTIONS_TOPIC = "radar/detections"
 
 
 def topic_facts(name: str) -> Topic:

@@ -42,6 +42,24 @@ PEAK_COLUMNS = ("range_m", "azimuth_rad", "score", "path_class", "covariance", "
                 "radial_speed_mps", "radial_speed_std_mps")  # fmt: skip
 
 
+class SensorLimits(msgspec.Struct, frozen=True, kw_only=True):
+    """How finely, how wide and how far a sensor resolves: what the stages after it must know of it."""
+
+    #: Two-way 3 dB width: detections nearer in azimuth are hardly resolved.
+    beam_width_rad: float
+    azimuth_limit_rad: float
+    max_range_m: float
+    #: Weaker by more than this at the same range: a side lobe.
+    lobe_db: float
+    #: SNR of the weakest detection.
+    threshold_db: float
+
+    def __post_init__(self) -> None:
+        for name in ("beam_width_rad", "azimuth_limit_rad", "max_range_m", "lobe_db"):
+            require_positive(f"limits.{name}", getattr(self, name))
+        require_finite("limits.threshold_db", self.threshold_db)
+
+
 class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Classified local maxima of one scan (topic `perception/peaks`), N of them."""
 
@@ -73,6 +91,8 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     #: standard deviation, float64 [N]; NaN: not measured. None: of none.
     radial_speed_mps: np.ndarray | None = None
     radial_speed_std_mps: np.ndarray | None = None
+    #: Of a sensor that states its own limits; None: those of the parameters hold.
+    sensor: SensorLimits | None = None
 
     def __post_init__(self) -> None:
         count = len(self.range_m) if isinstance(self.range_m, np.ndarray) and self.range_m.ndim == 1 else None

@@ -30,6 +30,7 @@ from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
 from msgs.files.shipped import shipped_path
 from msgs.recording.mcap import RecordingWriter
+from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.frames import xy_from_polar
@@ -62,6 +63,7 @@ from nodes import (
     car_sim,
     dca1000_radar,
     dense_predictor,
+    detection_peaks,
     geometry,
     lidar_former,
     link,
@@ -172,6 +174,30 @@ def map_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
         Said("radar/ra_map", photons),
         Said("radar/ra_map", ra_map(scan_id + 2, stamp_ns + 2 * PERIOD_NS)),
     ]
+
+
+def detections(scan_id: int, stamp_ns: int) -> RadarDetections:
+    """A facade, and what lies behind it, without covariances."""
+    facade = np.stack([np.linspace(5.0, 40.0, 60), np.full(60, -12.0)], axis=1)
+    points_m = np.concatenate([facade, facade[20:30] - [0.0, 9.0]])
+    count = len(points_m)
+    return RadarDetections(
+        stamp_ns=stamp_ns,
+        scan_id=scan_id,
+        range_m=np.hypot(points_m[:, 0], points_m[:, 1]),
+        azimuth_rad=np.arctan2(points_m[:, 1], points_m[:, 0]),
+        covariance=np.zeros((count, 2, 2)),
+        radial_speed_mps=np.full(count, -5.0),
+        snr_db=np.full(count, 20.0),
+    )
+
+
+def detections_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
+    out: list[Said] = []
+    for scan in range(3):
+        at_ns = stamp_ns + scan * PERIOD_NS
+        out += [Said("vehicle/state", state(at_ns)), Said("radar/detections", detections(scan_id + scan, at_ns))]
+    return out
 
 
 SPAD = LidarSetup(
@@ -599,6 +625,10 @@ def make_lidar_former(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     return lidar_former.create(lidar_former.Params())
 
 
+def make_detection_peaks(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    return detection_peaks.create(detection_peaks.Params())
+
+
 def make_geometry(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     grid = BevGrid(rows=12, columns=10, cell_m=4.0)
     confidence = "default" if seed % 4 == 3 else "none"
@@ -672,6 +702,7 @@ CASES: dict[str, Case] = {
         talk=radar_talk,
     ),
     "lidar_former": Case(make_lidar_former, lidar_talk(), "nodes.lidar_former", talk=lidar_talk),
+    "detection_peaks": Case(make_detection_peaks, detections_talk(), "nodes.detection_peaks", talk=detections_talk),
     "dense_predictor": Case(
         make_network,
         map_talk(),

@@ -21,6 +21,7 @@ from msgs.values.radar import RadarBeam
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph, Node, load_node
 from nodes.player import Params, capture_events, scene_events, scene_player, with_walls
+from tests.models.perception.detections.street import detections, standing_speeds, street_points
 
 DRIVE, SPAD = "launch/drives/side_street.yaml", "launch/scenes/hidden_car_spad.yaml"
 CFAR = ["dense_predictor.method=cfar"]
@@ -54,6 +55,21 @@ def by_nodes(capture: Path, overrides: Sequence[str]) -> list[BevFrame]:
 def plain(frame: BevFrame) -> bytes:
     """All of a view, arrays included."""
     return msgspec.msgpack.encode(frame, enc_hook=lambda array: array.tobytes())
+
+
+def recorded_detections(path: Path) -> Path:
+    """Four measurements of a street at 10 m/s, the third of another sensor, vehicle states 40 ms late."""
+    with RecordingWriter(path, {}) as writer:
+        for scan in range(4):
+            stamp_ns = scan * 100_000_000
+            message = detections(street_points(), seed=scan, stamp_ns=stamp_ns, scan_id=scan)
+            speeds = standing_speeds(message, np.array([10.0, 0.0]))
+            sensor = "rear" if scan == 2 else "front"
+            message = msgspec.structs.replace(message, radial_speed_mps=speeds, sensor=sensor)
+            state = VehicleState(stamp_ns=stamp_ns, speed_mps=10.0)
+            for topic, item, late_ns in (("radar/detections", message, 0), ("vehicle/state", state, 40_000_000)):
+                writer.write(topic, item, publisher="player", sequence=scan, sent_ns=stamp_ns + late_ns)
+    return path
 
 
 def recorded(
@@ -112,3 +128,14 @@ def test_the_chain_gives_the_bytes_of_the_nodes(scene: str, change: dict[str, ob
     if "pause" in change:
         assert set(range(12, 25)) <= set(views[1].ra_map.missing_beams)
     assert scene == SPAD or change or frames[-1].tracks
+
+
+def test_detections_give_the_bytes_of_the_nodes(tmp_path: Path) -> None:
+    """Those of another sensor are left out of both."""
+    capture, overrides = recorded_detections(tmp_path / "street.mcap"), ["detection_peaks.sensor.name=front"]
+    pipeline = Pipeline(launch_for(capture, "default", overrides))
+    views = [view for view in played(capture_events(capture), pipeline) if isinstance(view, ScanView)]
+    frames = by_nodes(capture, overrides)
+    assert [plain(view.frame) for view in views] == [plain(frame) for frame in frames]
+    assert [frame.scan_id for frame in frames] == [0, 1, 3]
+    assert all(view.ra_map is None and len(view.frame.objects) == 1 for view in views)

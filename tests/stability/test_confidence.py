@@ -82,7 +82,7 @@ def test_features_of_absurd_scans_stay_finite_and_bounded() -> None:
         wall_covariance_m2=np.zeros((count, 2, 2)), wall=np.array([0, 1, 0, 1, NO_WALL]),
         second=np.full(count, NO_WALL),
         score=np.array([0.0, 1.0, 0.5, 1.0, 0.0]), snr_db=np.array([-300.0, 300.0, 0.0, 1e6, -1e6]),
-        stamp_ns=np.zeros(count, np.int64),
+        stamp_ns=np.zeros(count, np.int64), radial_speed_mps=np.full(count, np.nan),
     )  # fmt: skip
     returns = DirectReturns(np.array(FACADE), np.full(13, 1e6), np.zeros(13, np.int64), np.zeros(13, np.int64))
     for places in (one, replace(one, image_covariance_m2=np.zeros((count, 2, 2)))):

@@ -276,6 +276,7 @@ def face_of(points_m: np.ndarray, variance_m2: float = 1e-6) -> Recovered:
         image_covariance_m2=np.tile(variance_m2 * np.eye(2), (count, 1, 1)),
         wall_covariance_m2=np.zeros((count, 2, 2)), wall=np.zeros(count, int), second=np.full(count, NO_WALL),
         score=np.full(count, 0.9), snr_db=np.full(count, 30.0), stamp_ns=1_700_000_000_123_456_789 + np.arange(count),
+        radial_speed_mps=np.full(count, np.nan),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from msgs.values.wording import counted
 
 
 def process(
-    capture: Annotated[Path, typer.Argument(help="SigMF capture or MCAP recording with raw beams.")],
+    capture: Annotated[Path, typer.Argument(help="SigMF capture or MCAP recording with raw beams or detections.")],
     out: Annotated[
         Path | None, typer.Option(help="Folder for objects.jsonl, tracks.jsonl, timing.jsonl and bev.png.")
     ] = None,
@@ -39,7 +39,8 @@ def process(
         board.print_table()
         print_line(f"wrote objects.jsonl, tracks.jsonl, timing.jsonl and bev.png into {out}")
         if results.scans_with_loss:
-            print_line(f"beams are missing or silent in {results.scans_with_loss} of {counted(results.scans, 'scan')}")
+            scans = counted(results.scans, "scan")
+            print_line(f"beams or detections are missing or silent in {results.scans_with_loss} of {scans}")
         if results.capture_loss:
             print_line(f"{capture}: {results.capture_loss}")
     if results.scans_with_loss or results.capture_loss:

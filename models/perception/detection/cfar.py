@@ -198,13 +198,13 @@ def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
 def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> np.ndarray:
     """Return the points [N, 2] behind the nearest wall that hides any; bool [N]."""
     for wall in sorted(walls, key=lambda wall: wall.offset_m):
-        hidden = behind_walls(points_m, _drawn_in(wall), depth_m)
+        hidden = behind_walls(points_m, drawn_in(wall), depth_m)
         if hidden.any():
             return hidden
     return np.zeros(len(points_m), bool)
 
 
-def _drawn_in(wall: Wall) -> WallArrays:
+def drawn_in(wall: Wall) -> WallArrays:
     """Return the wall without its outermost half metre, which an azimuth error may have made up."""
     arrays = wall_arrays([wall])
     a, b = arrays.trimmed(0.5)

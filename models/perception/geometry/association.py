@@ -31,6 +31,10 @@ class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     reject_on_wall: bool = True
     reject_at_return: bool = True
     reject_on_vehicle: bool = True
+    #: So do those that neither a wall nor a vehicle hides: a sensor that detects their image detects themselves too.
+    reject_in_open_view: bool = False
+    #: Walls hide this much more than their ends show.
+    open_view_margin_m: float = 2.5
     #: Least depth of an image behind its wall.
     min_depth_m: float = 1.0
     #: Walls reach this much further than their outermost return, and by two sigma of where the ray meets them.
@@ -44,8 +48,12 @@ class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     seen_through_points: int = 3
     #: Positions this near a wall or a direct return are that wall or return.
     same_place_m: float = 1.0
+    #: Or so many standard deviations of the folded position further.
+    same_place_sigmas: float = 0.0
     #: Direct returns count as the same object if at most this much weaker than the image.
     comparable_db: float = 6.0
+    #: What moves does not explain what stands, nor the reverse: radial speeds over ground on either side of this.
+    moving_mps: float | None = None
     #: One vehicle: direct returns this near each other, and all positions that fit in a box of this size with them.
     vehicle_eps_m: float = 2.5
     vehicle_length_m: float = 5.5
@@ -64,6 +72,8 @@ class DirectReturns:
     snr_db: np.ndarray
     cluster: np.ndarray
     wall: np.ndarray
+    #: Radial speeds over ground [N], NaN where not measured; None: of none.
+    radial_speed_mps: np.ndarray | None = None
 
 
 def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:

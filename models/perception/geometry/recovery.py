@@ -47,6 +47,8 @@ class Recovered(ArrayTable):
     score: np.ndarray
     snr_db: np.ndarray
     stamp_ns: np.ndarray
+    #: Over ground, of the image; NaN where not measured.
+    radial_speed_mps: np.ndarray
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -55,6 +57,11 @@ class Recovered(ArrayTable):
     def covariance_m2(self) -> np.ndarray:
         """Covariance of each position [N, 2, 2], positive definite."""
         return self.image_covariance_m2 + self.wall_covariance_m2
+
+    @property
+    def largest_std_m(self) -> np.ndarray:
+        """Standard deviation of each position along the worst direction [N]."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariance_m2)[:, 1]))
 
     def as_hidden_points(self) -> tuple[HiddenPoint, ...]:
         """Return the message values."""
@@ -115,6 +122,9 @@ def recover(images: Peaks, walls: list[Wall], returns: DirectReturns, params: Re
         score=images.score[index],
         snr_db=images.snr_db[index],
         stamp_ns=images.peak_stamp_ns[index],
+        radial_speed_mps=np.full(len(index), np.nan)
+        if images.radial_speed_mps is None
+        else images.radial_speed_mps[index],
     )
 
 

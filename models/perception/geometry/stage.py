@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
+from models.perception.detections.wall_points import WallPointParams, wall_like
 from models.perception.geometry.association import DirectReturns, RecoveryParams
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.confidence import Confidence
+from models.perception.geometry.mirrors import NO_WALL
 from models.perception.geometry.objects import ObjectParams, form_objects
 from models.perception.geometry.observability import VisibilityParams, observability
 from models.perception.geometry.recovery import (
@@ -25,7 +28,7 @@ from models.perception.geometry.rejection import hidden_mask
 from models.perception.geometry.walls import WallParams, find_walls
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy, xy_from_polar
-from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, PathClass, Peaks, Wall
+from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, PathClass, Peaks, SensorLimits, Wall
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by the walls of earlier scans.
@@ -40,6 +43,8 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
     walls: WallParams = WallParams()
+    #: Which direct returns may be part of a wall, by those about them; None: all.
+    wall_points: WallPointParams | None = None
     recovery: RecoveryParams = RecoveryParams()
     objects: ObjectParams = ObjectParams()
     visibility: VisibilityParams = VisibilityParams()
@@ -98,6 +103,7 @@ def recover_bev(
     """Form hidden points and objects from peaks by way of folded positions, or objects as `judge` sees them; tracks are
     added by `ScanMemory`.
     """
+    params = heeding(params, peaks.sensor)
     scan = fold_scan(peaks, params, residual, confidence, wall_prior)
     hidden = scan.recovered.take(scan.hidden)
     return BevFrame(
@@ -114,6 +120,21 @@ def recover_bev(
     )
 
 
+def heeding(params: GeometryParams, sensor: SensorLimits | None) -> GeometryParams:
+    """Return the parameters with the limits of the sensor, where it states them, in place of their own."""
+    if sensor is None:
+        return params
+    beam_deg, azimuth_deg = math.degrees(sensor.beam_width_rad), math.degrees(sensor.azimuth_limit_rad)
+    objects = msgspec.structs.replace(params.objects, satellite_beam_deg=beam_deg, lobe_db=sensor.lobe_db)
+    visibility = msgspec.structs.replace(
+        params.visibility,
+        threshold_db=sensor.threshold_db,
+        max_range_m=sensor.max_range_m,
+        azimuth_limit_deg=azimuth_deg,
+    )
+    return msgspec.structs.replace(params, objects=objects, visibility=visibility)
+
+
 def direct_structure(
     peaks: Peaks, params: GeometryParams, wall_prior: WallPrior | None = None
 ) -> tuple[DirectReturns, list[Wall]]:
@@ -122,11 +143,28 @@ def direct_structure(
     range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
     points_m = xy_from_polar(range_m, azimuth_rad)
     covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
+    speed_mps = None if peaks.radial_speed_mps is None else peaks.radial_speed_mps[direct]
     labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
-    walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
+    if params.wall_points is None:
+        walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
+    else:
+        part = wall_like(points_m, covariance_m2, peaks.snr_db[direct], speed_mps, params.wall_points)
+        walls, wall_of_point = _walls_among(part, points_m, covariance_m2, params)
     if wall_prior is not None:
         walls, wall_of_point = wall_prior(points_m, covariance_m2, walls, wall_of_point)
-    return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point), walls
+    return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point, speed_mps), walls
+
+
+def _walls_among(
+    part: np.ndarray, points_m: np.ndarray, covariance_m2: np.ndarray, params: GeometryParams
+) -> tuple[list[Wall], np.ndarray]:
+    """Return the walls among some of the points [N, 2], and the wall of each point (-1: none), int64 [N]."""
+    index = np.flatnonzero(part)
+    labels = dbscan(points_m[index], params.cluster_eps_m, params.cluster_min_points)
+    walls, wall_of_part = find_walls(points_m[index], covariance_m2[index], labels, params.walls)
+    wall_of_point = np.full(len(points_m), NO_WALL)
+    wall_of_point[index] = wall_of_part
+    return walls, wall_of_point
 
 
 def warm(params: GeometryParams) -> None:

@@ -40,9 +40,12 @@ class ViewStage:
         memory: MemoryParams | None = None,
         timed: Timed = nullcontext,
         predictor: ObjectPredictor | None = None,
+        detections: GeometryParams | None = None,
     ) -> None:
         self.predictor = predictor
         self._params, self._residual, self._confidence = params or GeometryParams(), residual, confidence
+        #: For peaks of a radar that gives detections.
+        self._detections = detections or self._params
         #: For scans that the network judges: with the walls that it was trained on.
         self._judged = self._params
         if predictor is not None:
@@ -75,7 +78,7 @@ class ViewStage:
         with self._timed("geometry"):
             earlier_walls = self._memory.walls_at(peaks)
             judge = self._judge(peaks, ra_map, ego)
-            params = self._judged if judge else self._params
+            params = self._detections if peaks.sensor else self._judged if judge else self._params
             frame = recover_bev(peaks, params, self._residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar)

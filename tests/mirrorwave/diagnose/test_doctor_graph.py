@@ -32,7 +32,7 @@ from mirrorwave.diagnose.doctor_graph import (
 )
 from mirrorwave.diagnose.doctor_machine import check_graph, check_weights
 from mirrorwave.diagnose.findings import Finding, Status
-from msgs.bus.topics import SENSOR_TOPICS
+from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS
 from msgs.bus.zmq import socket_path
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
 from nodes.inputs.view_latency import ViewWatch
@@ -208,15 +208,16 @@ def _beats(node: str, sent: dict[str, int], read: tuple[str, ...] = ()) -> list[
     ]
 
 
-@pytest.mark.parametrize("looks", [0, 1])
+@pytest.mark.parametrize("looks", [0, 1, 2])
 @pytest.mark.parametrize("takes_both", [False, True])
 @pytest.mark.parametrize("sends_both", [False, True])
 def test_a_graph_does_not_miss_the_other_kind_of_sensor(looks: int, takes_both: bool, sends_both: bool) -> None:
     """Whether somebody waits or could send; where nothing comes of the own one, that is said."""
-    setup, raw = SENSOR_TOPICS[looks]
-    every = tuple(itertools.chain(*SENSOR_TOPICS))
-    read = every if takes_both else (setup, raw)
-    sends = every if sends_both else (setup, raw)
+    kinds = (*SENSOR_TOPICS, (DETECTIONS_TOPIC,))
+    own, raw = kinds[looks], kinds[looks][-1]
+    every = tuple(itertools.chain(*kinds))
+    read = every if takes_both else own
+    sends = every if sends_both else own
     views = ViewWatch(0, 3.0).figures(0)
     for messages in (250, 0):
         heard = {

@@ -12,6 +12,7 @@ import pytest
 
 from mirrorwave.api import views
 from mirrorwave.cli import main
+from mirrorwave.console import ExitCode
 from mirrorwave.convert.result_lines import bev_to_json, track_to_json
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
@@ -19,6 +20,7 @@ from msgs.recording.mcap import RecordingWriter, info
 from msgs.values.radar import BeamGrid
 from msgs.values.vehicle import VehicleState
 from nodes.player import Params, scene_player, truth_beside
+from tests.models.perception.detections.street import detections, street_points
 
 SCENE = "launch/scenes/corner.yaml"
 CHIRPS = 4
@@ -31,6 +33,21 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command += ["--effects", "basic"]
     assert main(command) == 0
     return path
+
+
+def test_process_takes_detections_and_states_what_did_not_arrive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hidden car in each of two scans, a picture without a map, code 3 for the scan that lacks detections."""
+    scans = [detections(street_points(), scan, scan_id=scan, stamp_ns=scan * 10**8, lost=scan) for scan in range(2)]
+    path = recording_of(tmp_path / "street.mcap", [("radar/detections", scan) for scan in scans])
+    assert main(["process", str(path), "--out", str(tmp_path / "out")]) == ExitCode.DONE_WITH_LOSS
+    lines = [json.loads(line) for line in (tmp_path / "out" / "objects.jsonl").read_text().splitlines()]
+    assert [len(line["objects"]) for line in lines] == [1, 1]
+    assert (tmp_path / "out" / "bev.png").stat().st_size > 10_000
+    assert "detection_peaks.classify" in (tmp_path / "out" / "timing.jsonl").read_text()
+    assert [view.ra_map for view in views(path)] == [None, None]
+    assert "missing or silent in 1 of 2 scans" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -166,7 +183,8 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
     other.write_bytes(capture.read_bytes()[:100])
     wrong = {
         recording_of(tmp_path / "view.mcap", [("radar/setup", setup), ("perception/hidden_objects", view)]): (
-            "holds no radar/beam and no lidar/histograms to process; it holds perception/hidden_objects, radar/setup: "
+            "holds no radar/beam, no lidar/histograms and no radar/detections to process; "
+            "it holds perception/hidden_objects, radar/setup: "
             f"`mirrorwave view {tmp_path / 'view.mcap'}` shows it. Raw data are recorded with --raw"
         ),
         recording_of(tmp_path / "car.mcap", [("vehicle/state", VehicleState(stamp_ns=0))]): (
@@ -196,7 +214,7 @@ def test_beams_that_are_missing_are_said(tmp_path: Path, capsys: pytest.CaptureF
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
     path = recording_of(tmp_path / "first.mcap", [("radar/setup", player.setup), ("radar/beam", player.beam(0, 0))])
     assert main(["process", str(path), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 3
-    assert "beams are missing or silent in 1 of 1 scan\n" in capsys.readouterr().out
+    assert "beams or detections are missing or silent in 1 of 1 scan\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("ending", ["mcap", "sigmf-meta"])

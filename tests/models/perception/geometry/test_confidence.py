@@ -37,7 +37,7 @@ def places(points: list[list[float]], images: list[list[float]], wall: list[int]
         points_m=np.array(points, np.float64), images_m=np.array(images, np.float64),
         image_covariance_m2=np.tile(0.045 * np.eye(2), (count, 1, 1)), wall_covariance_m2=np.zeros((count, 2, 2)),
         wall=np.array(wall), second=np.full(count, NO_WALL), score=np.full(count, 0.8), snr_db=np.full(count, 25.0),
-        stamp_ns=np.zeros(count, np.int64),
+        stamp_ns=np.zeros(count, np.int64), radial_speed_mps=np.full(count, np.nan),
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ def recovered(points: np.ndarray, score: float = 0.8, snr_db: float = 30.0, std_
         wall_covariance_m2=np.tile(0.05**2 * np.eye(2), (count, 1, 1)), wall=np.zeros(count, np.int64),
         second=np.full(count, -1),
         score=np.full(count, score), snr_db=np.full(count, snr_db), stamp_ns=np.arange(count, dtype=np.int64) * 10,
+        radial_speed_mps=np.full(count, np.nan),
     )  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""Peaks from the detections of a radar that gives no beats."""

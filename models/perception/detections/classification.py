@@ -1,0 +1,125 @@
+"""Classes of returns without a map or a network: walls told by point statistics, images by the walls they lie behind.
+
+A return is an image where its own ray crosses a wall between its ends, below the wall's top, and it lies behind it.
+What is surely below the ground came by way of the ground and is left out. An image surely higher than any road user,
+or among such images, is one of the building opposite: it is folded like any other and forms no object.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from models.perception.detection.cfar import drawn_in
+from models.perception.detections.returns import Returns
+from models.perception.detections.sensor import DetectionSensor
+from models.perception.geometry.mirrors import RADAR, behind_walls, hits
+from models.perception.geometry.stage import GeometryParams, direct_structure
+from msgs.values.arrays import require_positive
+from msgs.values.perception import PathClass, Peaks, Wall
+
+
+class ClassParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Conditions under which a return is an image, and the limits of its height."""
+
+    #: Least depth of an image behind its wall, which rough walls and their posts do not reach.
+    min_depth_m: float = 1.5
+    #: Road users end below this height over ground, and nothing lies so far below it.
+    max_height_m: float = 4.5
+    ground_margin_m: float = 0.5
+    #: Images belong to a building or a tree where such a share of those within reach is higher.
+    tall_reach_m: float = 2.5
+    tall_share: float = 0.5
+    #: Heights count so many standard deviations.
+    height_sigmas: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("min_depth_m", "max_height_m", "ground_margin_m", "tall_reach_m", "tall_share", "height_sigmas"):
+            require_positive(f"classes.{name}", getattr(self, name))
+
+
+def classified_peaks(
+    returns: Returns, blank: Peaks, sensor: DetectionSensor, geometry: GeometryParams, params: ClassParams
+) -> Peaks:
+    """Return the peaks of returns with their classes; without those from below the ground, and of no score where their
+    height says that they are no road user's.
+
+    `blank` has the message's own fields.
+    """
+    margin_m = params.height_sigmas * returns.height_std_m
+    # comparisons with NaN are false: an unknown height explains nothing
+    below = returns.height_m + margin_m < -sensor.height_m - params.ground_margin_m
+    too_high = returns.height_m - margin_m > params.max_height_m - sensor.height_m
+    returns, too_high = returns.take(~below), too_high[~below]
+    peaks = as_peaks(returns, blank)
+    mirrored = mirrored_mask(returns, peaks, geometry, params)
+    path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
+    image = np.flatnonzero(mirrored)
+    tall = share_near(returns.points_m[image], too_high[image], params.tall_reach_m) >= params.tall_share
+    score = peaks.score.copy()
+    score[image] = np.where(tall | too_high[image], 0.0, score[image])
+    return msgspec.structs.replace(peaks, path_class=path_class, score=score)
+
+
+def share_near(points_m: np.ndarray, marked: np.ndarray, reach_m: float) -> np.ndarray:
+    """Return the share of marked ones among the points [N, 2] within reach of each, itself included; [N]."""
+    near = np.hypot(*np.moveaxis(points_m[:, None] - points_m, -1, 0)) <= reach_m
+    return np.asarray((near & marked).sum(axis=1) / near.sum(axis=1))
+
+
+def as_peaks(returns: Returns, blank: Peaks) -> Peaks:
+    """Return the returns as direct peaks; the score 1 - 1 / sqrt(SNR) is that of CFAR peaks."""
+    count = len(returns)
+    return msgspec.structs.replace(
+        blank,
+        range_m=returns.range_m,
+        azimuth_rad=returns.azimuth_rad,
+        score=1.0 - 1.0 / np.sqrt(np.maximum(10.0 ** (0.1 * returns.snr_db), 1.0)),
+        path_class=np.full(count, PathClass.LOS, np.uint8),
+        covariance=returns.covariance,
+        peak_stamp_ns=np.full(count, blank.stamp_ns),
+        snr_db=returns.snr_db,
+        radial_speed_mps=returns.speed_mps,
+        radial_speed_std_mps=returns.speed_std_mps,
+    )
+
+
+def mirrored_mask(returns: Returns, peaks: Peaks, geometry: GeometryParams, params: ClassParams) -> np.ndarray:
+    """Return which direct peaks are images behind a wall that nearer returns form; bool [N].
+
+    Walls are fitted again among the rest, so that no image makes a wall, until no wall hides a direct return.
+    """
+    mirrored = np.zeros(len(peaks), bool)
+    for _ in range(geometry.walls.max_walls):
+        direct = np.flatnonzero(~mirrored)
+        structure, walls = direct_structure(peaks.take(direct), geometry)
+        hidden = hidden_behind(returns.take(direct), walls, structure.wall, params)
+        if not hidden.any():
+            break
+        mirrored[direct[hidden]] = True
+    return mirrored
+
+
+def hidden_behind(returns: Returns, walls: list[Wall], wall_of_return: np.ndarray, params: ClassParams) -> np.ndarray:
+    """Return the returns behind the walls that they form, bool [N]; nearest wall first, and none that is an image
+    itself for the most part.
+    """
+    points_m = returns.points_m
+    hidden = np.zeros(len(returns), bool)
+    for index in sorted(range(len(walls)), key=lambda index: walls[index].offset_m):
+        own = wall_of_return == index
+        if not own.any() or hidden[own].mean() > 0.5:
+            continue
+        behind = behind_walls(points_m, drawn_in(walls[index]), params.min_depth_m) & ~own
+        hidden |= behind & ~passes_over(returns, walls[index], returns.height_m[own], params)
+    return hidden
+
+
+def passes_over(returns: Returns, wall: Wall, wall_heights_m: np.ndarray, params: ClassParams) -> np.ndarray:
+    """Return the returns [N] whose ray crosses a wall surely above its highest returns; bool [N]."""
+    known = wall_heights_m[~np.isnan(wall_heights_m)]
+    if len(known) == 0:
+        return np.zeros(len(returns), bool)
+    share = hits(RADAR, returns.points_m, drawn_in(wall)).along_ray[:, 0]
+    lowest_m = (returns.height_m - params.height_sigmas * returns.height_std_m) * share
+    return np.asarray(lowest_m > np.quantile(known, 0.95))

@@ -1,0 +1,37 @@
+"""Parameters of the geometry for a radar that gives detections: many more returns than a map has peaks, unjudged.
+
+Chosen as docs/explain/perception.md says; a wall is longer than a car, dense and straight, and what neither a wall nor
+a vehicle hides is no hidden object.
+"""
+
+from __future__ import annotations
+
+import math
+
+from models.perception.detections.wall_points import WallPointParams
+from models.perception.geometry.association import RecoveryParams
+from models.perception.geometry.objects import ObjectParams
+from models.perception.geometry.stage import GeometryParams
+from models.perception.geometry.walls import WallParams
+
+DETECTION_GEOMETRY = GeometryParams(
+    cluster_eps_m=3.0,
+    cluster_min_points=3,
+    wall_points=WallPointParams(),
+    walls=WallParams(
+        min_length_m=6.5,
+        min_inliers=8,
+        max_gap_m=5.0,
+        sparse_gap_m=6.0,
+        max_angle_std_rad=math.radians(2.0),
+        flatness_m=0.15,
+        corner_reach_m=0.0,
+        curved=False,
+        max_walls=20,
+    ),
+    recovery=RecoveryParams(
+        reject_in_open_view=True, same_place_sigmas=2.0, moving_mps=0.6, vehicle_length_m=9.0, vehicle_width_m=3.0
+    ),
+    # a single return is no object: its score may not reach the least
+    objects=ObjectParams(min_points=3, single_min_score=1.01),
+)

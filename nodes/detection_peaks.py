@@ -1,0 +1,78 @@
+"""Peaks from the detections of a radar that gives no beats."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import nullcontext
+
+import msgspec
+
+from models.perception.detections.classification import ClassParams
+from models.perception.detections.defaults import DETECTION_GEOMETRY
+from models.perception.detections.sensor import DetectionSensor
+from models.perception.detections.stage import DetectionsStage
+from models.perception.geometry.stage import GeometryParams
+from models.perception.timing import Timed
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.detections import RadarDetections
+from msgs.values.diagnostics import NodeState
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.refusals import Refusals
+from nodes.node import Node
+
+_LOG = logging.getLogger(__name__)
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The sensor, and how its walls and images are told."""
+
+    sensor: DetectionSensor = DetectionSensor()
+    classes: ClassParams = ClassParams()
+    #: Of the walls that images lie behind; the geometry node has its own, `geometry.detections`.
+    geometry: GeometryParams = DETECTION_GEOMETRY
+
+
+class DetectionPeaksNode(Node):
+    """radar/detections -> perception/peaks; vehicle/state gives the radar's own motion, else the detections do."""
+
+    inputs = ("radar/detections", "vehicle/state")
+    outputs = ("perception/peaks",)
+
+    def __init__(self, params: Params) -> None:
+        super().__init__()
+        self._stage = detections_stage(params, self.stages)
+        self._refusals = Refusals(_LOG, self.shed)
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Return one set of peaks per measurement; what is of another sensor is refused, counted and logged."""
+        out: list[Outgoing] = []
+        for received in sorted(inputs, key=lambda item: item.topic == "radar/detections"):
+            match received.message:
+                case VehicleState() as state:
+                    self._stage.add_state(state)
+                case RadarDetections() as detections:
+                    out += self._classified(detections)
+        return out
+
+    def health(self) -> tuple[NodeState, str]:
+        """Report DEGRADED while detections are refused."""
+        return self._refusals.health()
+
+    def _classified(self, detections: RadarDetections) -> list[Outgoing]:
+        try:
+            peaks = self._stage.peaks(detections)
+        except ValueError as error:
+            self._refusals.refuse("scan", error, f"scan {detections.scan_id}")
+            return []
+        self._refusals.accept()
+        return [Outgoing("perception/peaks", peaks)]
+
+
+def detections_stage(params: Params, timed: Timed = nullcontext) -> DetectionsStage:
+    """Return the stage that parameters name."""
+    return DetectionsStage(params.sensor, params.geometry, params.classes, timed)
+
+
+def create(params: Params) -> DetectionPeaksNode:
+    """Return the node with its parameters."""
+    return DetectionPeaksNode(params)
