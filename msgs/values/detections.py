@@ -7,7 +7,10 @@ import numpy as np
 
 from msgs.values.arrays import require_array, require_stamps, require_within
 from msgs.values.frames import Pose2
-from msgs.values.perception import MAX_PEAKS, PEAK_LIMITS
+from msgs.values.perception import PEAK_LIMITS
+
+#: Maximum number of a measurement: imaging radars give some ten thousand.
+MAX_DETECTIONS = 16384
 
 #: Fields that a sensor may leave out, one entry a detection.
 OPTIONAL_COLUMNS = ("elevation_rad", "elevation_std_rad", "radial_speed_mps", "radial_speed_std_mps", "rcs_dbsm",
@@ -44,7 +47,7 @@ class RadarDetections(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     def __post_init__(self) -> None:
         require_array("detections.range_m", self.range_m, "<f8", (None,))
         count = len(self.range_m)
-        require_within("detections.count", 0, MAX_PEAKS, count)
+        require_within("detections.count", 0, MAX_DETECTIONS, count)
         require_array("detections.azimuth_rad", self.azimuth_rad, "<f8", (count,))
         require_array("detections.covariance", self.covariance, "<f8", (count, 2, 2))
         for name, largest in (("range_m", 1e6), ("azimuth_rad", 1e3), ("covariance", PEAK_LIMITS["covariance"])):

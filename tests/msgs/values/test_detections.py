@@ -38,8 +38,8 @@ def test_a_sensor_may_leave_out_what_it_does_not_measure() -> None:
         ({"snr_db": np.zeros(2, np.float32)}, "detections.snr_db must have dtype <f8"),
         ({"lost": -1}, "detections.lost must lie in 0..2.14748e"),
         (
-            {"range_m": np.ones(3000), "azimuth_rad": np.ones(3000), "covariance": np.zeros((3000, 2, 2))},
-            r"detections.count must lie in 0..2048, got 3000",
+            {"range_m": np.ones(17000), "azimuth_rad": np.ones(17000), "covariance": np.zeros((17000, 2, 2))},
+            r"detections.count must lie in 0..16384, got 17000",
         ),
     ],
 )
