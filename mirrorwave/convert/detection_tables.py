@@ -14,7 +14,7 @@ import numpy as np
 
 from models.sensors.detection_columns import STAMP_UNITS, DetectionMapping, missing_columns
 from msgs.values.arrays import MAX_STAMP_NS
-from msgs.values.perception import MAX_PEAKS
+from msgs.values.detections import MAX_DETECTIONS
 
 #: Longest line, and most columns of one.
 MAX_LINE, MAX_COLUMNS = 1 << 16, 1 << 10
@@ -54,10 +54,10 @@ def table_scans(
         if rows and row.scan != rows[0].scan:
             yield _scan(rows, mapping)
             rows = []
-        if len(rows) < MAX_PEAKS:
+        if len(rows) < MAX_DETECTIONS:
             rows.append(row)
         else:
-            left_out[f"more than {MAX_PEAKS} in a scan"] += 1
+            left_out[f"more than {MAX_DETECTIONS} in a scan"] += 1
     if rows:
         yield _scan(rows, mapping)
 
@@ -73,17 +73,19 @@ def _rows(path: Path, mapping: DetectionMapping, left_out: Counter[str], advance
     with path.open("rb") as file:
         cells = _cells(_lines(file, path, mapping, advance), path, mapping)
         places = _places(next(cells, []), path, mapping)
-        stamp_at, factor = places[mapping.stamp.column], Decimal(STAMP_UNITS[mapping.stamp.unit or "s"])
+        source, factor = mapping.stamp, Decimal(STAMP_UNITS[mapping.stamp.unit or "s"])
+        stamp_at = None if source.column is None else places[source.column]
         scan_at = stamp_at if mapping.scan is None else places[mapping.scan.column]
         value_places = [places[name] for name in dict.fromkeys(mapping.columns.values())]
         width = len(set(places.values()))
         for row in cells:
             if len(row) != width:
                 left_out["row has another number of columns"] += 1
-            elif (stamp_ns := _stamp_ns(row[stamp_at], factor)) is None:
+            elif (stamp_ns := _stamp_ns(repr(source.value) if stamp_at is None else row[stamp_at], factor)) is None:
                 left_out["stamp is no time"] += 1
             else:
-                yield _Row(stamp_ns, row[scan_at], [_number(row[place]) for place in value_places])
+                scan = "" if scan_at is None else row[scan_at]
+                yield _Row(stamp_ns, scan, [_number(row[place]) for place in value_places])
 
 
 def _places(head: list[str], path: Path, mapping: DetectionMapping) -> dict[str | int | None, int]:

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 
 from msgs.values.arrays import require_finite, require_positive
-from msgs.values.detections import RadarDetections
+from msgs.values.detections import MAX_DETECTIONS, RadarDetections
 from msgs.values.frames import Pose2, polar_from_xy
-from msgs.values.perception import MAX_PEAKS, PEAK_LIMITS
+from msgs.values.perception import PEAK_LIMITS
 
 #: Columns by their names, or by their numbers from 0 where a file has no names.
 Columns = Mapping[str | int, np.ndarray]
@@ -114,7 +114,7 @@ class DetectionMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     y_std: Source | None = None
     elevation_std: Source | None = None
     radial_speed_std: Source | None = None
-    #: Time of a row; messages of bags bring their own.
+    #: Time of a row, or the value of a table that is one scan; messages of bags bring their own.
     stamp: Source | None = None
     #: Rows in a row that agree here are a scan; None: those of one stamp.
     scan: Source | None = None
@@ -131,8 +131,8 @@ class DetectionMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             source = getattr(self, name)
             if source is not None and source.unit and source.unit not in units:
                 raise ValueError(f"{name}.unit must be one of {', '.join(units)}, got {source.unit!r}")
-        if self.stamp is not None and (self.stamp.column is None or (self.stamp.unit or "s") not in STAMP_UNITS):
-            raise ValueError(f"stamp must be a column, in one of {', '.join(STAMP_UNITS)}")
+        if self.stamp is not None and (self.stamp.unit or "s") not in STAMP_UNITS:
+            raise ValueError(f"stamp.unit must be one of {', '.join(STAMP_UNITS)}, got {self.stamp.unit!r}")
         if self.scan is not None and self.scan.column is None:
             raise ValueError("scan must be a column")
         require_positive("max_range_m", self.max_range_m)
@@ -154,7 +154,7 @@ def missing_columns(mapping: DetectionMapping, known: list[str | int]) -> str:
     """Return the rule that the first column breaks which is not among the known ones; empty where all are."""
     wanted = mapping.columns
     for name in ("stamp", "scan"):
-        if (source := getattr(mapping, name)) is not None:
+        if (source := getattr(mapping, name)) is not None and source.column is not None:
             wanted[name] = source.column
     for name, column in wanted.items():
         if column not in known:
@@ -187,9 +187,9 @@ def detections_of(
     with np.errstate(over="ignore", invalid="ignore"):
         _place(values)
         keep = _within_limits(values, mapping.max_range_m, left_out)
-    values = {name: column[keep][:MAX_PEAKS] for name, column in values.items()}
-    if (excess := int(keep.sum()) - MAX_PEAKS) > 0:
-        left_out[f"more than {MAX_PEAKS} in a scan"] += excess
+    values = {name: column[keep][:MAX_DETECTIONS] for name, column in values.items()}
+    if (excess := int(keep.sum()) - MAX_DETECTIONS) > 0:
+        left_out[f"more than {MAX_DETECTIONS} in a scan"] += excess
     optional: dict[str, Any] = {field: _optional(values, name, left_out) for field, name in _OPTIONAL.items()}
     range_m, azimuth_rad = values["range"], values["azimuth"]
     detections = RadarDetections(

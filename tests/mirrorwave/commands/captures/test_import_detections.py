@@ -14,6 +14,7 @@ import pytest
 from mirrorwave.cli import main
 from msgs.recording.mcap import RecordingReader
 from msgs.values.detections import RadarDetections
+from tests.captures import DATA, needs
 
 TABLE = "launch/detections/table.yaml"
 HEAD = "stamp_s,range_m,azimuth_deg,radial_speed_mps,rcs_dbsm\n"
@@ -75,6 +76,46 @@ table: {delimiter: ";", header: false, skip_lines: 2, comment: ""}
     first, second = imported(tmp_path / "a.mcap")
     assert (first.stamp_ns, first.range_m.tolist()) == (1_000_000, [1.0, 2.0])
     assert (second.stamp_ns, second.azimuth_rad.tolist()) == (3_000_000, [-np.pi / 2])
+
+
+ASTYX = """
+x: {column: X}
+y: {column: Y}
+z: {column: Z}
+radial_speed: {column: V_r}
+snr: {column: Mag}
+x_std: {value: 0.1}
+y_std: {value: 0.1}
+stamp: {value: 2.5}
+table: {delimiter: " "}
+"""
+
+
+def test_a_table_can_be_one_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mapping = put(tmp_path, ASTYX, "m.yaml")
+    table = put(tmp_path, "\nX Y Z V_r Mag\n3 4 0 1.5 50\n0 -2 0 -1 60\n", "a.txt")
+    assert call(table, tmp_path / "a.mcap", "--mapping", str(mapping)) == 0
+    (scan,) = imported(tmp_path / "a.mcap")
+    assert (scan.stamp_ns, scan.range_m.tolist()) == (2_500_000_000, [5.0, 2.0])
+
+
+@needs(DATA / "astyx_77ghz")
+def test_the_points_of_a_real_radar_come_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each frame of a 77 GHz radar with elevation, against numpy's reader of the same text: nothing is left out."""
+    mapping = put(tmp_path, ASTYX, "m.yaml")
+    frames = sorted((DATA / "astyx_77ghz" / "radar_6455").glob("*.txt"))
+    assert len(frames) == 6
+    for frame in frames:
+        x_m, y_m, z_m, speed_mps, level_db = np.loadtxt(frame, skiprows=2).T
+        out = tmp_path / f"{frame.stem}.mcap"
+        assert call(frame, out, "--mapping", str(mapping)) == 0
+        (scan,) = imported(out)
+        assert np.allclose(scan.range_m, np.sqrt(x_m**2 + y_m**2 + z_m**2), rtol=1e-12)
+        assert np.allclose(scan.azimuth_rad, np.arctan2(y_m, x_m), rtol=1e-12)
+        assert scan.elevation_rad is not None
+        assert np.allclose(scan.elevation_rad, np.arctan2(z_m, np.hypot(x_m, y_m)), rtol=1e-12)
+        assert np.array_equal(scan.radial_speed_mps, speed_mps)
+        assert np.array_equal(scan.snr_db, level_db)
 
 
 def test_what_is_left_out_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
