@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,8 @@ class Pair:
     source_m: np.ndarray
     target_m: np.ndarray
     target_from_source: np.ndarray
+    #: Another published pose of the same pair.
+    second_reference: np.ndarray | None = None
 
 
 def street_pair(data: Path) -> Pair:
@@ -55,7 +57,9 @@ def car_pair(data: Path) -> Pair:
     folder = data / "lidar_pairs" / "libpointmatcher"
     rows = (folder / "carCloudList.csv").read_text().splitlines()[2].split(",")
     reference = np.array([float(value) for value in rows[1:]]).reshape(4, 4)
-    return Pair("car", _csv_points(folder / "car_cloud401.csv"), _csv_points(folder / "car_cloud400.csv"), reference)
+    clouds = [_csv_points(folder / f"car_cloud{number}.csv") for number in (401, 400)]
+    second = np.linalg.inv(np.loadtxt(folder / "defaultIdentityDataPointsFilter.ref_trans"))
+    return Pair("car", clouds[0], clouds[1], reference, second)
 
 
 def _csv_points(path: Path) -> np.ndarray:
@@ -118,6 +122,10 @@ def measure(pair: Pair, seeds: int) -> dict[str, Any]:
     firsts = [first_pose(pair, seed) for seed in range(seeds)]
     given = [registered(pair, first) for first in firsts]
     accepted = [one.target_from_source for one in given if one.fault(PARAMS) is None]
+    # without any point of the ground
+    above = replace(
+        pair, source_m=pair.source_m[pair.source_m[:, 2] > 0.0], target_m=pair.target_m[pair.target_m[:, 2] > 0.0]
+    )
     everywhere = registered(pair, None)
     best = max(given, key=lambda one: one.score)
     return {
@@ -128,6 +136,8 @@ def measure(pair: Pair, seeds: int) -> dict[str, Any]:
         "annotate": errors(pair, [one.target_from_source for one in given]),
         "annotate_accepted": errors(pair, accepted) | {"count": len(accepted)},
         "annotate_without_first_pose": errors(pair, [everywhere.target_from_source]),
+        "annotate_above_sensor": errors(pair, [registered(above, pair.target_from_source).target_from_source]),
+        "second_reference": errors(pair, [] if pair.second_reference is None else [pair.second_reference]),
         "plain_icp": errors(pair, [plain_icp(pair, first) for first in firsts]),
         "apart_m_all_ground": {
             name: [round(value, 4) for value in apart_m(pair, pose)]
