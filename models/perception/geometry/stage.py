@@ -173,6 +173,8 @@ def warm(params: GeometryParams) -> None:
     Types do not depend on the parameters, so one synthetic street with the default ones needs all kernels.
     """
     recover_bev(made_up_peaks(), GeometryParams())
+    if params.wall_points is not None:
+        wall_like(np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1), None, params.wall_points)
     observability([], 0.0, params.grid, params.visibility)
 
 

@@ -52,7 +52,8 @@ class ViewStage:
             self._judged = msgspec.structs.replace(self._params, walls=predictor.card.encoding.walls)
         self._memory, self._states = ScanMemory(memory or MemoryParams()), StateHistory()
         self._timed = timed
-        warm(self._params)
+        for used in (self._params, self._detections):
+            warm(used)
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
