@@ -56,8 +56,9 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         )
     _require_tractable(path, len(points))
     points_m = points[:, :3].astype(np.float64) * (1e-3 if unit == "mm" else 1.0)
-    range_m = np.linalg.norm(points_m, axis=1)
-    returned = np.isfinite(range_m) & (range_m > NO_RETURN_M)
+    # of the largest coordinate: the square of a stray one is no double
+    reach_m = np.abs(points_m).max(axis=1)
+    returned = np.isfinite(reach_m) & (reach_m > NO_RETURN_M)
     if not returned.any():
         raise ValueError(f"{path}: points must be finite and not at the sensor (0, 0, 0), none of {len(points)} is")
     points_m = points_m[returned]
