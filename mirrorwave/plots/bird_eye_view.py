@@ -39,6 +39,8 @@ DYNAMIC_RANGE_DB = 55.0
 ELLIPSE_SIGMAS, ELLIPSE_SHARE = 2.0, 0.86
 #: Width of the bird's-eye view and of the column beside it, and the least and largest height, in inches.
 VIEW_INCH, SIDE_INCH, HEIGHTS_INCH = 6.4, 3.2, (7.4, 9.6)
+#: Least height of a view without a map beside it.
+LEAST_VIEW_INCH = 5.0
 #: Share of the echoes that the picture holds: a single far one must not shrink everything else.
 SHOWN_SHARE = 0.98
 MARGIN_M, LEAST_FORWARD_M, LEAST_SIDE_M = 2.0, 15.0, 6.0
@@ -68,7 +70,8 @@ def draw_bev(
 ) -> None:
     """Write the picture (format by the suffix of `out_path`); without a map, the bird's-eye view alone."""
     limits = _limits(frame, truth)
-    height = float(np.clip(VIEW_INCH * limits.shape + 1.0, *HEIGHTS_INCH))
+    least, most = HEIGHTS_INCH
+    height = float(np.clip(VIEW_INCH * limits.shape + 1.0, least if ra_map is not None else LEAST_VIEW_INCH, most))
     figure = new_figure(VIEW_INCH + SIDE_INCH, height)
     names = [["view", "map"], ["view", "signs"]] if ra_map is not None else [["view", "signs"]]
     panels: dict[str, Axes] = figure.subplot_mosaic(names, width_ratios=(VIEW_INCH, SIDE_INCH))

@@ -62,7 +62,7 @@ def test_noise_becomes_an_empty_view_of_the_same_scan(method: str) -> None:
 @pytest.fixture(scope="module")
 def corner_map() -> RangeAzimuthMap:
     """One scan of a simulated corner."""
-    player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=16))
+    player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=16, effects="basic"))
     former = RaFormer(player.setup)
     (ra_map,) = [ra_map for index in range(25) for ra_map in former.add(player.beam(0, index))]
     return ra_map

@@ -134,7 +134,7 @@ def corner() -> list[Any]:
     from models.perception.geometry.stage import GeometryParams, recover_bev
     from nodes.player import Params, scene_player
 
-    player = scene_player(Params(scene=SCENE, chirps_per_beam=8))
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=8, effects="basic"))
     former = RaFormer(player.setup, FormingParams())
     (ra_map,) = [one for index in range(25) for one in former.add(player.beam(0, index), None)]
     found = CfarDetector(player.setup, CfarParams()).detect(ra_map)

@@ -69,7 +69,7 @@ def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -
         assert main(["process", str(capture), "--out", str(tmp_path / name), "--profile", "cfar"]) == 0
     once = (tmp_path / "once" / "objects.jsonl").read_bytes()
     assert once == (tmp_path / "twice" / "objects.jsonl").read_bytes()
-    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
     chain = Chain.of(player.setup, CfarDetector(player.setup))
     state = player.vehicle_state(0)
     views = [view for scan in (0, 1) for index in range(25) for view in chain.add(player.beam(scan, index), state)]
@@ -87,7 +87,7 @@ def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     assert main(["process", str(recording), "--out", str(tmp_path), "--profile", "cfar"]) == 3
     lines = [json.loads(line) for line in (tmp_path / "tracks.jsonl").read_text().splitlines()]
     assert [line["scan_id"] for line in lines] == [0, 1, 2, 3, 4]
-    player = scene_player(Params(scene=drive, chirps_per_beam=chirps))
+    player = scene_player(Params(scene=drive, chirps_per_beam=chirps, effects="basic"))
     chain = Chain.of(player.setup, CfarDetector(player.setup))
     views = [
         view
@@ -175,7 +175,7 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One line each, and nothing is written; results of a graph are for `view`."""
-    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
     setup, beams = player.setup, [player.beam(0, index) for index in range(3)]
     one = msgspec.structs.replace(setup, beams=BeamGrid(azimuth_deg=(0.0,)))
     view = next(iter(views(capture, "cfar"))).frame
@@ -211,7 +211,7 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
 @pytest.mark.slow
 def test_beams_that_are_missing_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 3 has its reason; a scan of which one beam came is still looked at."""
-    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
     path = recording_of(tmp_path / "first.mcap", [("radar/setup", player.setup), ("radar/beam", player.beam(0, 0))])
     assert main(["process", str(path), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 3
     assert "beams or detections are missing or silent in 1 of 1 scan\n" in capsys.readouterr().out

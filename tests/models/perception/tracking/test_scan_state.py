@@ -107,7 +107,7 @@ def test_a_chain_follows_objects_unless_it_is_told_not_to(tracking: bool) -> Non
 
 @pytest.mark.slow
 def test_the_chain_says_the_same_as_the_node() -> None:
-    player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4))
+    player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4, effects="basic"))
     detector = CfarDetector(player.setup)
     chain = Chain.of(player.setup, detector, memory=MemoryParams(wall_map=True))
     memory = ScanMemory(MemoryParams())
@@ -176,7 +176,7 @@ def test_states_without_scans_do_not_pile_up() -> None:
 def test_the_mounting_travels_with_the_map() -> None:
     """One fact, one place: what the map was formed with is what the geometry stage follows objects with."""
     mounted = Pose2(2.0, 0.5, 0.4)
-    player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=4))
+    player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=4, effects="basic"))
     detector = CfarDetector(player.setup)
     former = RaFormer(player.setup, FormingParams(vehicle_from_radar=mounted))
     (ra_map,) = [one for index in range(25) for one in former.add(player.beam(0, index))]
