@@ -2,8 +2,8 @@
 
 Every path of a random place (all effects, the default radar) that is over the threshold is a detection, with the errors
 of a sensor; no class, no map, no network. Places are those of the validation sets of
-`launch/evaluation/object_sets.yaml`; `DETECTION_GEOMETRY` was chosen on the first 40 at rest, which are left out unless
-`--first 0` asks for them.
+`launch/evaluation/object_sets.yaml`; `DETECTION_GEOMETRY` was chosen on the first 40 at rest, its scores were fitted on
+them and on those from 140: both are left out unless `--first` asks for them.
 Usage: python -m benchmarks.perception.simulated_detections [--first N] [--places 100] [--moving] [--json FILE]
 """
 

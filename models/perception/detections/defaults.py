@@ -32,7 +32,7 @@ DETECTION_GEOMETRY = GeometryParams(
     recovery=RecoveryParams(
         reject_in_open_view=True, same_place_sigmas=2.0, moving_mps=0.6, vehicle_length_m=9.0, vehicle_width_m=3.0
     ),
-    # a single return is no object: its score may not reach the least. Of objects with three returns or more, 24 of 47 are
-    # true in simulated places (of validation those numbered 0 to 39 and 140 to 199), whatever the scores of their points
+    # a single return is no object: its score may not reach the least. Of objects with three or more, 24 of 47 are true,
+    # whatever the scores of their points: simulated places 0 to 39 and 140 to 199 of the set `validation`
     objects=ObjectParams(min_points=3, single_min_score=1.01, score_table=((0.0, 0.0), (1.0, 0.5))),
 )
