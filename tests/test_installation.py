@@ -77,7 +77,8 @@ def test_the_wheel_has_one_package_and_all_that_it_needs(wheel: Path) -> None:
     assert {name.split("/")[0] for name in names} == {"mirrorwave", "mirrorwave-0.1.0.dist-info"}
     within = "mirrorwave/floors_below/"
     needed = [path for name in (*FLOORS, "launch") for path in (CHECKOUT / name).rglob("*.*") if path.is_file()]
-    assert {f"{within}{path.relative_to(CHECKOUT)}" for path in needed if path.suffix != ".pyc"} <= set(names)
+    needed = [path for path in needed if "__pycache__" not in path.parts]
+    assert {f"{within}{path.relative_to(CHECKOUT)}" for path in needed} <= set(names)
     assert f"{within}docs/results/tradeoff.json" in names
     assert not [name for name in names if "__pycache__" in name]
 

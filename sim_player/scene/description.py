@@ -283,9 +283,14 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     return scene
 
 
+#: Fields of the radar's blocks that came after places were drawn. At their defaults they are not written: scenes drawn
+#: before keep their bytes and their hashes.
+_LATER_FIELDS = {"spad": ("tail_share", "tail_s"), "front_end": ("leakage_range_m",)}
+
+
 def scene_sha256(scene: Scene) -> str:
     """Return the SHA-256 of a scene with its numbers to 1e-6: processors round the last digit of a draw differently."""
-    return hashlib.sha256(msgspec.json.encode(_rounded(msgspec.to_builtins(scene)), order="sorted")).hexdigest()
+    return hashlib.sha256(msgspec.json.encode(_rounded(_plain(scene)), order="sorted")).hexdigest()
 
 
 def _rounded(value: Any) -> Any:
@@ -299,7 +304,18 @@ def _rounded(value: Any) -> Any:
 
 def scene_to_yaml(scene: Scene) -> str:
     """Return the YAML text that `scene_from_yaml` reads back to the same scene."""
-    return yaml.safe_dump(msgspec.json.decode(msgspec.json.encode(scene)), sort_keys=False, allow_unicode=True)
+    return yaml.safe_dump(_plain(scene), sort_keys=False, allow_unicode=True)
+
+
+def _plain(scene: Scene) -> dict[str, Any]:
+    """Return a scene as plain data, later fields left out where they say nothing."""
+    plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(scene))
+    for block, names in _LATER_FIELDS.items():
+        given = getattr(scene.radar, block)
+        for name in names:
+            if getattr(given, name) == getattr(type(given)(), name):
+                del plain["radar"][block][name]
+    return plain
 
 
 def check_scene(scene: Scene) -> None:
