@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import psutil
+
 from msgs.bus.zmq import ZmqBus
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
@@ -20,6 +22,10 @@ from msgs.values.perception import BevFrame
 PATIENCE_S = 600.0
 HEARD = ("perception/hidden_objects", "diagnostics/node", "log")
 ROOT = CHECKOUT
+
+
+def _runs(status: NodeStatus | None) -> bool:
+    return status is not None and psutil.pid_exists(status.pid)
 
 
 class Said(NamedTuple):
@@ -115,8 +121,10 @@ class LiveGraph:
         return sum(count.rejected for count in found.received if count.topic == topic) if found else 0
 
     def fault(self, number: signal.Signals, nodes: Iterable[str]) -> dict[str, int]:
-        """Send a signal to nodes at once; their pids."""
-        pids = {name: self.status[name].pid for name in nodes}
+        """Send a signal to nodes at once; their pids. One that a busy machine made hang is waited for."""
+        names = list(nodes)
+        self.await_that("processes of the last heartbeats", lambda: all(map(_runs, map(self.status.get, names))))
+        pids = {name: self.status[name].pid for name in names}
         for pid in pids.values():
             os.kill(pid, number)
         return pids
