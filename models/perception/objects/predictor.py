@@ -14,6 +14,7 @@ from models.perception.detection.onnx_model import open_session
 from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
+from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, detections, hidden_objects
 from models.perception.objects.encoding import ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
@@ -73,7 +74,7 @@ def load_object_card(model_path: Path) -> ObjectCard:
 class ObjectPredictor:
     """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
 
-    The session is warm when the constructor returns. `threshold`: least probability that is reported; None: the card's.
+    Session and kernels are warm when the constructor returns. `threshold`: least probability that is reported; None: the card's.
     `flip_test` takes the mean of the answers to a scan and to its mirror image. Raises `ValueError` when the file, its
     card and its shapes do not belong together.
     """
@@ -94,11 +95,27 @@ class ObjectPredictor:
         self._session = open_session(self._path, self.card.sha256, threads)
         self._odd_channels = self.card.encoding.odd_channels if flip_test else None
         self._check_shapes()
-        self.answer(np.zeros(self.card.input_shape[1:], np.float32))
+        self._warm()
 
     def suits(self, ra_map: RangeAzimuthMap) -> bool:
         """Return whether the network was trained on maps of this kind."""
         return ra_map.grid == self.card.encoding.grid and ra_map.mode != "photons"
+
+    def _warm(self) -> None:
+        """Judge a synthetic street in a map without echoes: kernels that a scan compiles would make its node hang."""
+        grid = self.card.encoding.grid
+        silent = RangeAzimuthMap(
+            stamp_ns=0,
+            scan_id=0,
+            grid=grid,
+            values=np.full(grid.shape, 1e-9, np.complex64),
+            azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
+            noise_power_mw=1e-14,
+            incoherent=np.zeros(grid.range_bins, bool),
+        )
+        peaks = made_up_peaks()
+        returns, walls = direct_structure(peaks, GeometryParams(walls=self.card.encoding.walls))
+        self.objects(silent, peaks, walls, returns)
 
     def objects(
         self,
