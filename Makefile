@@ -16,7 +16,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --editable .
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
-	$(BIN)/python -c "from mirrorwave.node_chain import SharedParts; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; SharedParts.of(read_profile('default'), RadarSetup()).chain()" & \
+	$(BIN)/python -c "from mirrorwave.node_chain import NodeParams; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; chain = NodeParams.of(read_profile('default')).chain(); chain.forming.set_up(RadarSetup()); chain.detection.set_up(RadarSetup())" & \
 	$(BIN)/mirrorwave sim run launch/scenes/corner.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && wait $$!
 	@rm $(VENV)/compiled.mcap
 	@touch $@

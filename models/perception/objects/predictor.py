@@ -74,9 +74,10 @@ def load_object_card(model_path: Path) -> ObjectCard:
 class ObjectPredictor:
     """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
 
-    Session and kernels are warm when the constructor returns. `threshold`: least probability that is reported; None: the card's.
-    `flip_test` takes the mean of the answers to a scan and to its mirror image. Raises `ValueError` when the file, its
-    card and its shapes do not belong together.
+    Session and kernels are warm when the constructor returns. `threshold`: least probability that is reported; None:
+    the card's. `flip_test` takes the mean of the answers to a scan and to its mirror image.
+
+    Raises `ValueError` when the file, its card and its shapes do not belong together.
     """
 
     def __init__(
