@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +27,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from benchmarks.captures import add_data_option, capture_folder
 from models.perception.forming.digital_array import DigitalArrayParams, form_digital_map, slots_turned
 from models.perception.tracking.odometry import stationary_pose
 from models.perception.tracking.tracker import Tracker, TrackerParams
@@ -275,13 +275,11 @@ def draw(result: dict[str, Any], out: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=os.environ.get("MIRRORWAVE_DATA"), help="folder of captures")
+    add_data_option(parser)
     parser.add_argument("--out", type=Path, help="folder for track.png and result.json")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     arguments = parser.parse_args()
-    if arguments.data is None:
-        parser.error("--data or MIRRORWAVE_DATA must name the folder of captures")
-    result = measure(arguments.data / FOLDER)
+    result = measure(capture_folder(parser, arguments.data, FOLDER))
     if arguments.out is not None:
         arguments.out.mkdir(parents=True, exist_ok=True)
         draw(result, arguments.out / "track.png")

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from benchmarks.captures import add_data_option, capture_folder
 from benchmarks.perception.annotation import pose_error
 from mirrorwave.annotate.clouds import read_cloud
 from models.annotation.registration import PosedCloud, Registration, RegistrationParams, import_open3d, moved, register
@@ -154,12 +155,13 @@ def measure(pair: Pair, seeds: int) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True)
+    add_data_option(parser)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
+    data = capture_folder(parser, options.data, "lidar_pairs").parent
     rows = []
-    for pair in (street_pair(options.data), car_pair(options.data)):
+    for pair in (street_pair(data), car_pair(data)):
         rows.append(measure(pair, options.seeds))
         print(json.dumps(rows[-1], indent=1), flush=True)
     if options.out:

@@ -1,7 +1,8 @@
 """`python -m benchmarks.perception.real_detections [--data DIR] [--json]`: real 77 GHz detections against a LiDAR.
 
-Six frames of a public data set (Astyx 6455 HiRes). Nothing was trained on them. Frame 000036 holds mirror images of
-trucks and walls in the metal facade of a hall; the trucks are in plain sight too. The others hold no verified image.
+Six frames of a public data set (Astyx 6455 HiRes). Nothing was trained on them, but rules were made with them in view.
+Frame 000036 holds mirror images of trucks and walls in the metal facade of a hall; the trucks are in plain sight too.
+The others hold no verified image.
 
 - Facade: the wall of the returns nearest to it, against a line through the LiDAR's points. The LiDAR is thinned evenly
   along the facade (medians of 1 m), once over its whole length, once over the part that the radar's wall covers.
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.captures import add_data_option, capture_folder
 from benchmarks.perception.astyx_frames import FRAMES, IMAGE_FRAME, SENSOR, AstyxFrame, Box, read_frame
 from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.detections.stage import DetectionsStage
@@ -132,10 +134,10 @@ def left_wall(recovered: Recovered, y_m: float) -> dict[str, float]:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.perception.real_detections", description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="folder astyx_77ghz")
+    add_data_option(parser)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    figures = run(options.data)
+    figures = run(capture_folder(parser, options.data, "astyx_77ghz"))
     if options.json:
         print(json.dumps(figures, indent=1))
         return

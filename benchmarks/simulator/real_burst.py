@@ -21,6 +21,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from benchmarks.captures import add_data_option, capture_folder
 from mirrorwave.calibrate.capture import Capture
 from mirrorwave.calibrate.radar import measure_noise, scene_with_receiver
 from models.perception.forming.front_end_faults import FaultParams
@@ -217,11 +218,11 @@ def draw(real: RadarBeam, twin: RadarBeam, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True)
+    add_data_option(parser)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    rows, real, twin = compare(options.data, options.seed)
+    rows, real, twin = compare(capture_folder(parser, options.data, "xband_cn0566_fmcw").parent, options.seed)
     print(json.dumps(rows, indent=1))
     if options.out:
         draw(real, twin, options.out)

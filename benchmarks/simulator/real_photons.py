@@ -21,6 +21,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from benchmarks.captures import add_data_option, capture_folder
 from mirrorwave.convert.transients import draw_shape
 from models.perception.transients.light_cone import DEFAULT_SNR, reconstruct
 from models.perception.transients.scan import ConfocalTransients
@@ -243,16 +244,17 @@ def draw_histograms(path: Path, scene: Scene, examples: list) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="folder of the .mat files")
+    add_data_option(parser)
     parser.add_argument("--out", type=Path, help="folder for pictures")
     parser.add_argument("--evaluations", type=int, default=45, help="responses tried in a fit")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", choices=list(SCENES), action="append")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    data = capture_folder(parser, arguments.data, "spad_cnlos")
     result: dict = {"seed": arguments.seed, "evaluations": arguments.evaluations}
     for name in arguments.scene or SCENES:
-        found, examples, shape, scan = measured(SCENES[name], arguments.data, arguments.seed, arguments.evaluations)
+        found, examples, shape, scan = measured(SCENES[name], data, arguments.seed, arguments.evaluations)
         result[name] = found
         if arguments.out:
             arguments.out.mkdir(parents=True, exist_ok=True)
