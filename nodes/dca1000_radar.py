@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 from typing import Protocol
 
 import msgspec
@@ -20,7 +19,7 @@ from models.sensors.dca1000 import DeviceName, array_params, frame_samples
 from models.sensors.dca1000_packets import FrameAssembler, SampleFrame
 from models.sensors.digital_row import beam_messages, lost_loops, radar_setup, row_beams
 from msgs.bus.interface import Outgoing, Received
-from msgs.files.shipped import CHECKOUT
+from msgs.files.shipped import shipped_path
 from msgs.values.arrays import require_finite
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import ns_from_s, s_from_ns
@@ -83,7 +82,7 @@ class Dca1000Radar(Node):
 
     def __init__(self, params: Params, card: Callable[[dca1000.Params, int], Card] | None = None) -> None:
         super().__init__()
-        self._config = read_config(_config_path(params.config), params.device)
+        self._config = read_config(shipped_path(params.config), params.device)
         self._setup = radar_setup(self._config, params.full_scale_dbm, params.mirrored)
         self._array = array_params(self._config, mirrored=params.mirrored)
         self._card = (card or dca1000.Card)(params.card, self._config.lanes)
@@ -223,12 +222,6 @@ class Dca1000Radar(Node):
             beams = row_beams(frame_samples(frame.codes, self._config), self._setup, self._array, lost)
         messages = beam_messages(beams, self._setup, scan, frame.stamp_ns)
         return [Outgoing("radar/beam", message) for message in messages]
-
-
-def _config_path(name: str) -> Path:
-    """Return a path as named, or if that does not exist, relative to the checkout."""
-    path = Path(name)
-    return path if path.exists() else CHECKOUT / path
 
 
 def create(params: Params) -> Dca1000Radar:

@@ -45,7 +45,9 @@ def import_detections(
     if mapping_path is None:
         raise ValueError(f"{source}: --mapping must name what the columns are, such as launch/detections/table.yaml")
     mapping_path = shipped_path(mapping_path)
-    mapping = _usable(mapping_path, needs_stamp=True)
+    mapping = read_mapping(mapping_path)
+    if mapping.stamp is None:
+        raise ValueError(f"{mapping_path}: stamp must be given: the column with a row's time")
     sink = _Sink(source, mapping)
     provenance = _provenance(source, mapping_path)
     with bar("lines", count_lines(source)) as advance, whole_recording(out, provenance) as writer:
@@ -53,18 +55,11 @@ def import_detections(
     return sink.summary("")
 
 
-def _usable(path: Path, needs_stamp: bool) -> DetectionMapping:
-    mapping = read_mapping(path)
-    if needs_stamp and mapping.stamp is None:
-        raise ValueError(f"{path}: stamp must be given: the column with a row's time")
-    return mapping
-
-
 def _import_bag(source: Path, out: Path, mapping_path: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
     with open_bag(source, topic) as bag:
         name = "point_cloud2" if bag.kind == CLOUD else "radar_scan"
         used = shipped_path(mapping_path) if mapping_path else _SHIPPED / f"{name}.yaml"
-        mapping = _usable(used, needs_stamp=False)
+        mapping = read_mapping(used)
         sink = _Sink(source, mapping)
         provenance = _provenance(source, used) | {"topic": bag.topic, "type": bag.kind}
         with bar("messages", bag.count) as advance, whole_recording(out, provenance) as writer:

@@ -52,7 +52,7 @@ class ViewStage:
             self._judged = msgspec.structs.replace(self._params, walls=predictor.card.encoding.walls)
         self._memory, self._states = ScanMemory(memory or MemoryParams()), StateHistory()
         self._timed = timed
-        for used in (self._params, self._detections):
+        for used in {self._params, self._detections}:
             warm(used)
 
     @property
