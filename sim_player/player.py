@@ -110,7 +110,10 @@ class ScenePlayer:
 
     def truth(self, scan: int) -> SceneTruth:
         """Return the truth at the start of a scan."""
-        stamp_ns = self.stamp_ns(scan)
+        return self.truth_at(self.stamp_ns(scan), scan)
+
+    def truth_at(self, stamp_ns: int, scan: int) -> SceneTruth:
+        """Return the truth at a time, under the effects of a scan."""
         time_s = self._elapsed_s(stamp_ns)
         return scene_truth(self._world, self.setup, self.paths(time_s, scan), time_s, stamp_ns, scan)
 

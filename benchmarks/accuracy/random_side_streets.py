@@ -46,7 +46,7 @@ from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import as_object, object_distances
 from models.perception.chain import Chain
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from msgs.values.frames import Pose2
 from msgs.values.perception import PathClass, SceneTruth, Track
 from msgs.values.radar import RadarSetup

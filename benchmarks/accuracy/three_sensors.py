@@ -24,7 +24,7 @@ import numpy as np
 
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.photon_map import photon_map
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
 from sim_player.lidar.spad import SpadOptions, optical_paths, spad_histograms

@@ -41,7 +41,8 @@ from models.perception.detection.encoding import Encoding, sample_columns
 from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
 from models.perception.detection.peaks import PeakParams, find_pursued_peaks
 from models.perception.forming.coarray import CoherenceTest, beam_matrix, ideal_beams
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.perception.forming.slow_time_sums import fold_chirps, group_edges
 from models.perception.geometry.stage import FoldedScan, GeometryParams, fold_scan, recover_bev
 from msgs.bus.codec import encode_inline

@@ -20,7 +20,8 @@ import numpy as np
 import scipy
 
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
-from models.perception.forming.ra_forming import BeamFolder, FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import BeamFolder, FormingParams
 from models.perception.forming.slow_time_sums import fold_chirps
 from models.physics.antenna import (
     element_field,

@@ -29,7 +29,7 @@ from benchmarks.accuracy.side_street_drives import street
 from benchmarks.accuracy.six_scenes import SCENES
 from benchmarks.perception.geometry_switches import machine
 from models.evaluation.metrics import match_objects
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.stage import GeometryParams
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage

@@ -17,7 +17,8 @@ from mirrorwave.annotate.manifest import Cloud, Manifest, Pose
 from models.annotation.annotated_capture import frame_points, mean_map, write_frame
 from models.annotation.registration import PosedCloud, Registration, register
 from models.annotation.slice_labels import PointLabel, SliceLabels, label_slice
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.training.data.xradarnlos import Kind
 from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import write_whole

@@ -17,7 +17,8 @@ import numpy as np
 
 from mirrorwave.calibrate.capture import Capture
 from models.perception.detection.detectors import CfarDetector
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.perception.geometry.recovery import cartesian_covariance
 from models.perception.geometry.stage import GeometryParams, direct_structure
 from models.vehicle.mounting import Motion, Mounting, Sighting, solve_mounting

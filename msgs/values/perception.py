@@ -93,6 +93,8 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     radial_speed_std_mps: np.ndarray | None = None
     #: Of a sensor that states its own limits; None: those of the parameters hold.
     sensor: SensorLimits | None = None
+    #: As the map has it.
+    settled_stamp_ns: int | None = None
 
     def __post_init__(self) -> None:
         count = len(self.range_m) if isinstance(self.range_m, np.ndarray) and self.range_m.ndim == 1 else None
@@ -257,6 +259,9 @@ class BevFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     visibility_rcs_dbsm: float = 10.0
     #: Motion of the vehicle when the scan began, None without a recent state.
     ego: VehicleState | None = None
+    #: Of views that share beams with those before: objects measured after the `settled_stamp_ns` of the last view and
+    #: up to this are new; None: all are.
+    settled_stamp_ns: int | None = None
     #: Conditions of this scan for a reader: "incoherent", "missing_beams", "saturated", and the names in
     #: `msgs.values.radar.MAP_FAULTS`.
     flags: tuple[str, ...] = ()

@@ -392,12 +392,17 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     radial_speed_cmps: np.ndarray | None = None
     #: Standard deviation of these at an SNR of 1; it falls with the root of a cell's SNR.
     radial_speed_unit_std_mps: float = 0.0
+    #: Of maps that share beams with those before: what was measured after the `settled_stamp_ns` of the last one and up
+    #: to this is new, with its neighbours. None: the beams of one scan, all of them new.
+    settled_stamp_ns: int | None = None
 
     def __post_init__(self) -> None:
         require_array("map.values", self.values, "<c8", self.grid.shape)
         require_array("map.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (self.grid.azimuth_bins,))
         require_array("map.incoherent", self.incoherent, "|b1", (self.grid.range_bins,))
-        require_stamps("map.stamp_ns", self.stamp_ns)
+        require_stamps(
+            "map.stamp_ns", self.stamp_ns, *(() if self.settled_stamp_ns is None else (self.settled_stamp_ns,))
+        )
         require_stamps("map.azimuth_stamp_ns", self.azimuth_stamp_ns)
         if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
             raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")

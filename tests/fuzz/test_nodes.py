@@ -25,7 +25,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from models.perception.forming import stage as forming_stage
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from msgs.bus.codec import decode, encode
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.values.diagnostics import NodeState

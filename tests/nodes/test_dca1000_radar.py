@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.sensors.config_file import read_config
 from models.sensors.dca1000 import Dca1000Config, array_params, frame_samples
 from models.sensors.dca1000_packets import PAYLOAD_BYTES, WINDOW, datagram

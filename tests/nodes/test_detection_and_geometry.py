@@ -19,7 +19,7 @@ from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
 from models.perception.detection.ridge_matching import RidgeMatchingParams
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.stage import made_up_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mirrorwave.cli import main
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from models.sensors.phaser import PhaserParams
 from msgs.bus.interface import Outgoing
 from msgs.bus.local import LocalNetwork

@@ -23,7 +23,7 @@ from models.evaluation.metrics import chamfer, dense_counts, match_points, recov
 from models.perception.detection.cfar import CfarParams, cfar_peaks
 from models.perception.detection.detectors import NetworkDetector
 from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.lines import fit_line
 from models.perception.geometry.stage import FoldedScan, GeometryParams, fold_scan

@@ -11,7 +11,8 @@ from models.perception.detection.cfar import CfarParams, cell_averaging_mask
 from models.perception.detection.encoding import Encoding, encode_columns
 from models.perception.detection.peaks import PeakParams, peaks_at
 from models.perception.forming.digital_array import DigitalArrayParams, range_doppler
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.perception.forming.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
 from models.physics.waveform import beat_samples, range_profile, window_noise_gain
 from msgs.values.perception import PathClass, Peaks

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.perception.float64_chain import Answer, Comparison, DoubleChain, compare, double, single, view_bytes
 from models.perception.detection.onnx_model import DensePredictor
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from msgs.values.radar import RadarBeam, RadarSetup
 from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.fdtd.cpml import CpmlParams

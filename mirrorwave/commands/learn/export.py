@@ -11,7 +11,13 @@ from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 
 def export(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder of `mirrorwave train dense`.")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN|FILE",
+            help="Run folder of `mirrorwave train dense`; or an exported object network, for --precision int8.",
+        ),
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file; its card is written beside it.")],
     data: Annotated[Path | None, typer.Option(metavar="DIR", help="Data set of the run, if it moved.")] = None,
     test: Annotated[Path | None, typer.Option(metavar="DIR", help="Data set whose scenes all score the card.")] = None,
@@ -32,6 +38,9 @@ def export(
 
     from models.training.export.onnx import ExportConfig, export_run
 
+    if run.suffix == ".onnx":
+        _export_objects(run, out, data, precision, calibration, as_json)
+        return
     config = ExportConfig(
         data_dir=data,
         test_dir=test,
@@ -58,3 +67,20 @@ def export(
             f"largest difference from torch {card.fidelity.largest_difference:.2g}, "
             f"{card.fidelity.lost_points:+.2f} points of Macro-F1 lost to precision"
         )
+
+
+def _export_objects(
+    source: Path, out: Path, data: Path | None, precision: str, calibration: int, as_json: bool
+) -> None:
+    """Write an exported object network in 8-bit integers."""
+    from models.training.data.frames import DataSet
+    from models.training.export.objects import quantize_objects
+
+    if precision != "int8" or data is None:
+        raise ValueError(f"{source}: an exported network takes --precision int8 and --data, a data set of its training")
+    card = quantize_objects(source, DataSet(data), calibration, out)
+    if as_json:
+        print_json(card)
+        return
+    print_line(f"{out}: {card.parameters} parameters, int8, sha256 {card.sha256}")
+    print_line(f"largest difference of a probability {card.scores['largest_probability_difference']:.2g}")

@@ -27,7 +27,7 @@ from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
 from models.perception.detection.detectors import Detector
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.stage import fold_scan, recover_bev
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar

@@ -141,6 +141,7 @@ def peaks_at(
         vehicle_from_radar=ra_map.vehicle_from_radar,
         radial_speed_mps=speed_mps,
         radial_speed_std_mps=std_mps,
+        settled_stamp_ns=ra_map.settled_stamp_ns,
     )
 
 

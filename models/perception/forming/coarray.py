@@ -27,6 +27,7 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
+from numba import njit
 
 from models.physics.antenna import coarray_weights, setup_weights
 from msgs.values.arrays import require_array, require_positive
@@ -224,6 +225,12 @@ class AzimuthInterpolator:
         values[:, self._unseen(missing)] = 0.0
         return values
 
+    def warm(self) -> None:
+        """Compute the matrices of whole scans and compile the kernels of moving ones: the first must not wait."""
+        azimuth_rad = self.grid.azimuth_rad[None]
+        self._steered(np.zeros((1, self._beam_matrix.shape[1]), np.complex64), azimuth_rad)
+        self._inverse(())
+
     def noise_gain(self, missing: tuple[int, ...] = ()) -> float:
         """Return the mean noise power of a coherent cell relative to a beam's (0.58 with all of the default beams)."""
         return self._inverse(missing).noise_gain
@@ -284,13 +291,8 @@ class AzimuthInterpolator:
         """
         first, second = coefficient_phases(self.setup)[:2].tolist()
         sine = np.sin(azimuth_rad.astype(np.float32))
-        turn = np.exp(1j * (second - first) * sine)
-        values = np.zeros(sine.shape, np.complex64)
-        # a polynomial in the turn, by Horner: exponentials of all coefficients would cost several times as much
-        for term in (coefficients * ideal_beams(self.setup, np.zeros(()))).T[::-1].astype(np.complex64):
-            values *= turn
-            values += term[:, None]
-        return np.asarray(values * np.exp(1j * first * sine))
+        terms = (coefficients * ideal_beams(self.setup, np.zeros(()))).astype(np.complex64)
+        return np.asarray(_polynomials(terms, _unit_phasors((second - first) * sine), _unit_phasors(first * sine)))
 
     def _magnitudes(self, magnitudes: np.ndarray, inverse: _Inverse, looks: np.ndarray | None) -> np.ndarray:
         """Return the least squares on magnitudes [range, beams], on their squares one way, not below zero."""
@@ -355,6 +357,34 @@ def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
     if few_beams:
         return (adjoint @ np.linalg.solve(ridged, magnitudes[..., None]))[..., 0]
     return np.linalg.solve(ridged, adjoint @ magnitudes[..., None])[..., 0]
+
+
+def _unit_phasors(phase_rad: np.ndarray) -> np.ndarray:
+    """Return exp(j phase), complex64, of float32 phases: faster by its parts."""
+    phasors = np.empty(phase_rad.shape, np.complex64)
+    np.cos(phase_rad, out=phasors.real)
+    np.sin(phase_rad, out=phasors.imag)
+    return phasors
+
+
+@njit(cache=True, nogil=True)
+def _polynomials(terms: np.ndarray, turn: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return polynomials with the coefficients `terms` [range, T] at `turn`, times `start` [range, azimuth]; complex64.
+
+    By Horner: exponentials of all coefficients would cost several times as much.
+    """
+    values = np.empty(turn.shape, np.complex64)
+    last = terms.shape[1] - 1
+    for row in range(len(terms)):
+        of_row, turn_of_row = values[row], turn[row]
+        of_row[:] = terms[row, last]
+        for term in range(last - 1, -1, -1):
+            coefficient = terms[row, term]
+            for column in range(len(of_row)):
+                of_row[column] = of_row[column] * turn_of_row[column] + coefficient
+        for column in range(len(of_row)):
+            of_row[column] *= start[row, column]
+    return values
 
 
 def _energy(rows: np.ndarray) -> np.ndarray:

@@ -16,16 +16,12 @@ import numpy as np
 import scipy.fft
 from scipy.special import gammaincinv
 
-from models.perception.forming.coarray import SEEN_SPACINGS, AzimuthInterpolator, CoherenceTest, require_tractable
+from models.perception.forming.coarray import SEEN_SPACINGS, AzimuthInterpolator, CoherenceTest
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
-    has_spurs,
-    interfered_beams,
-    lost_chirps,
-    silent_beams,
 )
-from models.perception.forming.radial_speed import HEARD, MIN_GROUPS, beam_speeds, cell_speeds, unit_std_mps
+from models.perception.forming.radial_speed import HEARD, MIN_GROUPS, beam_speeds, cell_speeds
 from models.perception.forming.slow_time_sums import fold_chirps, group_edges
 from models.physics.waveform import WINDOW_TAPS
 from msgs.values.arrays import require_array, require_positive
@@ -38,7 +34,7 @@ from msgs.values.radar import (
     RangeAzimuthMap,
     amplitude_per_code,
 )
-from msgs.values.units import SPEED_OF_LIGHT_MPS, ns_from_s, ratio_from_db, s_from_ns
+from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db, s_from_ns
 from msgs.values.vehicle import VehicleState, ego_motion
 
 #: A beam whose stated azimuth differs from the set-up's by more belongs to another set-up.
@@ -67,6 +63,8 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     chirps: int | None = None
     #: Only every so many beams are used, from the first.
     beam_step: int = 1
+    #: A map of the newest sweep every so many beams, most of them measured before the last map; None: one a scan.
+    rolling_beams: int | None = None
     #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
     decimation: int = 1
     coherence: CoherenceTest = CoherenceTest()
@@ -76,7 +74,7 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     vehicle_from_radar: Pose2 = Pose2()
 
     def __post_init__(self) -> None:
-        for name in ("slow_time_sums", "chirps"):
+        for name in ("slow_time_sums", "chirps", "rolling_beams"):
             if getattr(self, name) is not None:
                 require_positive(f"forming.{name}", getattr(self, name))
         for name in ("doppler_padding", "doppler_limit_mps", "beam_step", "decimation"):
@@ -113,6 +111,8 @@ class ScanProfiles:
     #: Radial speed in each beam, float32 [beams, range], and its standard deviation at an SNR of 1; None: not measured.
     radial_speed_mps: np.ndarray | None = None
     radial_speed_unit_std_mps: float = 0.0
+    #: As the map of these beams has it.
+    settled_stamp_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -160,6 +160,7 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
         faults=(*scan.faults, "array_error") if deviates else scan.faults,
         radial_speed_cmps=_cell_speeds(scan, interpolator),
         radial_speed_unit_std_mps=scan.radial_speed_unit_std_mps,
+        settled_stamp_ns=scan.settled_stamp_ns,
     )
 
 
@@ -195,9 +196,17 @@ def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np
     if scan.look_azimuth_rad is not None and len(looked):
         azimuth_rad, elapsed_ns = scan.look_azimuth_rad[looked, -1], elapsed_ns[looked]
     order = np.argsort(azimuth_rad, kind="stable")
-    elapsed_ns = elapsed_ns[order]
-    elapsed_ns = np.interp(interpolator.grid.azimuth_rad, azimuth_rad[order], elapsed_ns)
-    return scan.stamp_ns + np.rint(elapsed_ns).astype(np.int64)
+    azimuth_rad, elapsed_ns = azimuth_rad[order], elapsed_ns[order]
+    between_ns = np.interp(interpolator.grid.azimuth_rad, azimuth_rad, elapsed_ns)
+    if scan.settled_stamp_ns is not None:
+        # between the newest beam and the oldest nothing was measured half-way in time
+        seam = int(np.argmax(np.abs(np.diff(elapsed_ns))))
+        inside = (interpolator.grid.azimuth_rad > azimuth_rad[seam]) & (
+            interpolator.grid.azimuth_rad < azimuth_rad[seam + 1]
+        )
+        is_upper = interpolator.grid.azimuth_rad[inside] > azimuth_rad[seam : seam + 2].mean()
+        between_ns[inside] = elapsed_ns[seam + is_upper.astype(int)]
+    return scan.stamp_ns + np.rint(between_ns).astype(np.int64)
 
 
 class FoldedBeam(NamedTuple):
@@ -226,6 +235,11 @@ class BeamFolder:
             raise ValueError(
                 "forming.beam_step must be 1 for a digital array: no other beam sees where one is left out, "
                 f"got {params.beam_step!r}"
+            )
+        if setup.array.digital and params.rolling_beams is not None:
+            raise ValueError(
+                "forming.rolling_beams must be null for a digital array: all its beams are of one time, "
+                f"got {params.rolling_beams!r}"
             )
         #: Number of samples per chirp that are transformed.
         self.samples = radar.samples_per_chirp // params.decimation
@@ -413,25 +427,67 @@ def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state:
     coherence test sees to the rest). The shift moves the beat by 2 S shift / c, its phase by 4 pi shift / lambda and,
     through the residual video phase, by a term linear in range.
     """
-    radar, grid = folder.setup.radar, folder.grid
-    poses = [
-        _start_from_now(state, time_s, folder.params.vehicle_from_radar)
-        for time_s in (elapsed_s, *(elapsed_s + folder.group_time_s))
+    radar = folder.setup.radar
+    middle = displacement(folder, beam_index, elapsed_s, state)
+    groups = [
+        _start_from_now(state, elapsed_s + time_s, folder.params.vehicle_from_radar) for time_s in folder.group_time_s
     ]
-    look_rad = float(folder.setup.beams.azimuth_rad[beam_index] + poses[0].yaw_rad)
-    axis = _unit(look_rad)
-    shift_m, *group_shift_m = (float(np.array([pose.x_m, pose.y_m]) @ axis) for pose in poses)
-    delay_s = 2.0 * shift_m / SPEED_OF_LIGHT_MPS
-    slope = radar.chirp_slope_hz_per_s
-    sample_turns = slope * delay_s / radar.sample_rate_hz * np.arange(radar.samples_per_chirp)
-    bin_turns = -0.5 * slope * delay_s * (4.0 * grid.range_m / SPEED_OF_LIGHT_MPS - delay_s)
+    group_shift_m = np.array([(pose.x_m, pose.y_m) for pose in groups]) @ _unit(middle.look_rad)
+    delay_s = 2.0 * middle.shift_m / SPEED_OF_LIGHT_MPS
+    sample_turns = radar.chirp_slope_hz_per_s * delay_s / radar.sample_rate_hz * np.arange(radar.samples_per_chirp)
     return EgoCorrection(
-        group_phase=_turned(2.0 * np.array(group_shift_m) / radar.wavelength_m),
+        group_phase=_turned(2.0 * group_shift_m / radar.wavelength_m),
         sample_phase=_turned(sample_turns),
-        bin_phase=_turned(bin_turns),
-        look_azimuth_rad=_axis_azimuth(poses[0], look_rad, grid),
-        shift_m=shift_m,
+        bin_phase=_video_phase(folder, middle.shift_m),
+        look_azimuth_rad=middle.look_azimuth_rad(folder.grid),
+        shift_m=middle.shift_m,
     )
+
+
+class Displacement(NamedTuple):
+    """Where a beam was measured, seen from the map's pose."""
+
+    pose: Pose2
+    #: Direction of its axis, and by how much the beam is moved along range.
+    look_rad: float
+    shift_m: float
+
+    def look_azimuth_rad(self, grid: RangeAzimuthGrid) -> np.ndarray:
+        """Return the azimuth of the beam's axis seen from the map's pose, [range]."""
+        return _axis_azimuth(self.pose, self.look_rad, grid)
+
+
+def displacement(folder: BeamFolder, beam_index: int, elapsed_s: float, state: VehicleState) -> Displacement:
+    """Return where a beam was measured whose middle lies `elapsed_s` after the map's pose, before it if negative."""
+    pose = _start_from_now(state, elapsed_s, folder.params.vehicle_from_radar)
+    look_rad = float(folder.setup.beams.azimuth_rad[beam_index] + pose.yaw_rad)
+    return Displacement(pose, look_rad, float(np.array([pose.x_m, pose.y_m]) @ _unit(look_rad)))
+
+
+def moved_profile(folder: BeamFolder, profile: np.ndarray, shift_m: float, to_shift_m: float) -> np.ndarray:
+    """Return a profile [range] that was moved along range by one shift as if it had been moved by another; complex64.
+
+    As `ego_correction` moves samples, but after the transform: the window leaves nothing at the ends of a chirp, so
+    that the profile's own transform may be cut there. Bins nearer to an edge than the difference lose what is beyond.
+    """
+    by_m = to_shift_m - shift_m
+    if by_m == 0.0:
+        return profile
+    bins = len(profile)
+    length = scipy.fft.next_fast_len(2 * bins)
+    series = scipy.fft.ifft(profile * np.conj(_video_phase(folder, shift_m)), length)
+    series *= _turned(by_m / folder.grid.range_bin_m / length * np.arange(length))
+    turned = _turned(np.array(2.0 * by_m / folder.setup.radar.wavelength_m)) * _video_phase(folder, to_shift_m)
+    moved: np.ndarray = scipy.fft.fft(series, overwrite_x=True)[:bins] * turned
+    return moved.astype(np.complex64)
+
+
+def _video_phase(folder: BeamFolder, shift_m: float) -> np.ndarray:
+    """Return the residual video phase of a shift along range, complex64 [range]."""
+    delay_s = 2.0 * shift_m / SPEED_OF_LIGHT_MPS
+    slope = folder.setup.radar.chirp_slope_hz_per_s
+    bin_turns = -0.5 * slope * delay_s * (4.0 * folder.grid.range_m / SPEED_OF_LIGHT_MPS - delay_s)
+    return _turned(bin_turns)
 
 
 def look_azimuths(setup: RadarSetup, grid: RangeAzimuthGrid, state: VehicleState) -> np.ndarray:
@@ -481,71 +537,8 @@ def _axis_azimuth(pose: Pose2, look_rad: float, grid: RangeAzimuthGrid) -> np.nd
     return np.where(along_m > np.hypot(pose.x_m, pose.y_m), azimuth_rad, look_rad)
 
 
-class RaFormer:
-    """Streams beams into maps (params None: the defaults; grid None: the default with the radar's range bins).
-
-    The vehicle state given with the first beam of a scan holds for all of it; without a valid one the scan goes
-    uncompensated. A beam of another scan, or `flush`, closes a scan that lacks beams. Beams that repeat (the first
-    counts) or come up to `LATE_SCANS` scans late are dropped and counted; numbers that fall further, or fall while
-    stamps rise, belong to a source that restarted.
-    """
-
-    #: How many scans behind the newest one a beam may be and still count as late.
-    LATE_SCANS = 2
-
-    def __init__(
-        self, setup: RadarSetup, params: FormingParams | None = None, grid: RangeAzimuthGrid | None = None
-    ) -> None:
-        params = params or FormingParams()
-        require_tractable(setup)
-        self.interpolator = AzimuthInterpolator(setup, grid, params.coherence)
-        self.folder = BeamFolder(setup, params, self.interpolator.grid)
-        self.repeated_beams = 0
-        self.late_beams = 0
-        self._scan: _OpenScan | None = None
-        #: Number and stamp of the newest scan.
-        self._newest: tuple[int, int] | None = None
-        # compile now: the first beam must not wait for kernels, nor the first scan for matrices
-        fold_chirps(np.zeros((1, 1, 2), np.int16), 1)
-        self.interpolator.noise_gain()
-
-    def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[RangeAzimuthMap]:
-        """Fold one beam; the maps this completes, oldest first. Raises `ValueError` for a beam of another set-up."""
-        _check_beam(beam, self.folder.setup)
-        if beam.beam_index % self.folder.params.beam_step or self._is_stale(beam):
-            return []
-        maps = [] if self._scan is not None and self._scan.holds(beam) else self.flush()
-        if self._scan is None:
-            self._scan = _OpenScan(self.folder, beam, state)
-            self._newest = (self._scan.scan_id, self._scan.stamp_ns)
-        self.repeated_beams += not self._scan.add(beam)
-        return maps + (self.flush() if self._scan.complete else [])
-
-    def flush(self) -> list[RangeAzimuthMap]:
-        """Close the scan under way: its map, whatever beams it lacks, or nothing."""
-        if self._scan is None:
-            return []
-        scan, self._scan = self._scan, None
-        params = self.folder.params
-        formed = form_map(scan.profiles(), self.interpolator, params.mode)
-        return [msgspec.structs.replace(formed, vehicle_from_radar=params.vehicle_from_radar)]
-
-    def _is_stale(self, beam: RadarBeam) -> bool:
-        """Count and refuse beams of scans already closed."""
-        if self._newest is None or (self._scan is not None and self._scan.holds(beam)):
-            return False
-        scan_id, stamp_ns = self._newest
-        later = beam.stamp_ns >= stamp_ns + ns_from_s(self.folder.setup.radar.scan_period_s)
-        if later or not scan_id - self.LATE_SCANS <= beam.scan_id <= scan_id:
-            return False
-        if beam.scan_id == scan_id:
-            self.repeated_beams += 1
-        else:
-            self.late_beams += 1
-        return True
-
-
-def _check_beam(beam: RadarBeam, setup: RadarSetup) -> None:
+def check_beam(beam: RadarBeam, setup: RadarSetup) -> None:
+    """Raise `ValueError` for a beam of another set-up."""
     radar = setup.radar
     if beam.beam_count != len(setup.beams):
         raise ValueError(f"beam.beam_count must be the set-up's {len(setup.beams)}, got {beam.beam_count!r}")
@@ -553,92 +546,3 @@ def _check_beam(beam: RadarBeam, setup: RadarSetup) -> None:
     azimuth_rad = float(setup.beams.azimuth_rad[beam.beam_index])
     if abs(beam.azimuth_rad - azimuth_rad) > _AZIMUTH_TOLERANCE_RAD:
         raise ValueError(f"beam.azimuth_rad must be the set-up's {azimuth_rad:.6f}, got {beam.azimuth_rad!r}")
-
-
-class _OpenScan:
-    """The beams of a scan so far, folded."""
-
-    def __init__(self, folder: BeamFolder, beam: RadarBeam, state: VehicleState | None) -> None:
-        beams = len(folder.setup.beams)
-        self.scan_id = beam.scan_id
-        #: Acquisition of beam 0, nominal where another beam came first.
-        self.stamp_ns = beam.stamp_ns - beam.beam_index * folder.setup.beam_interval_ns
-        self._folder = folder
-        self._state = state if state is not None and state.valid else None
-        self._profiles = np.zeros((beams, folder.grid.range_bins), np.complex64)
-        self._looks = np.zeros(self._profiles.shape)
-        self._speed_mps = np.full(self._profiles.shape, np.nan, np.float32)
-        self._noise_power_mw = np.full(beams, np.nan)
-        self._beam_stamp_ns = self.stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64)
-        self._saturated = 0
-        self._lost_chirps = 0
-        self._used = np.arange(beams) % folder.params.beam_step == 0
-
-    def holds(self, beam: RadarBeam) -> bool:
-        """Return whether a beam is one of this scan's."""
-        return beam.scan_id == self.scan_id
-
-    @property
-    def complete(self) -> bool:
-        """True once every used beam has arrived."""
-        return not np.isnan(self._noise_power_mw[self._used]).any()
-
-    def add(self, beam: RadarBeam) -> bool:
-        """Fold one beam in; return False for a repeated beam."""
-        index = beam.beam_index
-        if not np.isnan(self._noise_power_mw[index]):
-            return False
-        ego = self._ego(beam)
-        folded = self._folder.fold(beam, ego)
-        self._profiles[index], self._noise_power_mw[index] = folded.profile, folded.noise_power_mw
-        if folded.radial_speed_mps is not None:
-            self._speed_mps[index] = folded.radial_speed_mps
-        if ego is not None:
-            self._looks[index] = ego.look_azimuth_rad
-        self._beam_stamp_ns[index] = beam.stamp_ns
-        self._saturated += folded.saturated
-        self._lost_chirps += lost_chirps(beam.samples[: self._folder.chirps])
-        return True
-
-    def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
-        if self._state is None:
-            return None
-        # beams made of one measurement have one pose, that of its middle: a phase for each would break their coherence
-        digital = self._folder.setup.array.digital
-        middle_s = 0.0 if digital else s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
-        return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
-
-    def profiles(self) -> ScanProfiles:
-        """Return the folded beams; noise is the median over beams, so that one disturbed beam does not set it.
-
-        Silent and interfered beams are left out like missing ones: their neighbours cover their direction better. Beams
-        of a digital array are kept: each is made of all columns and covers a direction of its own.
-        """
-        received = ~np.isnan(self._noise_power_mw)
-        noise_power_mw = float(np.median(self._noise_power_mw[received]))
-        steered = not self._folder.setup.array.digital
-        silent = received & steered & silent_beams(self._profiles, noise_power_mw)
-        interfered = steered & interfered_beams(self._noise_power_mw)
-        usable = received & ~silent & ~interfered
-        faults = {
-            "lost_chirps": self._lost_chirps > 0,
-            "silent_beams": silent.any(),
-            "drowned_beams": interfered.any(),
-            "spurs": has_spurs(self._profiles[usable], noise_power_mw),
-        }
-        radar = self._folder.setup.radar
-        samples = int(received.sum()) * self._folder.chirps * radar.samples_per_chirp
-        return ScanProfiles(
-            stamp_ns=self.stamp_ns,
-            scan_id=self.scan_id,
-            profiles=np.where(usable[:, None], self._profiles, np.complex64(0.0)),
-            noise_power_mw=noise_power_mw,
-            beam_stamp_ns=self._beam_stamp_ns,
-            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~usable)),
-            unused_beams=tuple(int(index) for index in np.flatnonzero(~self._used)),
-            saturated_share=self._saturated / samples,
-            faults=tuple(name for name, holds in faults.items() if holds),
-            look_azimuth_rad=None if self._state is None else self._looks,
-            radial_speed_mps=self._speed_mps if self._folder.measures_speed else None,
-            radial_speed_unit_std_mps=unit_std_mps(radar.wavelength_m, self._folder.duration_s),
-        )

@@ -7,7 +7,8 @@ from contextlib import nullcontext
 import msgspec
 import numpy as np
 
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.perception.state_history import StateHistory
 from models.perception.timing import Timed
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap

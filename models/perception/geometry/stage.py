@@ -116,6 +116,7 @@ def recover_bev(
         grid=params.grid,
         visibility=observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility),
         visibility_rcs_dbsm=params.visibility.rcs_dbsm,
+        settled_stamp_ns=peaks.settled_stamp_ns,
         flags=condition_flags(peaks),
     )
 

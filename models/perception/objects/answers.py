@@ -60,16 +60,18 @@ def detections(
 ) -> Detections:
     """Return the objects of an answer [K * answers, R, C] whose probability reaches a threshold, one report each."""
     said = answer.reshape(HYPOTHESES, ANSWERS, *answer.shape[1:]).astype(np.float64)
-    reports = _folded(said, np.argwhere(_is_peak(said, hypotheses, threshold)), hypotheses, grid, walls)
+    reports = _folded(said, _peaks(said, hypotheses, threshold), hypotheses, grid, walls)
     return reports.take(_distinct(reports))
 
 
-def _is_peak(said: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
-    """Return which hypotheses are the likeliest among their neighbours, bool [K, R, C]."""
+def _peaks(said: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
+    """Return the hypotheses (which, row, column) [N, 3] that are the likeliest among their neighbours."""
     probability = np.where(hypotheses.wall >= 0, expit(said[:, 0]), 0.0)
     padded = np.pad(probability, ((0, 0), (1, 1), (1, 1)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
-    return np.asarray((probability >= threshold) & (probability >= windows.max(axis=(-2, -1))))
+    likely = np.argwhere(probability >= threshold)
+    at = tuple(likely.T)
+    return np.asarray(likely[probability[at] >= windows[at].max(axis=(-2, -1))])
 
 
 def _folded(

@@ -38,6 +38,9 @@ LEAST_MEASUREMENTS = 2
 MAX_POSITION_STD_M = 2.0
 #: A measurement counts as a track's where it is so probable.
 LIKELY = 0.5
+#: Where views share beams, an object that is not measured again within so many sweeps was missed: it may have moved on
+#: in azimuth, and what lies in the newest beams is not whole yet.
+SWEEPS_UNTIL_MISSED = 1.15
 
 
 class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -89,6 +92,9 @@ class _TrackState:
     misses: int = 0
     #: A wall hid it at some time: only then can it come into sight.
     was_blocked: bool = False
+    #: Where views share beams: when its last measurement was taken, and time up to which it was measured or missed.
+    measured_ns: int = 0
+    looked_ns: int = 0
 
     @property
     def estimate(self) -> Estimate:
@@ -165,34 +171,81 @@ class Tracker:
         elapsed_s = 0.0 if self._last_ns is None else s_from_ns(stamp_ns - self._last_ns)
         for track in self._tracks:
             track.bernoulli = track.bernoulli.survived(elapsed_s, params.survival_per_s)
-        measurements = sightings(frame, odom_from_radar, params.place_std_m)
+        measurements = self._new(sightings(frame, odom_from_radar, params.place_std_m), frame)
         now = [track.estimate.at(stamp_ns, params.acceleration_density_m2ps3) for track in self._tracks]
         detection = detection_probabilities(frame, now, odom_from_radar, params.detection_probability)
-        probability = self._associated(detection, measurements)
+        likelihood = self._log_likelihoods(measurements)
+        is_looked_at = self._looked_at(frame, likelihood)
+        # what no beam has looked at was not missed
+        detection = np.where(is_looked_at, detection, 0.0)
+        probability = self._associated(detection, likelihood, measurements)
         for track, detected, share in zip(self._tracks, detection.tolist(), probability, strict=True):
             track.bernoulli = updated(
                 track.bernoulli, detected, share, measurements, stamp_ns, params.acceleration_density_m2ps3
             )
-            is_hit = bool(share.sum() >= LIKELY)
-            track.measurements, track.misses = track.measurements + is_hit, 0 if is_hit else track.misses + 1
+            if detected > 0.0 or frame.settled_stamp_ns is None:
+                self._count(track, share, measurements, frame.settled_stamp_ns or 0)
         self._begin(measurements, probability.sum(axis=0))
         self._tracks = self._kept()
 
-    def _associated(self, detection: np.ndarray, measurements: Sequence[Sighting]) -> np.ndarray:
-        """Return the probability [T, M] of each pair of a track and a measurement."""
+    def _new(self, measurements: list[Sighting], frame: BevFrame) -> list[Sighting]:
+        """Return the measurements that no track has had from an earlier view of the same beams, whole ones alone."""
+        if frame.settled_stamp_ns is None:
+            return measurements
+        settled = [sighting for sighting in measurements if sighting.stamp_ns <= frame.settled_stamp_ns]
+        sweep_ns = frame.settled_stamp_ns - frame.stamp_ns
+        is_near = np.isfinite(self._log_likelihoods(settled))
+        return [
+            sighting
+            for sighting, near in zip(settled, is_near.T, strict=True)
+            if not any(
+                is_candidate and abs(sighting.stamp_ns - track.measured_ns) < sweep_ns // 2
+                for track, is_candidate in zip(self._tracks, near, strict=True)
+            )
+        ]
+
+    def _looked_at(self, frame: BevFrame, log_likelihood: np.ndarray) -> np.ndarray:
+        """Return whether a view's new beams have looked where each track is, bool [T]: one of its measurements may be
+        the track's, or a sweep has passed since the track was last looked at. A whole scan looks everywhere.
+        """
+        if frame.settled_stamp_ns is None:
+            return np.ones(len(self._tracks), np.bool_)
+        sweep_ns = SWEEPS_UNTIL_MISSED * (frame.settled_stamp_ns - frame.stamp_ns)
+        is_due = [frame.settled_stamp_ns - track.looked_ns >= sweep_ns for track in self._tracks]
+        return np.asarray(np.isfinite(log_likelihood).any(axis=1) | np.array(is_due, np.bool_))
+
+    @staticmethod
+    def _count(track: _TrackState, share: np.ndarray, measurements: Sequence[Sighting], looked_ns: int) -> None:
+        """Count a view that looked where a track is; `share` [M] is the probability of each measurement to be its."""
+        is_hit = bool(share.sum() >= LIKELY)
+        track.measurements, track.misses = track.measurements + is_hit, 0 if is_hit else track.misses + 1
+        track.looked_ns = looked_ns
+        if is_hit:
+            track.measured_ns = measurements[int(share.argmax())].stamp_ns
+
+    def _log_likelihoods(self, measurements: Sequence[Sighting]) -> np.ndarray:
+        """Return the logarithm of the density [T, M] of each measurement by each track."""
         estimates = [track.estimate for track in self._tracks]
+        return log_likelihoods(estimates, measurements, self.params.acceleration_density_m2ps3)
+
+    def _associated(
+        self, detection: np.ndarray, log_likelihood: np.ndarray, measurements: Sequence[Sighting]
+    ) -> np.ndarray:
+        """Return the probability [T, M] of each pair of a track and a measurement."""
         existence = np.array([track.bernoulli.existence for track in self._tracks])
         # of reports of nothing known, the share of new objects is the score
         background = np.array([self.params.birth_density_per_m2 / sighting.score for sighting in measurements])
-        likelihood = log_likelihoods(estimates, measurements, self.params.acceleration_density_m2ps3)
-        return marginal_probabilities(log_odds_of_pairs(existence, detection, likelihood, background))
+        return marginal_probabilities(log_odds_of_pairs(existence, detection, log_likelihood, background))
 
     def _begin(self, measurements: Sequence[Sighting], explained: np.ndarray) -> None:
         """Begin a track of each measurement, with the existence that is left to explain."""
         for sighting, share in zip(measurements, explained.tolist(), strict=True):
             bernoulli = born(sighting, share, self.params.first_speed_std_mps)
             if bernoulli.existence >= self.params.least_existence:
-                self._tracks.append(_TrackState(self._next_id, sighting.stamp_ns, bernoulli))
+                begun_ns = sighting.stamp_ns
+                self._tracks.append(
+                    _TrackState(self._next_id, begun_ns, bernoulli, measured_ns=begun_ns, looked_ns=begun_ns)
+                )
                 self._next_id += 1
 
     def _kept(self) -> list[_TrackState]:

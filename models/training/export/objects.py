@@ -10,14 +10,22 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import torch
+from scipy.special import expit
 
 from models.evaluation.object_metrics import ObjectReport, Ratio
 from models.networks.object_unet import ObjectUNet
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.detection.score_calibration import ScoreTable
+from models.perception.objects.answers import ANSWERS
+from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.predictor import ObjectCard, ObjectPredictor
 from models.training.calibration import fit_table
+from models.training.data.frames import DataSet
+from models.training.data.object_samples import SampleMaker
 from models.training.data.object_store import StoredSample, load_samples
 from models.training.export.onnx import require_onnx, write_card, write_onnx
+from models.training.export.quantize import quantize_int8
 from models.training.files import file_sha256
 from models.training.object_scoring import ObjectTally
 from models.training.train_objects import ObjectRunConfig, load_best_objects
@@ -55,6 +63,51 @@ def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path) 
     card = msgspec.structs.replace(draft, threshold=threshold, scores=_scores(report))
     write_card(card, model_path)
     return card
+
+
+def quantize_objects(source: Path, data: DataSet, count: int, model_path: Path) -> ObjectCard:
+    """Write an exported object network in 8-bit integers, its ranges set on the first `count` scans of a data set that
+    it was trained on, and its card: threshold and tables are those of the source.
+
+    Raises `ValueError` naming a source that is no object network, or a data set of another radar.
+    """
+    require_onnx(model_path)
+    exact = ObjectPredictor(source)
+    card = exact.card
+    maker = SampleMaker(card.encoding, NetworkDetector(data.setup, DEFAULT_MODEL))
+    scans = range(min(count, len(data)))
+    cells = [maker.sample(frame.ra_map, frame.labels, frame.truth or ())[0].cells for frame in data.frames(scans)]
+    inputs = np.stack(cells).astype(np.float32)
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / model_path.name
+        quantize_int8(source, file, inputs)
+        command = (
+            f"mirrorwave export {source} --precision int8 --data {data.directory} --calibration {count} "
+            f"--out {model_path}"
+        )
+        card = msgspec.structs.replace(
+            card,
+            name=model_path.stem,
+            sha256=file_sha256(file),
+            training={**card.training, "quantized": {"command": command, "source_sha256": card.sha256}},
+            scores={},
+        )
+        write_card(card, file)
+        difference = _probability_difference(exact, ObjectPredictor(file), inputs)
+        card = msgspec.structs.replace(card, scores={"largest_probability_difference": round(difference, 4)})
+        model_path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, model_path)
+    write_card(card, model_path)
+    return card
+
+
+def _probability_difference(exact: ObjectPredictor, rounded: ObjectPredictor, inputs: np.ndarray) -> float:
+    """Return the largest difference of a probability of existence over inputs [N, channels, rows, columns]."""
+    answers = [
+        [expit(predictor.answer(cells).reshape(HYPOTHESES, ANSWERS, *cells.shape[1:])[:, 0]) for cells in inputs]
+        for predictor in (exact, rounded)
+    ]
+    return float(np.abs(np.array(answers[0]) - np.array(answers[1])).max())
 
 
 def calibration(tally: ObjectTally) -> ScoreTable:

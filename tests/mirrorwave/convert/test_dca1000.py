@@ -12,7 +12,7 @@ import pytest
 
 from mirrorwave.cli import main
 from models.perception.detection.cfar import CfarParams, detect
-from models.perception.forming.ra_forming import RaFormer
+from models.perception.forming.ra_former import RaFormer
 from models.sensors.dca1000 import array_params, frame_samples, parse_cfg, parse_json
 from msgs.recording.mcap import RecordingReader
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap

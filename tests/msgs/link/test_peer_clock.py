@@ -106,7 +106,7 @@ def test_every_field_that_is_a_time_of_a_clock_is_known() -> None:
         for field in _fields(msgspec.inspect.type_info(topic.type))
         if field.encode_name.endswith("_ns")
     }
-    assert names == {"stamp_ns", "azimuth_stamp_ns", "peak_stamp_ns"}
+    assert names == {"stamp_ns", "azimuth_stamp_ns", "peak_stamp_ns", "settled_stamp_ns"}
 
 
 def _fields(of: Any) -> Iterator[Any]:

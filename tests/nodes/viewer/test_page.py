@@ -130,7 +130,8 @@ def corner() -> list[Any]:
     """One scan of the demo scene through the real chain: map, peaks, truth, view, vehicle's state."""
     from models.perception.detection.cfar import CfarParams
     from models.perception.detection.detectors import CfarDetector
-    from models.perception.forming.ra_forming import FormingParams, RaFormer
+    from models.perception.forming.ra_former import RaFormer
+    from models.perception.forming.ra_forming import FormingParams
     from models.perception.geometry.stage import GeometryParams, recover_bev
     from nodes.player import Params, scene_player
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_forming import RaFormer, ScanProfiles, form_map, look_azimuths
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import ScanProfiles, form_map, look_azimuths
 from models.training.data.frames import DataSet, fixed_splits
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject

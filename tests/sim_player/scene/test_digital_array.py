@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import sim_player.player
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.physics.antenna import element_field
 from models.physics.waveform import window_noise_gain
 from msgs.values.radar import PRESETS, RangeAzimuthMap

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.physics.antenna import setup_weights
 from msgs.values.radar import PRESETS, ArrayParams, RangeAzimuthGrid
 

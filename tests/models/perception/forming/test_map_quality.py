@@ -18,7 +18,8 @@ from models.perception.forming.map_quality import (
     lost_chirps,
     silent_beams,
 )
-from models.perception.forming.ra_forming import RaFormer, ScanProfiles, form_map
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import ScanProfiles, form_map
 from models.perception.geometry.stage import condition_flags
 from models.physics.antenna import coarray_weights, setup_weights
 from msgs.bus.codec import decode_inline, encode_inline

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from models.perception.forming.coarray import beam_matrix, ideal_beams
-from models.perception.forming.ra_forming import BeamFolder, EgoCorrection, FormingParams, RaFormer, ego_correction
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import BeamFolder, EgoCorrection, FormingParams, ego_correction
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_samples
 from msgs.values.frames import Pose2
@@ -61,13 +62,13 @@ def _scan(
     motion: VehicleState | None = None,
     speed_mps: float = 0.0,
     vehicle_from_radar: Pose2 = Pose2(),  # noqa: B008
+    scan_id: int = 0,
 ) -> list[RadarBeam]:
-    """A scan of one point, seen by a radar that may move, the point closing in radially at `speed_mps`."""
+    """A scan of one point, seen by a radar that may move since scan 0, the point closing in radially at `speed_mps`."""
     radar, beams = setup.radar, []
     for index in range(len(setup.beams)):
-        times_s = 1e-9 * index * setup.beam_interval_ns + radar.chirp_period_s * (
-            np.arange(radar.chirps_per_beam) + 0.5
-        )
+        start_s = 0.3 * scan_id + 1e-9 * index * setup.beam_interval_ns
+        times_s = start_s + radar.chirp_period_s * (np.arange(radar.chirps_per_beam) + 0.5)
         offset = np.tile(np.array(point_m), (len(times_s), 1))
         if motion is not None:
             poses = [ego_motion(motion.speed_mps, motion.yaw_rate_rps, time_s) for time_s in times_s]
@@ -79,7 +80,7 @@ def _scan(
         still = np.ptp(range_m) == 0.0
         beat = weight * beat_samples(radar, 2.0 * (range_m[:1] if still else range_m))
         beat = np.broadcast_to(beat, (radar.chirps_per_beam, radar.samples_per_chirp))
-        beams.append(_beam(setup, index, _codes(setup, beat, noise_power_mw, seed=index)))
+        beams.append(_beam(setup, index, _codes(setup, beat, noise_power_mw, seed=index), scan_id))
     return beams
 
 

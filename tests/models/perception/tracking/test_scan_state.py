@@ -12,7 +12,8 @@ import pytest
 
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_former import RaFormer
+from models.perception.forming.ra_forming import FormingParams
 from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.perception.tracking.odometry import MAX_WAITING_STATES, Odometry, ScanOdometry, stationary_pose
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory

@@ -362,3 +362,57 @@ def test_recordings_without_the_newer_fields_of_a_track_decode():
     old = {"id": 1, "x_m": 1.0, "y_m": 2.0, "velocity_x_mps": 0.0, "velocity_y_mps": 1.0, "age_s": 1.0, "cov_m2": EYE}
     track = msgspec.msgpack.decode(msgspec.msgpack.encode(old), type=Track)
     assert (track.velocity_cov_m2ps2, track.misses, track.existence, track.object_class) == (None, 0, None, "")
+
+
+def rolling(step: int, *objects: HiddenObject) -> BevFrame:
+    """View `step` of rolling scans: 60 ms after the last, of the newest 300 ms, settled 24 ms before its end."""
+    stamp_ns = 1_000_000_000 + step * 60_000_000
+    view = frame(0, *objects)
+    return msgspec.structs.replace(view, stamp_ns=stamp_ns, scan_id=step // 5, settled_stamp_ns=stamp_ns + 264_000_000)
+
+
+def test_views_that_share_beams_measure_an_object_once_a_sweep():
+    """At the same place in all views, measured anew every 300 ms: existence and covariance of whole scans 0.3 s apart.
+
+    Survival is the same power of time; the motion noise of 0.3 s is added in five parts, which is the same sum.
+    """
+    whole, rolled = Tracker(), Tracker()
+    for scan in range(3):
+        expected = whole.step(frame(scan, seen(8.0, 9.0, 1_100_000_000 + scan * PERIOD_NS)), stationary_pose())
+    # measured at 1.1 s and every 0.3 s after; the beams of each view hold the newest of them
+    for step in range(-2, 9):
+        newest_ns = 1_000_000_000 + step * 60_000_000 + 264_000_000
+        measured_ns = 1_100_000_000 + (newest_ns - 1_100_000_000) // PERIOD_NS * PERIOD_NS
+        tracks = rolled.step(rolling(step, seen(8.0, 9.0, measured_ns)), stationary_pose())
+    (track,), (other,) = tracks, expected
+    assert (track.id, track.misses) == (other.id, 0)
+    assert track.existence == pytest.approx(other.existence, rel=0.05)
+    assert track.velocity_x_mps == pytest.approx(other.velocity_x_mps, abs=1e-9)
+
+
+def test_views_that_share_beams_miss_an_object_once_a_sweep():
+    """Measured twice and then gone: the second sweep without it lowers existence by (1 - p_D) / (1 - r p_D) once."""
+    tracker = Tracker()
+    for step in range(-2, 5):
+        newest_ns = 1_000_000_000 + step * 60_000_000 + 264_000_000
+        measured_ns = 1_100_000_000 + (newest_ns - 1_100_000_000) // PERIOD_NS * PERIOD_NS
+        before = tracker.step(rolling(step, seen(8.0, 9.0, measured_ns)), stationary_pose())
+    assert before[0].misses == 0
+    misses = []
+    for step in range(5, 17):
+        tracker.step(rolling(step), stationary_pose())
+        misses += [track.misses for track in tracker._tracks]
+    # a sweep and its margin are six views
+    assert misses == [0] * 4 + [1] * 6 + [2] * 2
+
+
+def test_an_object_of_beams_that_lack_their_neighbours_waits_for_them():
+    """Measured 12 ms before the newest beam: not yet whole. The next view takes it."""
+    tracker = Tracker()
+    item = seen(8.0, 9.0, 1_000_000_000 + 264_000_000 + 12_000_000)
+    tracker.step(rolling(0, item), stationary_pose())
+    assert tracker._tracks == []
+    tracker.step(rolling(1, item), stationary_pose())
+    assert len(tracker._tracks) == 1
+    tracker.step(rolling(2, item), stationary_pose())
+    assert [track.measurements for track in tracker._tracks] == [1]
