@@ -133,6 +133,8 @@ object-network: setup-dev  ## the object network from places and drives drawn fo
 		--data data/object_drives_2 --data data/object_places_3 \
 		--validation data/object_places_validation --validation data/object_drives_validation --out runs/objects \
 		--epochs 4 --workers 2 --threads 2
+	$(BIN)/mirrorwave export models/weights/object_unet.onnx --precision int8 --data data/object_places \
+		--out models/weights/object_unet.int8.onnx
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -34,6 +34,8 @@ _LOG = logging.getLogger(__name__)
 
 #: A map waits for its peaks; more than these have been overtaken.
 KEPT_MAPS = 4
+#: Peaks wait so long for their map, which takes longer to arrive: it is a hundred times as large.
+MAP_PATIENCE_NS = 50_000_000
 #: After so much driving without a bias of the yaw rate the node says why there is none.
 BIAS_OVERDUE_S = 30.0
 
@@ -74,6 +76,8 @@ class GeometryNode(Node):
         if self._stage.predictor is not None:
             self.inputs = ("radar/ra_map", *self.inputs)
         self._maps: deque[RangeAzimuthMap] = deque(maxlen=KEPT_MAPS)
+        #: Peaks whose map has not arrived, oldest first, and when their wait is over.
+        self._waiting: deque[tuple[Peaks, int]] = deque()
         self._refusals = Refusals(_LOG, self.shed)
         self._bias_log = BiasLog()
 
@@ -89,8 +93,18 @@ class GeometryNode(Node):
                 case RangeAzimuthMap() as ra_map:
                     self._maps.append(ra_map)
                 case Peaks() as peaks:
-                    out += self._seen(peaks)
+                    self._waiting.append((peaks, now_ns + MAP_PATIENCE_NS))
+        # views go out in the order of their scans: peaks that others follow wait no longer than these
+        while self._waiting and self._is_ready(*self._waiting[0], now_ns):
+            out += self._seen(self._waiting.popleft()[0])
         return out
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """Return when the wait for a map is over."""
+        return self._waiting[0][1] if self._waiting else None
+
+    def _is_ready(self, peaks: Peaks, give_up_ns: int, now_ns: int) -> bool:
+        return now_ns >= give_up_ns or not self._needs_map(peaks) or self._map_of(peaks) is not None
 
     def health(self) -> tuple[NodeState, str]:
         """Report DEGRADED while peaks are refused."""
@@ -98,7 +112,7 @@ class GeometryNode(Node):
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
         try:
-            view = self._stage.view(peaks, self._map_of(peaks))
+            view = self._stage.view(peaks, self._counted_map_of(peaks))
         except ValueError as error:
             self._refusals.refuse("scan", error, f"scan {peaks.scan_id}")
             return []
@@ -106,15 +120,20 @@ class GeometryNode(Node):
         self._bias_log.note(self._stage.yaw_rate_bias)
         return [Outgoing("perception/hidden_objects", view)]
 
-    def _map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:
-        """Return the map that peaks were detected in; one that the bus has dropped is counted.
+    def _needs_map(self, peaks: Peaks) -> bool:
+        """Return whether objects are judged in the map; a radar that gives detections has none."""
+        return self._stage.predictor is not None and peaks.sensor is None
 
-        A radar that gives detections has none.
-        """
-        if self._stage.predictor is None or peaks.sensor is not None:
-            return None
+    def _map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:
+        """Return the map that peaks were detected in, if it has arrived."""
         own = (item for item in self._maps if (item.stamp_ns, item.scan_id) == (peaks.stamp_ns, peaks.scan_id))
-        ra_map = next(own, None)
+        return next(own, None)
+
+    def _counted_map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:
+        """Return the map that objects are judged in; one that the bus has dropped is counted."""
+        if not self._needs_map(peaks):
+            return None
+        ra_map = self._map_of(peaks)
         if ra_map is None:
             self.shed.add("objects", "no map")
         return ra_map

@@ -1,7 +1,8 @@
 """The whole graph at the radar's real rate, one process a node: losses, latency, CPU and memory.
 
 Latency counts from the nominal end of the last beam (its start plus its time on air) to the arrival of the view at a
-subscriber outside the graph.
+subscriber outside the graph. The age of an object counts from the beams that measured it to the arrival of the first
+view that says so.
 Usage: python -m benchmarks.live.live_graph [--launch FILE] [--duration S] [--viewer] [--json]
        [--profile NAME | --budget-ms N]
 """
@@ -24,7 +25,7 @@ from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeStatus
 from msgs.values.perception import BevFrame
-from nodes.inputs.view_latency import latency_ns, stage_figures
+from nodes.inputs.view_latency import NewObjects, latency_ns, stage_figures
 
 ROOT = CHECKOUT
 #: The graph runs so much longer than it is looked at: a scan that the end cuts short waits for beams that never come.
@@ -40,14 +41,14 @@ def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool, opt
     bus = ZmqBus("benchmark", run_dir(domain))
     for topic in ("perception/hidden_objects", "diagnostics/node"):
         bus.subscribe(topic)
-    latency_ms, status = [], {}
+    latency_ms, age_ms, status = [], [], {}
     with tempfile.TemporaryFile("w+") as said:
         graph = subprocess.Popen(command, cwd=ROOT, stdout=said)
-        _watch(bus, graph, duration_s, latency_ms, status)
+        _watch(bus, graph, duration_s, latency_ms, age_ms, status)
         said.seek(0)
         selected = [line.strip() for line in said if line.startswith("profile ")]
     bus.close()
-    return {"options": options, "chosen": selected, **report(np.array(latency_ms), status, graph.returncode)}
+    return {"options": options, "chosen": selected, **report(latency_ms, age_ms, status, graph.returncode)}
 
 
 def _watch(
@@ -55,10 +56,11 @@ def _watch(
     graph: subprocess.Popen,
     duration_s: float,
     latency_ms: list[float],
+    age_ms: list[float],
     status: dict[str, list[NodeStatus]],
 ) -> None:
     """Take down when views come, for so long since the first, and what the nodes say until the graph ends."""
-    end_ns = None
+    end_ns, new_objects = None, NewObjects()
     while graph.poll() is None:
         for received in bus.receive(0.05):
             now_ns = time.monotonic_ns()
@@ -66,11 +68,12 @@ def _watch(
                 end_ns = end_ns or now_ns + round(1e9 * duration_s)
                 if now_ns < end_ns:
                     latency_ms.append(1e-6 * latency_ns(received.message.stamp_ns, now_ns))
+                    age_ms += [1e-6 * (now_ns - item.stamp_ns) for item in new_objects.of(received.message)]
             elif isinstance(received.message, NodeStatus):
                 status.setdefault(received.message.node, []).append(received.message)
 
 
-def report(latency_ms: np.ndarray, status: dict[str, list[NodeStatus]], exit_code: int) -> dict:
+def report(latency_ms: list[float], age_ms: list[float], status: dict[str, list[NodeStatus]], exit_code: int) -> dict:
     ready = {name: [item for item in items if item.state == "ready"] for name, items in status.items()}
     nodes = {name: node_report(items) for name, items in ready.items() if len(items) >= 2}
     lost = {
@@ -82,16 +85,20 @@ def report(latency_ms: np.ndarray, status: dict[str, list[NodeStatus]], exit_cod
         "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
         "exit_code": exit_code,
         "bev_frames": len(latency_ms),
-        "latency_ms": quantiles(latency_ms) if len(latency_ms) else dict.fromkeys(QUANTILES, float("nan")),
+        "latency_ms": quantiles(latency_ms),
+        "object_age_ms": quantiles(age_ms),
         "lost_or_rejected": lost,
         "shed": {name: shed for name, items in status.items() if (shed := shed_of(items[-1]))},
         "nodes": nodes,
+        "cores": round(sum(node["cpu_share"] for node in nodes.values()), 2),
         "resident_mib": round(sum(node["resident_mib"] for node in nodes.values()), 0),
     }
 
 
-def quantiles(latency_ms: np.ndarray | list[float]) -> dict[str, float]:
-    """Median, 90 and 99 percent and longest of at least one value, to a tenth of a millisecond."""
+def quantiles(latency_ms: list[float]) -> dict[str, float]:
+    """Median, 90 and 99 percent and longest, to a tenth of a millisecond; not a number of none."""
+    if not latency_ms:
+        return dict.fromkeys(QUANTILES, float("nan"))
     return dict(zip(QUANTILES, np.percentile(latency_ms, [50, 90, 99, 100]).round(1).tolist(), strict=True))
 
 

@@ -30,10 +30,11 @@ from models.evaluation.drive_metrics import drive_report
 from models.evaluation.frame_scores import bootstrap_weights
 from models.evaluation.object_metrics import ObjectScores, object_report
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
-from msgs.values.perception import BevFrame, SceneTruth
+from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import NewObjects
 from sim_player.dataset.executors import map_jobs
 from sim_player.player import ScenePlayer
 
@@ -84,7 +85,7 @@ class Follower:
         self._place = place
         self._rows: list[ScanRow] = []
         self._waits_s: list[float] = []
-        self._settled_stamp_ns: int | None = None
+        self._new_objects = NewObjects()
         self._compute_s = 0.0
 
     def add(
@@ -98,15 +99,9 @@ class Follower:
             truth, images = truth_at(frame.stamp_ns, frame.scan_id)
             row = scan_row(self._place, frame.objects, truth, images, frame.tracks)
             self._rows.append(msgspec.structs.replace(row, scan=len(self._rows)))
-            self._note_waits(frame, beam.stamp_ns)
-
-    def _note_waits(self, frame: BevFrame, newest_ns: int) -> None:
-        upto_ns = newest_ns if frame.settled_stamp_ns is None else frame.settled_stamp_ns
-        # no setting has a view before the first sweep is whole
-        if (after_ns := self._settled_stamp_ns) is not None:
-            measured_ns = [item.stamp_ns for item in frame.objects if after_ns < item.stamp_ns <= upto_ns]
-            self._waits_s += [s_from_ns(newest_ns - stamp_ns) for stamp_ns in measured_ns]
-        self._settled_stamp_ns = upto_ns
+            waits_s = [s_from_ns(beam.stamp_ns - item.stamp_ns) for item in self._new_objects.of(frame)]
+            # no setting has a view before the first sweep is whole
+            self._waits_s += waits_s if len(self._rows) > 1 else []
 
     def result(self, radar_s: float) -> DriveResult:
         """Return what the drive has given."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from msgs.values.diagnostics import StageTime
 from msgs.values.lidar import LidarSetup
+from msgs.values.perception import BevFrame, HiddenObject
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 
@@ -50,6 +51,20 @@ def latency_ns(stamp_ns: int, now_ns: int, setup: Setup | None = None) -> int:
 def on_one_clock(stamp_ns: int, now_ns: int) -> bool:
     """Return whether a stamp and a clock reading are of one clock."""
     return 0 <= now_ns - stamp_ns <= LONGEST_AGE_NS
+
+
+class NewObjects:
+    """Picks from successive views the objects that were measured anew; of views that share beams, once a sweep."""
+
+    def __init__(self) -> None:
+        self._settled_ns: int | None = None
+
+    def of(self, frame: BevFrame) -> list[HiddenObject]:
+        """Return the objects of a view whose beams no earlier view has settled, and that it settles itself."""
+        after_ns, self._settled_ns = self._settled_ns, frame.settled_stamp_ns
+        if frame.settled_stamp_ns is None or after_ns is None:
+            return list(frame.objects)
+        return [item for item in frame.objects if after_ns < item.stamp_ns <= frame.settled_stamp_ns]
 
 
 class StageFigures(msgspec.Struct, frozen=True, kw_only=True):

@@ -274,25 +274,43 @@ def test_a_map_of_which_no_powers_follow_is_refused(method: str, cell: float, no
     assert len(node.step([received(good, "radar/ra_map")], 0)) == 1
 
 
+def test_views_go_out_in_the_order_of_their_scans() -> None:
+    """A scan whose map is late, followed by one whose map is there: both wait for the first, which is given up."""
+    node = geometry.create(geometry.Params(object_network="object_unet"))
+    peaks = [msgspec.structs.replace(made_up_peaks(), scan_id=scan, detector="sha256/pursuit") for scan in (3, 4)]
+    assert node.step([received(item, "perception/peaks") for item in peaks] + [map_of(4)], 0) == []
+    outgoing = node.step([], geometry.MAP_PATIENCE_NS)
+    assert [item.message.scan_id for item in outgoing if isinstance(item.message, BevFrame)] == [3, 4]
+
+
+def map_of(scan: int) -> Received:
+    return received(empty_map(scan_id=scan), "radar/ra_map")
+
+
 def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Path) -> None:
     """With an object network it listens to maps too. A scan whose map comes with it, one whose map came before another,
-    and one whose map the bus has dropped: the last is clustered as without a network, and counted.
+    one whose map comes 20 ms later, and one whose map the bus has dropped: the last is clustered as without a network
+    once the wait is over, and counted.
     """
     path = object_network(tmp_path / "by_hand.onnx")
     node = geometry.create(geometry.Params(object_network=str(path)))
     assert "radar/ra_map" in node.inputs
     assert "radar/ra_map" not in geometry.create(geometry.Params()).inputs
     objects = []
-    for scan, maps in ((0, [0]), (1, [1, 2]), (9, [])):
+    for scan, maps, late_ns, late in ((0, [0], 0, []), (1, [1, 2], 0, []), (5, [], 20_000_000, [5]), (9, [], None, [])):
         peaks = msgspec.structs.replace(made_up_peaks(), scan_id=scan, detector="sha256/pursuit")
-        inputs = [received(peaks, "perception/peaks")]
-        inputs += [received(empty_map(scan_id=one), "radar/ra_map") for one in maps]
-        (out,) = node.step(inputs, 0)
+        outgoing = list(node.step([received(peaks, "perception/peaks"), *map(map_of, maps)], 0))
+        if not maps:
+            assert (outgoing, node.due_ns(0)) == ([], geometry.MAP_PATIENCE_NS)
+            outgoing += node.step([map_of(number) for number in late], late_ns or geometry.MAP_PATIENCE_NS)
+        assert node.due_ns(0) is None
+        (out,) = outgoing
         assert isinstance(out.message, BevFrame)
+        assert out.message.scan_id == scan
         objects.append(out.message.objects)
     assert objects[0]
-    assert objects[1] == objects[0]
-    assert objects[2] == geometry.view_stage(geometry.Params()).view(made_up_peaks()).objects != objects[0]
+    assert objects[1] == objects[2] == objects[0]
+    assert objects[3] == geometry.view_stage(geometry.Params()).view(made_up_peaks()).objects != objects[0]
     assert [(count.what, count.reason, count.count) for count in node.shed.counts()] == [("objects", "no map", 1)]
 
 
