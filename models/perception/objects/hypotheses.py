@@ -288,8 +288,10 @@ def _describe_place(place, own, walls, scan_map, out):  # type: ignore[no-untype
         if wall == own:
             continue
         shown, image = _shows(place, wall, walls)
+        if not shown:
+            continue
         row, column = _cell_of(image, scan_map)
-        if shown and 0 <= column < scan_map.level.shape[1] and row < scan_map.level.shape[0]:
+        if 0 <= column < scan_map.level.shape[1] and row < scan_map.level.shape[0]:
             out[14] += 1.0 / IMAGES
             out[15] = max(out[15], _largest(scan_map.level, row, column))
             out[16] = max(out[16], _largest(scan_map.mirrored, row, column))
