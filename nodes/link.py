@@ -18,11 +18,15 @@ from msgs.bus.topics import topic_facts
 from msgs.bus.zmq import InterruptibleContext
 from msgs.link.exporter import Exporter
 from msgs.link.importer import Importer, Server
-from msgs.link.keys import KeyPair, is_loopback, load_allowed, load_own, load_public
+from msgs.link.keys import KeyPair, allowed_signature, is_loopback, load_allowed, load_own, load_public
 from msgs.values.diagnostics import NodeState
+from msgs.values.units import NANOSECONDS_PER_SECOND
 from nodes.node import NODE_NAME, Node
 
 _LOG = logging.getLogger(__name__)
+
+#: A key that is added to the folder of allowed keys, or removed from it, takes effect so soon.
+LOOK_NS = NANOSECONDS_PER_SECOND
 
 
 class Peer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -107,6 +111,8 @@ class Link(Node):
         super().__init__()
         own, public = _keys(params)
         allowed = load_allowed(Path(params.allowed)) if params.allowed else {}
+        self._allowed = AllowedFolder(Path(params.allowed)) if params.allowed else None
+        self._look_ns: int | None = None
         self._context = InterruptibleContext()
         self._exporter: Exporter | None = None
         self._importers: list[Importer] = []
@@ -139,12 +145,16 @@ class Link(Node):
         return any(source.poll(0) for source in self.watched())
 
     def due_ns(self, now_ns: int) -> int | None:
-        """Return when a peer is to be asked for its clock."""
-        return min((importer.due_ns for importer in self._importers), default=None)
+        """Return when a peer is to be asked for its clock, or the folder of allowed keys to be looked at."""
+        due_ns = [importer.due_ns for importer in self._importers]
+        if self._allowed is not None:
+            due_ns.append(now_ns if self._look_ns is None else self._look_ns)
+        return min(due_ns, default=None)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Forwarded]:
         """Send this graph's messages to peers, return the peers' messages."""
         if self._exporter is not None:
+            self._look_at_keys(self._exporter, now_ns)
             for received in inputs:
                 self._exporter.send(received)
             self._exporter.turn()
@@ -157,6 +167,8 @@ class Link(Node):
         troubles = [trouble for importer in self._importers if (trouble := importer.trouble())]
         if self._exporter is not None and not self._exporter.alive:
             troubles.append("nobody is let in: the authenticator has ended")
+        if self._allowed is not None and self._allowed.trouble:
+            troubles.append(f"the list of peers is that of before: {self._allowed.trouble}")
         troubles += [f"{address} is open without keys" for address in self._open]
         return (NodeState.DEGRADED, "; ".join(troubles)) if troubles else (NodeState.READY, "")
 
@@ -172,6 +184,15 @@ class Link(Node):
         for name, peer in params.connect.items():
             server = Server(name, peer.address, public.get(name))
             self._importers.append(Importer(self._context, server, peer.topics, own if name in public else None))
+
+    def _look_at_keys(self, exporter: Exporter, now_ns: int) -> None:
+        if self._allowed is None or (self._look_ns is not None and now_ns < self._look_ns):
+            return
+        self._look_ns = now_ns + LOOK_NS
+        changed = self._allowed.changed()
+        if changed is not None:
+            exporter.allow(changed)
+            _LOG.info("%s is open to %s", exporter.address, ", ".join(changed.values()) or "nobody")
 
     def _say(self, params: Params, allowed: Iterable[str]) -> None:
         if self.address:
@@ -196,6 +217,33 @@ class Link(Node):
         if more := total - self._reported.get((kind, reason), 0):
             self._reported[kind, reason] = total
             self.shed.add(kind, reason, more)
+
+
+class AllowedFolder:
+    """Watch of a folder of allowed keys. While it cannot be read as a list the one of before stays, and `trouble` says
+    why.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._signature = allowed_signature(folder)
+        self.trouble = ""
+
+    def changed(self) -> dict[bytes, str] | None:
+        """Return the new list if the folder has changed to another one, empty if it holds no key any more."""
+        try:
+            signature = allowed_signature(self._folder)
+            if signature == self._signature:
+                return None
+            self._signature = signature
+            allowed = load_allowed(self._folder, may_be_empty=True)
+        except (ValueError, OSError) as error:
+            if (trouble := str(error)) != self.trouble:
+                _LOG.error("the list of peers is that of before: %s", trouble)
+            self.trouble = trouble
+            return None
+        self.trouble = ""
+        return allowed
 
 
 def create(params: Params) -> Link:

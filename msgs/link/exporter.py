@@ -86,6 +86,8 @@ class Exporter:
         self._watch = Monitor(self._socket, _REFUSED | zmq.EVENT_ACCEPTED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
         #: Subscriptions of each connection, by its file descriptor.
         self._subscriptions: Counter[int] = Counter()
+        #: Key of each connection that has asked for something, by its file descriptor.
+        self._keys: dict[int, bytes] = {}
         #: At most half of the descriptors we may open: a process that can open no more ends with its next heartbeat.
         self._max_strangers = min(_MAX_STRANGERS, _open_files_limit() // 2)
         #: Arrival times of connections that have not identified themselves yet.
@@ -136,6 +138,17 @@ class Exporter:
             latch(self._latched[received.topic], received.envelope.publisher, frames)
         self._send(frames)
 
+    def allow(self, allowed: Mapping[bytes, str]) -> None:
+        """Replace the list of peers that may connect; connections of those that are no longer on it are closed."""
+        revoked = self._allowed.keys() - allowed.keys()
+        # the thread that judges handshakes reads this very mapping
+        self._allowed.update(allowed)
+        for key in revoked:
+            logger.info("%s is no longer allowed", self._allowed.pop(key))
+        for descriptor in [descriptor for descriptor, key in self._keys.items() if key in revoked]:
+            del self._keys[descriptor]
+            _close_connection(descriptor, self.address)
+
     def turn(self) -> None:
         """Answer the messages from peers, a bounded number of them."""
         self._judge(self._clock_ns())
@@ -154,6 +167,7 @@ class Exporter:
             if event == zmq.EVENT_ACCEPTED:
                 self._strangers.append(now_ns)
                 del self._subscriptions[descriptor]
+                self._keys.pop(descriptor, None)
                 if len(self._strangers) > self._max_strangers:
                     _close_connection(descriptor, self.address)
             elif self._strangers:
@@ -170,6 +184,7 @@ class Exporter:
             self.rejected += 1
         elif request[:1] == b"\x01":
             self._subscriptions[descriptor := int(parts[0].get(zmq.SRCFD))] += 1
+            self._keys[descriptor] = _key_of(parts[0])
             if self._subscriptions[descriptor] <= _MAX_SUBSCRIPTIONS:
                 self._send_latched(request[1:], _name_of(parts[0], self._allowed))
             else:

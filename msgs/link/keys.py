@@ -105,11 +105,18 @@ def load_public(path: Path) -> bytes:
     return _public(_fields(data, path), path)
 
 
-def load_allowed(folder: Path) -> dict[bytes, str]:
+def allowed_signature(folder: Path) -> frozenset[tuple[str, int, int]]:
+    """Return what changes with the files of a folder: names, sizes, times of change; raises `OSError`."""
+    with os.scandir(folder) as entries:
+        facts = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
+    return frozenset((name, status.st_size, status.st_mtime_ns) for name, status in facts)
+
+
+def load_allowed(folder: Path, may_be_empty: bool = False) -> dict[bytes, str]:
     """Return the public keys of all NAME.key files in `folder`, with the peers' names.
 
-    Raises `ValueError` naming folder or file and rule: for a folder that is missing, holds no key, a key twice or a
-    secret, or that group or others may write to; and as `load_public` does.
+    Raises `ValueError` naming folder or file and rule: for a folder that is missing, holds no key unless it
+    `may_be_empty`, a key twice or a secret, or that group or others may write to; and as `load_public` does.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -128,7 +135,7 @@ def load_allowed(folder: Path) -> dict[bytes, str]:
             if public in allowed:
                 raise ValueError(f"{path}: the same key as {allowed[public]}{PUBLIC_SUFFIX}; every peer has its own")
             allowed[public] = name
-    if not allowed:
+    if not (allowed or may_be_empty):
         raise ValueError(f"{folder}: holds no key ending in {PUBLIC_SUFFIX}: nobody could connect")
     return allowed
 

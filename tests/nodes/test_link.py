@@ -117,6 +117,52 @@ def test_two_hosts_hear_each_other_and_nothing_goes_round_in_circles(hosts: tupl
         assert "round trip" in one.stages.drain()[0].name
 
 
+def test_a_key_taken_off_the_list_is_cut_off_and_one_put_back_is_admitted(
+    hosts: tuple[Host, Host], caplog: pytest.LogCaptureFixture
+) -> None:
+    """The reader says nothing more after it has subscribed, and still loses its connection; the sender starts nothing
+    again.
+    """
+    sensor, compute = hosts
+    caplog.set_level(logging.INFO)
+    one = link(sensor, sensor.params("log"))
+    other = link(compute, {"key": compute_key(compute), "connect": compute.importing(sensor, one.address, "log")})
+    ends = (sensor, one), (compute, other)
+    listed = sensor.keys / "allowed" / "compute.key"
+    with closing(one), closing(other):
+        turn_until(lambda: other.health()[0] is NodeState.READY, *ends)
+        kept = listed.read_bytes()
+        listed.unlink()
+        # only the sender turns: nobody asks it for anything
+        turn_until(lambda: "compute is no longer allowed" in caplog.text, (sensor, one))
+        assert "is open to nobody" in caplog.text
+        turn_until(lambda: other.health()[0] is NodeState.DEGRADED, *ends)
+        sensor.said.publish("log", LogRecord(stamp_ns=1, node="n", level="info", text="x"))
+        turn_until(lambda: one._exporter is not None and one._exporter.refused > 0, *ends)
+        assert compute.seen == []
+        listed.write_bytes(kept)
+        turn_until(lambda: other.health()[0] is NodeState.READY, *ends)
+
+
+def test_a_list_that_cannot_be_read_leaves_the_one_of_before(hosts: tuple[Host, Host]) -> None:
+    sensor, compute = hosts
+    one = link(sensor, sensor.params("log"))
+    broken = sensor.keys / "allowed" / "broken.key"
+    with closing(one):
+        broken.write_text("no key")
+        turn_until(lambda: one.health()[0] is NodeState.DEGRADED, (sensor, one))
+        assert one.health()[1] == f"the list of peers is that of before: {broken}: holds no public key"
+        other = link(compute, {"key": compute_key(compute), "connect": compute.importing(sensor, one.address, "log")})
+        with closing(other):
+            turn_until(lambda: other.health()[0] is NodeState.READY, (sensor, one), (compute, other))
+        broken.unlink()
+        turn_until(lambda: one.health()[0] is NodeState.READY, (sensor, one))
+
+
+def compute_key(host: Host) -> str:
+    return str(host.keys / f"{host.name}.key_secret")
+
+
 @pytest.mark.parametrize(
     ("params", "message"),
     [

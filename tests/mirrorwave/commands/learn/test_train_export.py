@@ -86,5 +86,5 @@ def test_an_object_network_in_whole_numbers_answers_as_the_exact_one(
 
 @pytest.mark.parametrize(("precision", "data"), [("fp32", Path("data")), ("int8", None)])
 def test_an_exported_network_is_exported_again_in_whole_numbers_alone(precision: str, data: Path | None) -> None:
-    with pytest.raises(ValueError, match="object_unet.onnx: an exported network takes --precision int8 and --data"):
+    with pytest.raises(ValueError, match=r"object_unet\.onnx: an exported network takes --precision int8 and --data"):
         export(DEFAULT_OBJECTS, Path("out.onnx"), data=data, precision=precision)  # type: ignore[arg-type]
