@@ -155,7 +155,8 @@ def _builtins(value: Any) -> Any:
 
 
 def _recover(parts: Parts, box: Box) -> None:
-    from msgs.recording.mcap import RecordingReader, copy_recording, info
+    from msgs.recording.mcap import RecordingReader, info
+    from msgs.recording.mcap_copy import copy_recording
 
     source, out = box.put("a.mcap", part(parts, 0)), box.new("out.mcap")
     choice = number(parts, 1, 8)

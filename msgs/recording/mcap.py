@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import heapq
-import itertools
 import os
 import struct
 import zlib
@@ -37,7 +36,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from msgs.bus.codec import CodecError, decode_inline, encode_inline, json_schema
 from msgs.bus.topics import TOPICS, topic_facts
-from msgs.files.whole_files import require_room, whole
+from msgs.files.whole_files import whole
 from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, McapFile
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 
@@ -295,6 +294,11 @@ class RecordingReader:
         return self._walk.metadata.get(METADATA_NAME, {})
 
     @property
+    def metadata_records(self) -> dict[str, dict[str, str]]:
+        """All metadata records by name, other programs' included."""
+        return self._walk.metadata
+
+    @property
     def losses(self) -> Losses | None:
         """The recorder's account of missing messages; None if it gave none, as in a file that is cut off."""
         return _losses(self._walk.metadata.get(LOSSES_NAME))
@@ -355,13 +359,17 @@ class RecordingReader:
         `topics` are named as in the recording; those in `renamed` are decoded and delivered under their new names.
         """
         self.skipped = {}
-        for channel, raw in self._in_order(start_ns, end_ns, topics):
+        for channel, raw in self.raw_messages(start_ns, end_ns, topics):
             topic = (renamed or {}).get(channel.topic, channel.topic)
             message = _decode(topic, channel, raw)
             if message is None:
                 self.skipped[channel.topic] = self.skipped.get(channel.topic, 0) + 1
             else:
-                yield Recorded(topic, message, _publisher(channel), raw.sequence, raw.log_time)
+                yield Recorded(topic, message, publisher_of(channel), raw.sequence, raw.log_time)
+
+    def schema_of(self, channel: Channel) -> Schema | None:
+        """Return the schema of a channel's messages, None where the file has none."""
+        return self._schemas.get(channel.schema_id)
 
     def info(self) -> RecordingInfo:
         """Return a summary of the recording; reads all of it once to verify its checksums."""
@@ -394,10 +402,13 @@ class RecordingReader:
     ) -> None:
         self.close()
 
-    def _in_order(
+    def raw_messages(
         self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None = None
     ) -> Iterator[tuple[Channel, Message]]:
-        """Merge chunks by log time: a message is delivered once no later chunk can hold an earlier one."""
+        """Yield messages as they lie in the file, in order of log time, start included, end not.
+
+        Chunks are merged: a message is delivered once no later chunk can hold an earlier one.
+        """
         start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
         chunks = [chunk for chunk in self._walk.chunks if chunk.end_ns >= start and chunk.start_ns < end]
         if topics is not None:
@@ -485,48 +496,6 @@ def info(path: Path) -> RecordingInfo:
         return reader.info()
 
 
-def copy_recording(
-    source: Path,
-    target: Path,
-    *,
-    topics: Collection[str] | None = None,
-    start_ns: int | None = None,
-    end_ns: int | None = None,
-    compress: bool = False,
-    overwrite: bool = False,
-) -> tuple[int, str | None]:
-    """Copy messages byte for byte, unknown topics included, into a new and complete file: recover, trim, compress.
-
-    The last message of each latched topic from before `start_ns` comes first, as if it were sent again then.
-    Returns the number of messages and what the source had lost.
-    """
-    target = Path(target)
-    with RecordingReader(source) as reader, _whole(target, overwrite) as part, _create(part, False) as file:
-        if topics is None:
-            require_room(target, reader.stored_bytes(start_ns, end_ns))
-        writer = McapFile(file, METADATA_NAME)
-        for name, values in reader._walk.metadata.items():
-            writer.add_metadata(name, values)
-        # a damaged file may declare one number twice, and differently
-        channels: dict[tuple[int, str], int] = {}
-        said_before = [] if start_ns is None else _latched_before(reader, start_ns, topics)
-        for channel, raw in itertools.chain(said_before, reader._in_order(start_ns, end_ns, topics)):
-            key = channel.id, channel.topic
-            if key not in channels:
-                channels[key] = _copy_channel(writer, channel, reader._schemas, compress)
-            writer.add_message(channels[key], raw.sequence, raw.log_time, raw.publish_time, raw.data)
-        writer.finish()
-        return writer.messages, reader.loss
-
-
-def _latched_before(
-    reader: RecordingReader, start_ns: int, topics: Collection[str] | None
-) -> list[tuple[Channel, Message]]:
-    latched = [topic.name for topic in TOPICS.values() if topic.latched and (topics is None or topic.name in topics)]
-    last = {channel.id: (channel, raw) for channel, raw in reader._in_order(None, start_ns, latched)}
-    return [(channel, dataclasses.replace(raw, log_time=start_ns)) for channel, raw in last.values()]
-
-
 class _Counts:
     """Counts per topic while a recording is read."""
 
@@ -559,7 +528,7 @@ class _Counts:
         return TopicInfo(
             topic=topic,
             type=", ".join(sorted(types)),
-            publishers=tuple(sorted({_publisher(channel) for channel in channels})),
+            publishers=tuple(sorted({publisher_of(channel) for channel in channels})),
             messages=self._messages[topic],
             bytes=self._bytes[topic],
             rate_hz=intervals / s_from_ns(last_ns - first_ns) if last_ns > first_ns else 0.0,
@@ -593,6 +562,16 @@ def whole_recording(path: Path, metadata: dict[str, str]) -> Iterator[RecordingW
     """Yield a writer of a recording that is complete if the context ends well, else absent; raises as the writer."""
     with _whole(path, overwrite=False) as part, RecordingWriter(part, metadata) as writer:
         yield writer
+
+
+@contextlib.contextmanager
+def new_file(path: Path, overwrite: bool = False) -> Iterator[FileIO]:
+    """Yield a new file that is at `path` if the context ends well, else what was there before.
+
+    Raises `FileExistsError` where something is and `overwrite` is not asked.
+    """
+    with _whole(path, overwrite) as part, _create(part, False) as file:
+        yield file
 
 
 def _whole(path: Path, overwrite: bool) -> contextlib.AbstractContextManager[Path]:
@@ -771,16 +750,8 @@ def _decode(topic: str, channel: Channel, raw: Message) -> msgspec.Struct | None
     return message
 
 
-def _copy_channel(writer: McapFile, channel: Channel, schemas: dict[int, Schema], compress: bool) -> int:
-    schema = schemas.get(channel.schema_id)
-    schema_id = writer.add_schema(schema.name, schema.encoding, schema.data) if schema else 0
-    compressed = compress or channel.topic != RAW_TOPIC
-    return writer.add_channel(
-        channel.topic, channel.message_encoding, schema_id, channel.metadata, compressed=compressed
-    )
-
-
-def _publisher(channel: Channel) -> str:
+def publisher_of(channel: Channel) -> str:
+    """Return the node that sent the messages of a channel; empty where the file does not say."""
     return channel.metadata.get(_PUBLISHER_KEY, "")
 
 

@@ -19,7 +19,8 @@ from msgs.bus.codec import encode_inline
 from msgs.files import whole_files
 from msgs.files.whole_files import named_errors, whole, write_whole
 from msgs.recording import mcap_writer as mcap_file
-from msgs.recording.mcap import RecordingReader, RecordingWriter, copy_recording, info, whole_recording
+from msgs.recording.mcap import RecordingReader, RecordingWriter, info, whole_recording
+from msgs.recording.mcap_copy import copy_recording
 from msgs.values.vehicle import VehicleState
 from nodes.process.compiling import NOTICE
 from sim_player.dataset.shards import Recipe, shard_arrays

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msgs.recording.mcap import RecordingReader, RecordingWriter, copy_recording
+from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.recording.mcap_copy import copy_recording
 from msgs.values.diagnostics import LogRecord
 from msgs.values.radar import RadarBeam
 from msgs.values.vehicle import VehicleState
@@ -46,7 +47,8 @@ def contents(path: Path) -> tuple[list[Key], bool]:
     """What is in a recording, each message by its bytes, and whether it is whole."""
     with RecordingReader(path) as reader:
         found = [
-            (channel.topic, raw.sequence, raw.log_time, hash(raw.data)) for channel, raw in reader._in_order(None, None)
+            (channel.topic, raw.sequence, raw.log_time, hash(raw.data))
+            for channel, raw in reader.raw_messages(None, None)
         ]
         return found, reader.complete and reader.loss is None
 

@@ -1,4 +1,4 @@
-"""`mirrorwave bag`: record, inspect, replay, recover, trim and convert recordings."""
+"""`mirrorwave bag`: record, inspect, replay, recover and convert recordings."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
+from mirrorwave.commands.captures.bag_copy import filter_topics, merge, report_copy, trim
 from mirrorwave.commands.captures.bag_info import print_info
 from mirrorwave.commands.captures.bag_options import (
-    EndS,
     File,
     MaxParts,
     MinFree,
@@ -20,13 +20,11 @@ from mirrorwave.commands.captures.bag_options import (
     SnapshotS,
     SplitDuration,
     SplitSize,
-    StartS,
     Topics,
     command_line,
     recorder_params,
     require_new_recording,
     require_seconds,
-    span_ns,
     split_topics,
     stop_by_signal,
 )
@@ -47,8 +45,13 @@ from mirrorwave.convert.formats import Conversion, Format
 from mirrorwave.diagnose.running_graph import is_running, no_graph, require_graph
 from msgs.values.wording import counted
 
-app = typer.Typer(help="Record, inspect, replay, recover, trim and convert recordings (MCAP).", no_args_is_help=True)
+app = typer.Typer(
+    help="Record, inspect, replay, recover, trim, filter, merge and convert recordings (MCAP).", no_args_is_help=True
+)
 app.command()(play)
+app.command()(trim)
+app.command("filter")(filter_topics)
+app.command()(merge)
 
 
 @app.command()
@@ -178,36 +181,10 @@ def info(
 @app.command()
 def recover(file: File, out: Out) -> None:
     """Copy all that is readable into a new, complete recording; exit code 3 if something was lost, 1 if all was."""
-    from msgs.recording.mcap import copy_recording
+    from msgs.recording.mcap_copy import copy_recording
 
     require_new_file(out)
-    count, loss = copy_recording(file, out)
-    _report_copy(out, count, loss)
-
-
-@app.command()
-def trim(
-    file: File,
-    out: Out,
-    start: StartS = 0.0,
-    end: EndS = None,
-    topics: Topics = None,
-    compress: Annotated[bool, typer.Option("--compress", help="Compress with zstd.")] = False,
-) -> None:
-    """Copy a span of time, or some topics, into a new recording."""
-    from msgs.recording import mcap as recording
-
-    require_new_file(out)
-    with recording.RecordingReader(file) as reader:
-        start_ns, end_ns = span_ns(reader.start_ns, start, end)
-        wanted = split_topics(topics)
-        for topic in wanted or ():
-            if topic not in reader.types:
-                raise ValueError(f"{file}: holds no topic {topic!r}; it holds {', '.join(reader.types) or 'none'}")
-    count, loss = recording.copy_recording(
-        file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, compress=compress
-    )
-    _report_copy(out, count, loss)
+    report_copy(out, *copy_recording(file, out))
 
 
 @app.command()
@@ -244,9 +221,3 @@ def _print_conversion(conversion: Conversion) -> None:
     print_table(("TOPIC", "WHAT BECAME OF IT", "MESSAGES"), rows)
     if conversion.loss:
         print_line(f"loss: {conversion.loss}")
-
-
-def _report_copy(out: Path, count: int, loss: str | None) -> None:
-    print_line(f"{out}: {counted(count, 'message')}" + (f"; the source had lost some: {loss}" if loss else ""))
-    if loss:
-        raise typer.Exit(ExitCode.DONE_WITH_LOSS if count else ExitCode.FAILED)

@@ -32,9 +32,9 @@ from msgs.recording.mcap import (
     RecordingReader,
     RecordingWriter,
     TopicLoss,
-    copy_recording,
     info,
 )
+from msgs.recording.mcap_copy import copy_recording
 from msgs.values.diagnostics import LogRecord
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
