@@ -173,7 +173,7 @@ def _recover(parts: Parts, box: Box) -> None:
 
 
 def _told(reader: Any) -> list[tuple[str, int, bytes]]:
-    return sorted((channel.topic, raw.log_time, raw.data) for channel, raw in reader._in_order(None, None))
+    return sorted((channel.topic, raw.log_time, raw.data) for channel, raw in reader.raw_messages(None, None))
 
 
 def _replay(parts: Parts, box: Box) -> None:

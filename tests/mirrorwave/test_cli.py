@@ -137,6 +137,9 @@ WITHOUT_JSON = {
     "bag record": "records until it is ended",
     "bag recover": "writes a recording, which `bag info --json` describes",
     "bag trim": "writes a recording, which `bag info --json` describes",
+    "bag filter": "writes a recording, which `bag info --json` describes",
+    "bag merge": "writes a recording, which `bag info --json` describes",
+    "topic pub": "publishes; `topic echo --json` shows it",
 }
 #: Inspecting verbs that answer without long work or input, and how they are called here.
 QUICK = (

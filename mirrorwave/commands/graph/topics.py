@@ -1,4 +1,4 @@
-"""`mirrorwave topic`: look at the topics of a running graph."""
+"""`mirrorwave topic`: look at the topics of a running graph, and publish."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from mirrorwave.commands.graph.topic_pub import pub
 from mirrorwave.completion import complete_topics
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 from mirrorwave.diagnose.running_graph import is_running, no_graph, silence
@@ -22,7 +23,8 @@ from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
 
-app = typer.Typer(help="Look at the topics of a running graph.", no_args_is_help=True)
+app = typer.Typer(help="Look at the topics of a running graph, and publish.", no_args_is_help=True)
+app.command()(pub)
 
 Topics = Annotated[
     list[str],

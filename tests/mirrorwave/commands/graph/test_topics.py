@@ -22,7 +22,7 @@ from mirrorwave.diagnose.foreign_topic import decode_foreign
 from mirrorwave.diagnose.topic_delay import DelayWatch
 from mirrorwave.diagnose.topic_echo import CsvLines, field_of, parse_condition, text_lines
 from msgs.bus.interface import Envelope, Received
-from msgs.bus.zmq import run_dir
+from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
@@ -455,3 +455,58 @@ def test_silence_on_a_running_graph_says_whose_it_is(
     assert main(["topic", "echo", "vehicle/state", "--where", "speed_mps<-1", "--timeout", "2"]) == 1
     assert "vehicle/state: 0 messages in 2 s, " in (error := capsys.readouterr().err)
     assert error.endswith(" did not pass --where\n")
+
+
+# publishing
+
+
+def test_pub_reaches_a_reader_and_says_how_many(
+    speaker: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Three messages at 50 Hz from a file: in order, stamped with the time of each."""
+    speaker(moving)
+    bus = ZmqBus("reader", run_dir("default"))
+    try:
+        bus.subscribe("log")
+        fields = tmp_path / "line.yaml"
+        fields.write_text("{node: me, level: info, text: hello}")
+        received: list[Received] = []
+        sender = threading.Thread(
+            target=main, args=(["topic", "pub", "log", "--file", str(fields), "--count", "3", "--rate", "50"],)
+        )
+        sender.start()
+        while sender.is_alive() or len(received) < 3:
+            received += bus.receive(0.05)
+        sender.join()
+    finally:
+        bus.close()
+    lines: list[Any] = [item.message for item in received]
+    assert [(line.node, line.text) for line in lines] == [("me", "hello")] * 3
+    assert [item.envelope.sequence for item in received] == [0, 1, 2]
+    assert lines[0].stamp_ns < lines[1].stamp_ns < lines[2].stamp_ns
+    assert capsys.readouterr().out == "log: 3 messages to 1 reader\n"
+
+
+def test_pub_without_a_reader_ends_with_code_3(
+    speaker: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    speaker(moving)
+    assert main(["topic", "pub", "vehicle/state", "{speed_mps: 3}"]) == 3
+    assert capsys.readouterr().out == "vehicle/state: 1 message to 0 readers\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["vehicle/state"], "topic pub takes VALUE or --file, one of them"),
+        (["vehicle/state", "[1]"], "VALUE must be a mapping of fields"),
+        (["vehicle/state", "{speed: 3}"], "vehicle/state: unknown field 'speed'; known are"),
+        (["vehicle/state", "{speed_mps: 3"], "VALUE: line 1"),
+        (["nope", "{}"], "unknown topic 'nope'"),
+    ],
+)
+def test_pub_refuses_before_it_opens_anything(words: list[str], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["topic", "pub", *words]) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1
