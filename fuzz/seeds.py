@@ -23,6 +23,7 @@ from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import (
     BevFrame,
     BevGrid,
@@ -168,6 +169,8 @@ def messages(scan_id: int = 0) -> list[tuple[str, msgspec.Struct]]:
         ("sim/truth", _truth(scan_id)),
         ("diagnostics/node", status),
         ("log", LogRecord(stamp_ns=1, node="a", level="info", text="wall found: 12 m")),
+        ("param/request", ParamRequest(stamp_ns=1, request="1", node="a", changes='{"threads": 2}')),
+        ("param/values", NodeParams(stamp_ns=2, node="a", params='{"threads": 2}', request="1")),
     ]
 
 

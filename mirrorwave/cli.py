@@ -46,6 +46,7 @@ _GROUPS = {
     "import": "mirrorwave.commands.captures.imports:app",
     "topic": "mirrorwave.commands.graph.topics:app",
     "node": "mirrorwave.commands.graph.nodes:app",
+    "param": "mirrorwave.commands.graph.params:app",
     "security": "mirrorwave.commands.graph.security:app",
 }
 

@@ -7,7 +7,8 @@ from typing import Any
 from msgspec.structs import replace
 
 from msgs.files.shipped import LAUNCH
-from nodes.process.launch_file import LaunchFile, merged, read_yaml_mapping, with_params
+from nodes.process.launch_file import LaunchFile, read_yaml_mapping, with_params
+from nodes.process.validation import merged
 
 PROFILES = LAUNCH / "profiles"
 #: The one that runs where none is named.

@@ -68,6 +68,7 @@ class DensePredictorNode(Node):
         super().__init__()
         # the default set-up until the radar's own comes: a missing or broken model shows at start, not at the first map
         self._stage = detection_stage(params, self.stages)
+        self._setup: RadarSetup | None = None
         self._refusals = Refusals(_LOG, self.shed)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -85,10 +86,18 @@ class DensePredictorNode(Node):
         """Report DEGRADED while maps are refused."""
         return self._refusals.health()
 
+    def change_params(self, params: Params) -> None:
+        """Detect by other parameters from the next map on."""
+        stage = detection_stage(params, self.stages)
+        if self._setup is not None:
+            stage.set_up(self._setup)
+        self._stage = stage
+
     def _set_up(self, setup: RadarSetup) -> None:
         """Detect by another set-up; one that cannot be used changes nothing."""
         try:
             self._stage.set_up(setup)
+            self._setup = setup
         except ValueError as error:
             self._refusals.refuse("setup", error)
 

@@ -73,6 +73,7 @@ class GeometryNode(Node):
         super().__init__()
         # loaded here: a missing or broken file shows at start, not at the first scan
         self._stage = view_stage(params, self.stages)
+        self._memory = params.memory
         if self._stage.predictor is not None:
             self.inputs = ("radar/ra_map", *self.inputs)
         self._maps: deque[RangeAzimuthMap] = deque(maxlen=KEPT_MAPS)
@@ -98,6 +99,16 @@ class GeometryNode(Node):
         while self._waiting and self._is_ready(*self._waiting[0], now_ns):
             out += self._seen(self._waiting.popleft()[0])
         return out
+
+    def change_params(self, params: Params) -> None:
+        """See by other parameters from the next peaks on; tracks and walls of earlier scans are kept."""
+        if (params.object_network == "none") != (self._stage.predictor is None):
+            raise ValueError("object_network: whether there is one is fixed at its start: with one it listens to maps")
+        if params.memory != self._memory:
+            raise ValueError("memory: what is kept from scan to scan is fixed when it starts")
+        stage = view_stage(params, self.stages)
+        stage.take_over(self._stage)
+        self._stage = stage
 
     def due_ns(self, now_ns: int) -> int | None:
         """Return when the wait for a map is over."""

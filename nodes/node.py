@@ -36,6 +36,7 @@ from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
 from msgs.bus.topics import topic_facts
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
+from nodes.process.param_server import ParamServer
 from nodes.process.validation import convert_at
 
 if TYPE_CHECKING:
@@ -139,6 +140,8 @@ class Node:
         self.shed = ShedTally()
         #: The bus's counts of each input so far; empty before the node is on a bus.
         self.counts: Callable[[], tuple[TopicCount, ...]] = tuple
+        #: What `load_node` made it with; None of a node made by hand.
+        self.made_with: msgspec.Struct | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> Sequence[Outgoing | Forwarded]:
         """Answer the inputs, in order of arrival; empty when the node is called because it was due."""
@@ -163,6 +166,14 @@ class Node:
     def health(self) -> tuple[NodeState, str]:
         """Return the state for the next heartbeat, and the reason if it is not READY."""
         return NodeState.READY, ""
+
+    def change_params(self, params: Any) -> None:
+        """Take over other parameters, called between two steps; all or nothing.
+
+        Raises `ValueError` for what cannot be changed while the node runs, which is everything unless a node says
+        otherwise, and what its module's `create` raises for parameters that do not fit.
+        """
+        raise ValueError(f"{type(self).__name__} takes other parameters only when it starts")
 
     def close(self) -> None:
         """Close files and devices; called once, also after a step that raised."""
@@ -205,6 +216,7 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     checked = convert_at(dict(params), module.Params, f"{name}.params")
     with _compile_notice():
         node: Node = module.create(checked)
+    node.made_with = checked
     return node
 
 
@@ -268,11 +280,12 @@ class Heartbeat:
             self._bus.publish("log", record)
 
 
-def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat) -> None:
+def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, params: ParamServer | None = None) -> None:
     """Drive one node until it is finished or `stop` asks for the end; exceptions of a step are passed on.
 
-    Heartbeats are sent between the steps: a step that hangs stops them.
+    Heartbeats are sent between the steps: a step that hangs stops them. `params` answers requests between them too.
     """
+    receive = bus.receive if params is None else params.receive
     for topic in node.inputs:
         bus.subscribe(topic)
     for source in node.watched():
@@ -286,7 +299,8 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat) -> N
         if node.outputs and not node.inputs:
             bus.receive(SETTLE_S)
         while not (stop.requested or node.finished()):
-            _turn(node, bus, min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
+            inputs = receive(min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
+            _turn(node, bus, inputs)
             heartbeat.beat_if_due(node)
         _drain(node, bus, stop, heartbeat)
     except Exception as error:
@@ -323,9 +337,8 @@ def _wait_s(node: Node, bus: Bus) -> float:
     return TURN_S if due_ns is None else min(TURN_S, max(0.0, 1e-9 * (due_ns - now_ns)))
 
 
-def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
-    """Wait for input, step if there is any or if the node is due; return true if it stepped."""
-    inputs = bus.receive(timeout_s)
+def _turn(node: Node, bus: Bus, inputs: list[Received]) -> bool:
+    """Step if there is input or if the node is due; return true if it stepped."""
     now_ns = bus.now_ns()
     due_ns = node.due_ns(now_ns)
     if not (inputs or node.pending()) and (due_ns is None or due_ns > now_ns):
@@ -378,7 +391,7 @@ class InProcessGraph:
             self._buses[name].close()
 
     def _round(self) -> bool:
-        stepped = [_turn(node, self._buses[name], 0.0) for name, node in self._live()]
+        stepped = [_turn(node, self._buses[name], self._buses[name].receive(0.0)) for name, node in self._live()]
         return any(stepped)
 
     def _live(self) -> list[tuple[str, Node]]:
@@ -440,7 +453,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         if node.wants_all:
             bus.want_all()
         _lower_priority(node.nice)
-        run_loop(node, bus, stop, heartbeat)
+        run_loop(node, bus, stop, heartbeat, _param_server(node, bus, arguments.name))
         if not stop.at_once:
             time.sleep(FLUSH_S)
     except Exception as error:  # noqa: BLE001 - the border of the process: every failure leaves as one line and a code
@@ -449,6 +462,10 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
     finally:
         bus.close()
     return EXIT_DONE
+
+
+def _param_server(node: Node, bus: WaitingBus, name: str) -> ParamServer | None:
+    return None if node.made_with is None else ParamServer(bus, name, node.made_with, node.change_params)
 
 
 def _has_its_name(heartbeat: Heartbeat) -> bool:

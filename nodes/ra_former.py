@@ -65,6 +65,8 @@ class RaFormerNode(Node):
         # compiles the folding kernel while the graph still waits for this node, not when the first beam does
         FormingStage(params).set_up(RadarSetup())
         self._stage = forming_stage(params, self.stages)
+        #: Takes the other's place before the next scan.
+        self._next_stage: FormingStage | None = None
         self._queue = BeamQueue(params.behind)
         #: Durations of the last folds, about a scan; a test puts another clock in.
         self._folds_ns: deque[int] = deque(maxlen=32)
@@ -109,10 +111,19 @@ class RaFormerNode(Node):
         reason = self._refusals.reason or self._behind
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
+    def change_params(self, params: Params) -> None:
+        """Form by other parameters from the next scan on; the scan under way is formed by those that it began with."""
+        stage = forming_stage(params, self.stages)
+        stage.take_over(self._stage)
+        self._next_stage = stage
+        self._missing_limit, self._queue.behind = params.missing_limit, params.behind
+
     def _set_up(self, setup: RadarSetup) -> None:
         """Form by another set-up; one that cannot be used changes nothing, and its beams are refused as they come."""
         try:
             self._stage.set_up(setup)
+            if self._next_stage is not None:
+                self._next_stage.set_up(setup)
         except ValueError as error:
             self._refusals.refuse("setup", error)
             return
@@ -131,6 +142,8 @@ class RaFormerNode(Node):
             return []
         # a scan that another follows gets no more beams
         maps = self._close_scan() if self._queue.ends_scan() else []
+        if self._next_stage is not None and self._stage.is_between_scans:
+            self._stage, self._next_stage = self._next_stage, None
         start_ns = self._clock_ns()
         maps += self._fold(self._queue.take())
         self._folds_ns.append(self._clock_ns() - start_ns)

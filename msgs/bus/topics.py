@@ -8,6 +8,7 @@ from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeStatus
 from msgs.values.environment import WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -84,6 +85,8 @@ _ALL = (
     Topic(name="environment/walls", type=WallPriors, rate_hz=0.0, max_bytes=MIB // 8, history_bytes=4 * MIB),
     Topic(name="sim/truth", type=SceneTruth, rate_hz=1 / 0.3, max_bytes=4 * MIB, history_bytes=32 * MIB),
     Topic(name="diagnostics/node", type=NodeStatus, rate_hz=2.0, max_bytes=MIB // 4, history_bytes=4 * MIB),
+    Topic(name="param/request", type=ParamRequest, rate_hz=0.0, max_bytes=MIB // 4, history_bytes=4 * MIB),
+    Topic(name="param/values", type=NodeParams, rate_hz=0.0, max_bytes=MIB // 4, history_bytes=4 * MIB, latched=True),
     Topic(name="log", type=LogRecord, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=4 * MIB),
 )
 

@@ -12,11 +12,14 @@ from msgs.bus.sequencing import Tally
 from msgs.link.curve import ORIGIN, Complaint
 from msgs.link.peer_clock import PeerClock, shift_stamps
 from msgs.values.diagnostics import LogRecord, NodeStatus
+from msgs.values.node_params import NodeParams, ParamRequest
 
 #: Publishers of one peer and topic, a fraction of those that a bus distinguishes (`msgs.bus.sequencing`).
 MAX_ORIGINS = 32
 #: Maximum length of a node name.
 _MAX_NAME = 64
+#: Messages that name a node: a peer's, so that no request of its changes a node here.
+_OF_A_NODE = (NodeStatus, LogRecord, NodeParams, ParamRequest)
 
 
 class PeerMessages:
@@ -70,7 +73,7 @@ class PeerMessages:
             origin, publisher=self._checked_name(received.topic, origin.publisher), sent_ns=sent_ns
         )
         message = received.message
-        if isinstance(message, NodeStatus | LogRecord):
+        if isinstance(message, _OF_A_NODE):
             message = msgspec.structs.replace(message, node=self._checked_name(received.topic, message.node))
         return Forwarded(received.topic, envelope, encode(envelope, shift_stamps(message, -offset_ns)))
 

@@ -31,7 +31,7 @@ class BeamQueue:
     """
 
     def __init__(self, behind: float) -> None:
-        self._behind = behind
+        self.behind = behind
         #: Recent time to fold a beam, in a beam's shares of the scan period; 1 just keeps the radar's pace.
         self.load = 0.0
         #: All beams of a scan arrive together: a scan that waits whole is not late, the second one is.
@@ -99,7 +99,7 @@ class BeamQueue:
         """
         if self.at_once:
             return 1.0
-        return max(_LEAST_PILE, min(1.0 + self._behind - self.load, max(1.0, self._behind)))
+        return max(_LEAST_PILE, min(1.0 + self.behind - self.load, max(1.0, self.behind)))
 
     def _leave_out(self, scan_id: int) -> None:
         kept = deque(beam for beam in self._to_begin if beam.scan_id != scan_id)

@@ -15,7 +15,7 @@ import yaml
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, in_words
 from nodes.node import MODULE_NAME, NODE_NAME
-from nodes.process.validation import convert_at
+from nodes.process.validation import convert_at, merged
 
 #: Larger files are no launch files.
 MAX_BYTES = 1 << 20
@@ -268,15 +268,6 @@ def without_viewers(launch: LaunchFile) -> LaunchFile:
 def dump_launch(launch: LaunchFile) -> str:
     """Return the launch file as YAML with all defaults written out; it reads back as an equal value."""
     return yaml.dump(msgspec.to_builtins(launch), Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
-
-
-def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `new` merged over `old`, mapping by mapping."""
-    result = dict(old)
-    for key, value in new.items():
-        both = isinstance(value, dict) and isinstance(result.get(key), dict)
-        result[key] = merged(result[key], value) if both else value
-    return result
 
 
 def _names(names: Iterable[str]) -> str:

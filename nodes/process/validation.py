@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import msgspec
@@ -38,6 +39,15 @@ def explain(text: str, where: str) -> str:
     place = f"{where}{path.lstrip('.')}".removesuffix(": ") if where.endswith(": ") else f"{where}{path}"
     # a name that the file made up may be of several lines
     return " ".join(f"{place}: {rule}".split())
+
+
+def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `new` merged over `old`, mapping by mapping."""
+    result = dict(old)
+    for key, value in new.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merged(result[key], value) if both else value
+    return result
 
 
 def require_rest(name: str, value_s: float) -> None:

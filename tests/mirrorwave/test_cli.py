@@ -140,6 +140,7 @@ WITHOUT_JSON = {
     "bag filter": "writes a recording, which `bag info --json` describes",
     "bag merge": "writes a recording, which `bag info --json` describes",
     "topic pub": "publishes; `topic echo --json` shows it",
+    "node kill": "sends a signal; `node list --json` shows what became of it",
 }
 #: Inspecting verbs that answer without long work or input, and how they are called here.
 QUICK = (

@@ -26,7 +26,8 @@ from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.link import Link
 from nodes.node import Heartbeat, Stop, load_node, run_loop
-from nodes.process.launch_file import merged, read_launch_file
+from nodes.process.launch_file import read_launch_file
+from nodes.process.validation import merged
 
 ROOT = CHECKOUT
 PATIENCE_S = 60.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import signal
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,6 +23,8 @@ from nodes.viewer.node_table import is_of_peer
 
 app = typer.Typer(help="Look at the nodes of a running graph.", no_args_is_help=True)
 
+#: Signals for `kill`: KILL and TERM end a process, STOP and CONT let it hang and go on.
+_SIGNALS = ("KILL", "TERM", "INT", "STOP", "CONT")
 #: Long enough for two heartbeats of each node after it was found.
 WINDOW_S = 1.6
 WindowS = Annotated[float, typer.Option("--window", metavar="S", min=0.1, help="Listen this long.")]
@@ -177,3 +180,22 @@ def _rate_hz(first: tuple[TopicCount, ...], last: tuple[TopicCount, ...], elapse
         for counts in (first, last)
     )
     return (last_total - first_total) / elapsed_s
+
+
+@app.command()
+def kill(
+    name: Annotated[str, typer.Argument(help="Node, as `node list` names it.", autocompletion=complete_nodes)],
+    how: Annotated[str, typer.Option("--signal", metavar="NAME", help=f"One of {', '.join(_SIGNALS)}.")] = "KILL",
+    domain: Domain = DEFAULT_DOMAIN,
+) -> None:
+    """Send a signal to the process of a node; the graph starts one that has ended again, as its `restart` says."""
+    if how not in _SIGNALS:
+        raise ValueError(f"--signal must be one of {', '.join(_SIGNALS)}, got {how!r}")
+    heard = _heartbeats(domain, WINDOW_S)
+    if name not in heard or is_of_peer(name):
+        raise ValueError(
+            f"unknown node {name!r}; heard of are {', '.join(key for key in heard if not is_of_peer(key))}"
+        )
+    pid = heard[name][-1].pid
+    os.kill(pid, signal.Signals[f"SIG{how}"])
+    print_line(f"{name}: SIG{how} to pid {pid}")

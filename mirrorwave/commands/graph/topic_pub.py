@@ -36,7 +36,7 @@ def pub(
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
     """Publish messages of your own; a stamp that is not given is the time of each. Exit code 3 if nobody listens."""
-    from mirrorwave.diagnose.topic_message import message_of
+    from mirrorwave.control.topic_message import message_of
     from msgs.bus.zmq import ZmqBus, run_dir
 
     facts = topic_facts(topic)

@@ -10,8 +10,8 @@ import msgspec
 
 from mirrorwave.profiles import profile_names, read_profile
 from msgs.files.shipped import LAUNCH
-from nodes.process.launch_file import merged, read_yaml_mapping
-from nodes.process.validation import convert_at
+from nodes.process.launch_file import read_yaml_mapping
+from nodes.process.validation import convert_at, merged
 
 #: What `mirrorwave tradeoff` compares unless told otherwise.
 DEFAULT_SETTINGS = LAUNCH / "tradeoff.yaml"

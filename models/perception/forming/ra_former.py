@@ -48,6 +48,11 @@ class RaFormer:
         fold_chirps(np.zeros((1, 1, 2), np.int16), 1)
         self.interpolator.warm()
 
+    @property
+    def has_begun(self) -> bool:
+        """True while a scan is under way."""
+        return self._sweep is not None
+
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[RangeAzimuthMap]:
         """Fold one beam; the maps this completes, oldest first. Raises `ValueError` for a beam of another set-up."""
         check_beam(beam, self.folder.setup)

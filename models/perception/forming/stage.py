@@ -46,6 +46,17 @@ class FormingStage:
             setup = msgspec.structs.replace(setup, background=self._background)
         self.former = RaFormer(setup, self._params)
 
+    @property
+    def is_between_scans(self) -> bool:
+        """True while no scan is under way."""
+        return self.former is None or not self.former.has_begun
+
+    def take_over(self, earlier: FormingStage) -> None:
+        """Go on where another stage is: with its radar and the states of its vehicle."""
+        self._states = earlier._states
+        if earlier.former is not None:
+            self.set_up(earlier.former.folder.setup)
+
     def add_state(self, state: VehicleState) -> None:
         """Take in a state of the vehicle."""
         self._states.add(state)

@@ -60,6 +60,10 @@ class ViewStage:
         """The bias that is taken off the yaw rate."""
         return self._memory.yaw_rate_bias
 
+    def take_over(self, earlier: ViewStage) -> None:
+        """Go on where another stage of the same `memory` is: with its tracks, walls and vehicle states."""
+        self._memory, self._states = earlier._memory, earlier._states
+
     def add_state(self, state: VehicleState) -> None:
         """Take in a state of the vehicle."""
         self._states.add(state)

@@ -24,6 +24,7 @@ from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import MAX_SPEED_MPS, VehicleState
@@ -152,6 +153,11 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
         )
     ],
     "log": [LogRecord(stamp_ns=1, node="a", level="info", text="wall found: 12 m")],
+    "param/request": [ParamRequest(stamp_ns=1, request="1", node="a", changes='{"threads": 2}')],
+    "param/values": [
+        NodeParams(stamp_ns=2, node="a", params='{"threads": 1}'),
+        NodeParams(stamp_ns=2, node="a", params="{}", request="1", error="threads must be 1..256, got 0"),
+    ],
 }
 CASES = [(topic, message) for topic, messages in EXAMPLES.items() for message in messages]
 

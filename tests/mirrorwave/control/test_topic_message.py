@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mirrorwave.diagnose.topic_message import message_of
+from mirrorwave.control.topic_message import message_of
 from msgs.bus.codec import to_builtins
 from msgs.values.vehicle import VehicleState
 from tests.msgs.bus.test_codec import EXAMPLES

@@ -1,0 +1,1 @@
+"""Changes that a person makes to a running graph: messages and parameters of their own."""
