@@ -71,7 +71,7 @@ def test_the_predictor_detects_by_the_other_method_from_the_next_map_on() -> Non
 
 
 def test_tracks_outlive_a_change_of_the_geometry() -> None:
-    """Two scans make tracks; with another threshold of walls the third goes on with the same ids."""
+    """Four scans make tracks; with a mask for people the fifth goes on with the same ids."""
     node = geometry.create(geometry.Params())
 
     def view(scan: int) -> BevFrame:
@@ -80,10 +80,9 @@ def test_tracks_outlive_a_change_of_the_geometry() -> None:
         assert isinstance(frame, BevFrame)
         return frame
 
-    view(1)
-    before = view(2)
+    before = [view(scan) for scan in range(1, 5)][-1]
     node.change_params(geometry.Params(visibility=msgspec.structs.replace(geometry.Params().visibility, rcs_dbsm=-5.0)))
-    after = view(3)
+    after = view(5)
     assert after.visibility_rcs_dbsm == -5.0
     assert before.tracks
     assert {track.id for track in before.tracks} <= {track.id for track in after.tracks}

@@ -192,10 +192,9 @@ def kill(
     if how not in _SIGNALS:
         raise ValueError(f"--signal must be one of {', '.join(_SIGNALS)}, got {how!r}")
     heard = _heartbeats(domain, WINDOW_S)
-    if name not in heard or is_of_peer(name):
-        raise ValueError(
-            f"unknown node {name!r}; heard of are {', '.join(key for key in heard if not is_of_peer(key))}"
-        )
-    pid = heard[name][-1].pid
+    own = {key: beats for key, beats in heard.items() if not is_of_peer(key)}
+    if name not in own:
+        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(own)}")
+    pid = own[name][-1].pid
     os.kill(pid, signal.Signals[f"SIG{how}"])
     print_line(f"{name}: SIG{how} to pid {pid}")
