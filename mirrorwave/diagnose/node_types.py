@@ -78,7 +78,7 @@ def _row(name: str, package: str) -> dict[str, Any]:
 
 
 def _params(kind: type, prefix: str) -> list[dict[str, str]]:
-    """Return the parameters of a type as `-p NODE.KEY=VALUE` takes them, those of its structures by their dotted key."""
+    """Return the parameters of a type as `-p NODE.KEY=VALUE` takes them: those of structures by dotted keys."""
     rows = []
     for field, words in zip(msgspec.structs.fields(kind), fields_of(kind), strict=True):
         if isinstance(field.default, msgspec.Struct):
