@@ -5,6 +5,8 @@
  * It reads perception/hidden_objects, publishes vehicle/state 50 times a second and its heartbeat twice a second. RUN_DIR
  * is what `mirrorwave doctor` names. The wire: docs/guides/own-parts.md. */
 
+#define _POSIX_C_SOURCE 200809L
+
 #include <dirent.h>
 #include <inttypes.h>
 #include <msgpack.h>
