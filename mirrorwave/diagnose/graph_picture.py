@@ -5,9 +5,7 @@ Of a launch file nothing is started: inputs and outputs are those that the nodes
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -162,6 +160,7 @@ def _has_work(node: GraphNode) -> bool:
 
 def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Inputs and outputs of a node by its class; parameters are checked, nothing is created."""
+    from mirrorwave.diagnose.node_types import node_classes
     from nodes.node import node_module
     from nodes.process.validation import convert_at
 
@@ -173,14 +172,6 @@ def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, 
     imported = params.imported_topics() if hasattr(params, "imported_topics") else ()
     inputs = dict.fromkeys([*(topic for kind in nodes for topic in kind.inputs), *topics])
     return tuple(inputs), tuple(dict.fromkeys([*(topic for kind in nodes for topic in kind.outputs), *imported]))
-
-
-def node_classes(module: ModuleType) -> list[Any]:
-    """Return the classes of nodes that a module defines."""
-    from nodes.node import Node
-
-    kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == module.__name__]
-    return [kind for kind in kinds if issubclass(kind, Node)]
 
 
 def layers(nodes: tuple[GraphNode, ...] | list[GraphNode]) -> dict[str, int]:

@@ -9,10 +9,9 @@ from typing import Any
 import msgspec
 
 from mirrorwave.diagnose.findings import Finding, Status
-from mirrorwave.diagnose.graph_picture import node_classes
 from mirrorwave.reference import fields_of, node_modules
 from msgs.files.plugins import EFFECTS, NODES, Plugin, plugins
-from nodes.node import node_module
+from nodes.node import Node, node_module
 
 _SHIPPED = "mirrorwave"
 
@@ -38,6 +37,12 @@ def named_types(name: str) -> list[dict[str, Any]]:
         # also a module that no package declares, as long as it can be imported
         node_module(name, name)
     return known or [_row(name, _SHIPPED if name in node_modules() else "no package")]
+
+
+def node_classes(module: ModuleType) -> list[Any]:
+    """Return the classes of nodes that a module defines."""
+    kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == module.__name__]
+    return [kind for kind in kinds if issubclass(kind, Node)]
 
 
 def plugin_findings() -> list[Finding]:
