@@ -21,8 +21,8 @@ RANGE_BIN_M = 0.21413747
 #: same range. docs/guides/own-parts.md lists all.
 CHANNELS = ["level", "contrast"]
 DB = 1.0 / 90.0
-#: 17 dB over the noise, 22 dB under the strongest of the range: a score of one half; 5 dB more make it 0.8.
-MIDDLE = np.array([22.0 * DB, -22.0 * DB], np.float32)
+#: 23 dB over the noise, 22 dB under the strongest of the range: a score of one half; 5 dB more make it 0.8.
+MIDDLE = np.array([28.0 * DB, -22.0 * DB], np.float32)
 STEEPNESS = np.array([25.0, 25.0], np.float32)
 #: Surroundings of a cell: half a metre either way, and a beam.
 SURROUNDINGS = [5, 21]
