@@ -11,7 +11,6 @@ import argparse
 import contextlib
 import ctypes
 import gc
-import importlib
 import json
 import logging
 import os
@@ -21,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if __name__ == "__main__":
@@ -34,6 +34,7 @@ import psutil
 
 from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
 from msgs.bus.topics import topic_facts
+from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
 from nodes.process.param_server import ParamServer
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 NODE_NAME = re.compile(r"[a-z0-9_]+")
-MODULE_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 HEARTBEAT_S = 1.0 / topic_facts("diagnostics/node").rate_hz
 #: Longest sleep of the loop: a signal that arrives just before it is noticed this much later.
 TURN_S = 0.1
@@ -197,27 +197,38 @@ class Stop:
 def load_node(module_name: str, params: Mapping[str, Any], name: str | None = None) -> Node:
     """Import a node's module and create the node with `params`.
 
-    Raises `ValueError` naming the node's field for a module that is no node or needs a library that is not installed,
-    and for wrong parameters.
+    Raises `ValueError` naming the node's field as `node_module` does, for wrong parameters and for a `create` that
+    makes something else.
     """
     name = name or module_name.rpartition(".")[2]
+    module = node_module(module_name, name)
+    checked = convert_at(dict(params), module.Params, f"{name}.params")
+    with _compile_notice():
+        node = module.create(checked)
+    if not isinstance(node, Node):
+        raise ValueError(f"{name}.module: create(params) of {module.__name__} must return a Node, got {node!r}")
+    node.made_with = checked
+    return node
+
+
+def node_module(module_name: str, name: str) -> ModuleType:
+    """Import the module of the node `name`: a dotted name, or the name under which an installed package brings it.
+
+    Raises `ValueError` naming the node's field for a module that cannot be imported or is no node.
+    """
     if not MODULE_NAME.fullmatch(module_name):
         raise ValueError(f"{name}.module must be a dotted module name, got {module_name!r}")
     try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name is None:
-            raise
-        if f"{module_name}.".startswith(f"{error.name}."):
-            raise ValueError(f"{name}.module: no module named {error.name!r}") from None
-        raise ValueError(f"{name}.module: {module_name} needs {error.name}, which is not installed") from None
+        # every shipped module has a dot: only other people's are looked up
+        plugin = None if "." in module_name else plugins(NODES).plugin(module_name)
+        module = import_named(module_name) if plugin is None else plugin.load()
+    except ValueError as error:
+        raise ValueError(f"{name}.module: {error}") from None
     if not (hasattr(module, "Params") and hasattr(module, "create")):
-        raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
-    checked = convert_at(dict(params), module.Params, f"{name}.params")
-    with _compile_notice():
-        node: Node = module.create(checked)
-    node.made_with = checked
-    return node
+        raise ValueError(f"{name}.module: {module.__name__} is no node, it must define Params and create(params)")
+    if not (isinstance(module.Params, type) and issubclass(module.Params, msgspec.Struct)):
+        raise ValueError(f"{name}.module: Params of {module.__name__} must be a msgspec Struct, got {module.Params!r}")
+    return module
 
 
 def _compile_notice() -> contextlib.AbstractContextManager[None]:

@@ -68,6 +68,7 @@ def all_findings(domain: str) -> list[Finding]:
         "clock": check_clock,
         "can": check_can,
         "weights": lambda: check_weights(WEIGHTS),
+        "plug-ins": check_plugins,
         "run directory": lambda: check_run_dir(run_dir(domain)),
         "viewer port": check_viewer_port,
         "graph": lambda: check_graph(run_dir(domain)),
@@ -174,6 +175,13 @@ def check_weights(folder: Path) -> Iterator[Finding]:
             yield _check_network(network)
         except (OSError, ValueError) as error:
             yield Finding(f"weights {network.stem}", Status.FAILED, f"cannot be read: {error_line(error)}")
+
+
+def check_plugins() -> Iterator[Finding]:
+    """Every node and effect that another package brings can be used."""
+    from mirrorwave.diagnose.node_types import plugin_findings
+
+    yield from plugin_findings()
 
 
 def check_run_dir(run_dir: Path) -> Iterator[Finding]:

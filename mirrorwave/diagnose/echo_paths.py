@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msgs.values.perception import PathClass
-from sim_player.effects.names import PATH_EFFECTS, bit
+from sim_player.effects.names import PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.planner.plan import BUDGET_DB, resolve_plan
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
@@ -81,4 +81,4 @@ def _kind(paths: Any, index: int) -> str:
 
 
 def _needs(paths: Any, index: int) -> list[str]:
-    return [name for name in PATH_EFFECTS if int(paths.needs[index]) & bit(name)]
+    return [name for name in (*PATH_EFFECTS, *PLUGGED_IN) if int(paths.needs[index]) & bit(name)]

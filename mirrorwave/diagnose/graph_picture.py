@@ -5,8 +5,6 @@ Of a launch file nothing is started: inputs and outputs are those that the nodes
 
 from __future__ import annotations
 
-import importlib
-import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -162,18 +160,13 @@ def _has_work(node: GraphNode) -> bool:
 
 def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Inputs and outputs of a node by its class; parameters are checked, nothing is created."""
-    from nodes.node import Node
+    from mirrorwave.diagnose.node_types import node_classes
+    from nodes.node import node_module
     from nodes.process.validation import convert_at
 
-    try:
-        module = importlib.import_module(entry.module)
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{name}.module: no module named {error.name!r}") from None
-    if not hasattr(module, "Params"):
-        raise ValueError(f"{name}.module: {entry.module} is no node, it must define Params and create(params)")
+    module = node_module(entry.module, name)
     params = convert_at(dict(entry.params), module.Params, f"{name}.params")
-    kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == entry.module]
-    nodes = [kind for kind in kinds if issubclass(kind, Node)]
+    nodes = node_classes(module)
     # what a recorder reads is in its parameters, and what a link carries
     topics = params.selected_topics() if hasattr(params, "selected_topics") else ()
     imported = params.imported_topics() if hasattr(params, "imported_topics") else ()

@@ -12,9 +12,10 @@ from typing import Any
 import msgspec
 import yaml
 
+from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, in_words
-from nodes.node import MODULE_NAME, NODE_NAME
+from nodes.node import NODE_NAME
 from nodes.process.validation import convert_at, merged
 
 #: Larger files are no launch files.
@@ -65,7 +66,8 @@ class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One process of the graph."""
 
-    #: Dotted name of the module that defines Params and create(params).
+    #: Module that defines Params and create(params): its dotted name, or the name that an installed package gives it
+    #: under the entry points `mirrorwave.nodes`.
     module: str
     params: dict[str, Any] = {}
     #: Nodes that must be ready before this one starts.

@@ -3,15 +3,21 @@
 A path effect makes echoes, a weight effect changes those that are there, an array effect changes the two-way pattern,
 and any other signal effect changes the waveform or the receiver. What an effect can change at most is the planner's
 business (`sim_player.planner.changes`).
+
+Installed packages bring path effects and weight effects of their own (`effect_of`): behind ours, in order of name.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from msgs.files.plugins import EFFECTS as EFFECT_PLUGINS
+from msgs.files.plugins import Plugin, plugins, reason_of
 from sim_player.effects import (
     curved_wall,
     diffuse_scattering,
@@ -27,9 +33,12 @@ from sim_player.effects import (
     wall_transmission,
     weights,
 )
+from sim_player.effects.names import MAX_PATH_EFFECTS, PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.snapshot import TraceContext
+
+_LOG = logging.getLogger(__name__)
 
 #: Cost of a path as a tone of a signal, on one core of the reference machine (docs/results/simulator.md).
 TONE_S = 6e-6
@@ -121,6 +130,95 @@ SIGNAL: dict[str, SignalEffect] = {
     "iq_imbalance": SignalEffect("gain and phase between I and Q", signal.no_iq_imbalance),
     "spurs": SignalEffect("tones of the electronics", signal.no_spurs),
 }
+#: Those that come with the code.
+SHIPPED = frozenset((*PATHS, *WEIGHTS, *SIGNAL))
+
+
+def effect_of(plugin: Plugin) -> PathEffect | WeightEffect:
+    """Return the effect that a module of another package describes; `ValueError` for one that cannot be used.
+
+    The module defines `ABOUT`, `absent(world)`, and either `apply(tracing)`, which returns the echoes of a path effect,
+    or `factor(echoes, world, used)`, which returns those of a weight effect.
+    """
+    if plugin.name in SHIPPED:
+        raise ValueError(f"{plugin}: mirrorwave has an effect of this name")
+    if plugin.name in PLUGGED_IN[MAX_PATH_EFFECTS - len(PATH_EFFECTS) :]:
+        raise ValueError(
+            f"{plugin}: there are {MAX_PATH_EFFECTS - len(PATH_EFFECTS)} effects of other packages already"
+        )
+    module = plugin.load("ABOUT", "absent")
+    parts = [name for name in ("apply", "factor") if hasattr(module, name)]
+    if len(parts) != 1:
+        raise ValueError(
+            f"{plugin}: {module.__name__} must define apply(tracing) or factor(echoes, world, used), one of"
+        )
+    if wrong := [name for name in ("absent", *parts) if not callable(getattr(module, name))]:
+        raise ValueError(f"{plugin}: {', '.join(wrong)} of {module.__name__} must be a function")
+    about, absent = str(module.ABOUT), _guarded(plugin, module.absent)
+    if parts == ["factor"]:
+        return WeightEffect(about, absent, _checked_factor(plugin, _guarded(plugin, module.factor)))
+    return PathEffect(about, absent, _checked_echoes(plugin, _guarded(plugin, module.apply)))
+
+
+def _guarded(plugin: Plugin, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Have whatever other people's code raises say whose it is."""
+
+    def call(*arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except Exception as error:
+            raise ValueError(f"effect {plugin}: {reason_of(error)}") from error
+
+    return call
+
+
+def _checked_echoes(plugin: Plugin, apply: Callable[..., Any]) -> Callable[[TraceContext], Echoes]:
+    def checked(tracing: TraceContext) -> Echoes:
+        echoes = apply(tracing)
+        if not isinstance(echoes, Echoes):
+            raise ValueError(f"effect {plugin}: apply must return Echoes, got {type(echoes).__name__}")
+        if not np.isfinite(echoes.weight).all():
+            raise ValueError(f"effect {plugin}: weights of echoes must be finite")
+        # the planner drops an effect's paths by this bit
+        if not (echoes.needs & np.uint32(bit(plugin.name))).all():
+            raise ValueError(f"effect {plugin}: echoes must carry bit({plugin.name!r}) in needs")
+        return echoes
+
+    return checked
+
+
+def _checked_factor(plugin: Plugin, factor: Callable[..., Any]) -> Callable[[Echoes, World, bool], np.ndarray]:
+    def checked(echoes: Echoes, world: World, used: bool) -> np.ndarray:
+        values = np.asarray(factor(echoes, world, used))
+        if values.shape not in ((), (len(echoes),)) or values.dtype.kind not in "iufc":
+            raise ValueError(
+                f"effect {plugin}: factor must return a number or one for each of {len(echoes)} echoes, "
+                f"got {values.dtype} {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise ValueError(f"effect {plugin}: factors must be finite")
+        return values
+
+    return checked
+
+
+def _plug_in() -> None:
+    """Add the effects of installed packages; a broken one is left out with a line in the log."""
+    brought = plugins(EFFECT_PLUGINS)
+    lines = [str(refusal) for refusal in brought.refused]
+    for name, plugin in brought.usable.items():
+        try:
+            effect = effect_of(plugin)
+        except ValueError as error:
+            lines.append(str(error))
+        else:
+            table: dict[str, Any] = PATHS if isinstance(effect, PathEffect) else WEIGHTS
+            table[name] = effect
+    for line in lines:
+        _LOG.warning("effect %s; it is left out", line)
+
+
+_plug_in()
 EFFECTS: dict[str, Effect] = {**PATHS, **WEIGHTS, **SIGNAL}
 ALL_EFFECTS = frozenset(EFFECTS)
 

@@ -12,7 +12,7 @@ from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.values.frames import Pose2
 from msgs.values.perception import PathClass, SceneTruth, TruthObject, TruthSurface
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
-from sim_player.effects.names import bits
+from sim_player.effects.names import PLUGGED_IN, bits
 from sim_player.scene.world import World, radar_pose
 from sim_player.signal.fmcw import departure
 from sim_player.trace.paths import Paths
@@ -25,7 +25,12 @@ VISIBLE_SNR_DB = 10.0
 
 #: Effects whose paths a map shows too, but that have no truth points: mixed routes, diffraction, interreflection, ...
 UNLABELLED = bits(
-    frozenset({"non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"})
+    frozenset(
+        {
+            *("non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"),
+            *PLUGGED_IN,
+        }
+    )
 )
 
 

@@ -38,11 +38,20 @@ READY_S = 600.0
 UP = (NodeState.READY, NodeState.DEGRADED)
 
 #: Programs that a reader may have and a test machine need not.
-OPTIONAL = ("node", "npm")
+OPTIONAL = ("node", "npm", "cc", "./my_node")
+#: Libraries that a C compiler has to find.
+C_LIBRARIES = ("libzmq", "msgpack")
+#: Folder of a page into which packages are installed.
+INSTALLED = "installed"
 #: (pattern, replacement): what is changed in a command before it is run, in this order. Sizes and times only, or the
 #: same verb on what is small; `make` says what it would do.
 SHORTER: tuple[tuple[str, str], ...] = (
     (r"^make (?!-n)", "make -n "),
+    # without an index, and not into the environment of the tests
+    (
+        r"^pip install (\./\S+)$",
+        rf"python -m pip install --quiet --no-deps --no-build-isolation --no-index --target {INSTALLED} \1",
+    ),
     # benchmarks: that the module is there and knows its options' help
     (r"^(OPENBLAS_NUM_THREADS=1 )?python -m (benchmarks\.\S+)(?!.* --record ).*$", r"python -m \2 --help"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
@@ -107,7 +116,8 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def _language(text: str) -> str:
-    if re.search(r"^([A-Z_]+=\S+ )?(mirrorwave|python|make|alias|ssh|scp|npm|mkdir|jupyter) \S", text, re.MULTILINE):
+    programs = "mirrorwave|python|pip|make|alias|ssh|scp|npm|mkdir|jupyter"
+    if re.search(rf"^([A-Z_]+=\S+ )?({programs}) \S", text, re.MULTILINE):
         return "sh"
     if re.search(r"^(import|from) \w", text, re.MULTILINE):
         return "python"
@@ -211,8 +221,9 @@ class Runner:
         background = written.endswith("&")
         command = shortened(written.rstrip("& "))
         words = [word for word in shlex.split(command) if not re.match(r"[A-Z_]+=", word)]
-        plain = command.startswith("mirrorwave ") and "|" not in words
-        if words[0] in OPTIONAL and shutil.which(words[0]) is None:
+        # an installed package is known to a new process alone
+        plain = command.startswith("mirrorwave ") and "|" not in words and not (self._folder / INSTALLED).exists()
+        if words[0] in OPTIONAL and self._is_missing(words[0]):
             self.missing.append(words[0])
             return
         if background and command == self._graph:
@@ -231,6 +242,12 @@ class Runner:
         if words[1:2] == ["launch"] and "--record" not in words:
             self._launched.add(command)
 
+    def _is_missing(self, program: str) -> bool:
+        if "/" in program:
+            # a page makes it, with what may be missing
+            return not (self._folder / program).exists()
+        return shutil.which(program) is None or (program == "cc" and not has_c_libraries())
+
     def _mirrorwave(self, arguments: list[str]) -> tuple[int, str]:
         """In this process, where packages are loaded already."""
         handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
@@ -248,7 +265,12 @@ class Runner:
 
     def _process(self, command: str) -> tuple[int, str]:
         done = subprocess.run(
-            ["bash", "-c", command], cwd=self._folder, env=_environment(), capture_output=True, text=True, check=False
+            ["bash", "-c", command],
+            cwd=self._folder,
+            env=_environment(self._folder),
+            capture_output=True,
+            text=True,
+            check=False,
         )
         return done.returncode, done.stdout + done.stderr
 
@@ -277,10 +299,16 @@ class Runner:
         return subprocess.Popen(
             ["bash", "-c", f"exec env {command}"],
             cwd=self._folder,
-            env=_environment(),
+            env=_environment(self._folder),
             stdout=subprocess.PIPE,
             text=True,
         )
+
+
+def has_c_libraries() -> bool:
+    """Return whether a C compiler finds `C_LIBRARIES`."""
+    query = ["pkg-config", "--exists", *C_LIBRARIES]
+    return shutil.which(query[0]) is not None and subprocess.run(query, check=False).returncode == 0
 
 
 def _backgrounds(blocks: list[Block]) -> set[str]:
@@ -289,8 +317,11 @@ def _backgrounds(blocks: list[Block]) -> set[str]:
     return {shortened(command.rstrip("& ")) for command in commands if command.endswith("&")}
 
 
-def _environment() -> dict[str, str]:
-    return {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+def _environment(folder: Path) -> dict[str, str]:
+    """Variables of a page's processes: the programs of the tests' environment, and what the page has installed."""
+    modules = filter(None, [str(folder / INSTALLED), os.environ.get("PYTHONPATH")])
+    programs = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return {**os.environ, "PATH": programs, "PYTHONPATH": os.pathsep.join(modules)}
 
 
 def _wait_until_ready(process: subprocess.Popen[str], has_source: bool) -> None:

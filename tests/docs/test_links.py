@@ -16,7 +16,11 @@ from markdown_it import MarkdownIt
 from tests.docs.pages import ROOT
 
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "examples").rglob("*.md"),
+        *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}")),
+    ]
 )
 #: Where sources name a page: in docstrings, comments, help texts and error messages.
 SOURCES = sorted(

@@ -34,6 +34,7 @@ GENERATED = "docs/reference/commands.md"
 CHECKOUT = (
     "launch",
     "docs",
+    "examples",
     "benchmarks",
     "models",
     "msgs",

@@ -11,12 +11,14 @@ import pytest
 
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.local import LocalBus, LocalNetwork
+from msgs.files.plugins import NODES
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.vehicle import VehicleState
 from nodes.node import Heartbeat, InProcessGraph, Node, StageClock, Stop, load_node, run_loop
 from nodes.process.logs import BusLogHandler, LineSplitter, parse_line
 from tests.graph import toy_nodes
+from tests.plugins import NODE, write_package
 
 ROOT = CHECKOUT
 TOY = "tests.graph.toy_nodes"
@@ -202,3 +204,29 @@ def test_lines_are_cut_cleaned_and_parsed() -> None:
     entry = parse_line("n", '\x1e{"text": "t", "level": "info"}')
     assert (entry["node"], entry["level"], entry["text"]) == ("n", "info", "t")
     assert parse_line("n", '\x1e{"text": 1}')["level"] == "output"
+
+
+def test_a_node_of_another_package_goes_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The name of its entry point stands for its module, which may lie anywhere; its dotted name works as well."""
+    monkeypatch.syspath_prepend(write_package(tmp_path, "acme", NODES, {"their_radar": "acme_nodes"}, acme_nodes=NODE))
+    assert type(load_node("their_radar", {"rate_hz": 5.0}, "radar")).__name__ == "Theirs"
+    assert type(load_node("acme_nodes", {}, "radar")).__name__ == "Theirs"
+    with pytest.raises(ValueError, match=r"^radar\.params: .*unknown field rate_mhz; known are rate_hz"):
+        load_node("their_radar", {"rate_mhz": 5.0}, "radar")
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "line"),
+    [
+        ("broken_a", "oops", r"broken_a of acme 1\.2: broken_a cannot be imported: NameError: .*broken_a\.py:1\)"),
+        ("broken_b", "def create(params): ...", r"broken_b is no node, it must define Params and create\(params\)"),
+        ("broken_c", "Params = dict\ndef create(params): ...", "Params of broken_c must be a msgspec Struct, got .*"),
+        ("broken_d", NODE.replace("Theirs()", "None"), r"create\(params\) of broken_d must return a Node, got None"),
+    ],
+)
+def test_a_broken_node_of_another_package_is_one_line(
+    module: str, source: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(write_package(tmp_path, "acme", NODES, {module: module}, **{module: source}))
+    with pytest.raises(ValueError, match=rf"^radar\.module: {line}$"):
+        load_node(module, {}, "radar")

@@ -1,4 +1,4 @@
-"""`mirrorwave node`: the nodes of a running graph, as their heartbeats tell."""
+"""`mirrorwave node`: the nodes of a running graph, as their heartbeats tell, and the modules that nodes are made of."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import msgspec
 import typer
 
 from mirrorwave.completion import complete_nodes
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_table
 from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
 from msgs.values.wording import counted
 from nodes.viewer.node_table import is_of_peer
 
-app = typer.Typer(help="Look at the nodes of a running graph.", no_args_is_help=True)
+app = typer.Typer(help="Look at the nodes of a running graph, and at those there are.", no_args_is_help=True)
 
 #: Signals for `kill`: KILL and TERM end a process, STOP and CONT let it hang and go on.
 _SIGNALS = ("KILL", "TERM", "INT", "STOP", "CONT")
@@ -149,6 +149,34 @@ def info(
     for key, value in {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}.items():
         print_line(f"{key}: {value}")
     _print_details(topics, status)
+
+
+@app.command()
+def types(
+    name: Annotated[str | None, typer.Argument(help="One of them, with all its parameters.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Modules that a launch file can name: shipped ones, and those that installed packages bring; exit code 1 if a
+    package's is broken."""
+    from mirrorwave.diagnose.node_types import named_types, node_types
+
+    rows = node_types() if name is None else named_types(name)
+    if as_json:
+        print_json(rows)
+    elif name is None:
+        columns = ("module", "package", "inputs", "outputs", "about")
+        print_table([column.upper() for column in columns], [_type_cells(row, columns) for row in rows])
+    else:
+        for row in rows:
+            print_line(f"{row['module']}, {row['package']}: {row['error'] or row['about']}")
+            print_table(("PARAMETER", "TYPE", "DEFAULT", ""), [list(param.values()) for param in row["params"]])
+    if any(row["error"] for row in rows):
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _type_cells(row: dict[str, Any], columns: tuple[str, ...]) -> list[str]:
+    cells = {**row, "about": f"BROKEN: {row['error']}" if row["error"] else row["about"]}
+    return [", ".join(value) if isinstance(value := cells[column], list) else value for column in columns]
 
 
 _DIRECTIONS = {"received": "in", "published": "out"}

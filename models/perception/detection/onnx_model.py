@@ -27,7 +27,10 @@ _NO_NETWORK = tuple(
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
 #: Hint on how to make a network with its card.
-GUIDE = "`mirrorwave export` writes a network with its card: docs/guides/train-on-my-captures.md"
+GUIDE = (
+    "`mirrorwave export` writes a network with its card: docs/guides/train-on-my-captures.md; "
+    "the card of one from elsewhere: docs/guides/own-parts.md"
+)
 #: The network in use unless another is named.
 DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
 
@@ -70,7 +73,8 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     sha256: str
-    parameters: int
+    #: Number of weights; 0: not counted.
+    parameters: int = 0
     #: Family of the network.
     network: str = "compact_unet"
     #: Of weights and arithmetic; input and output are float32 always.
@@ -87,15 +91,15 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     threshold: float
     #: That of peaks by pursuit, the best on the validation scenes; None: the same.
     pursuit_threshold: float | None = None
-    #: On test scenes that were used neither to train nor to select the network.
-    scores: tuple[ScoresAt, ...]
+    #: On test scenes that were used neither to train nor to select the network; empty: none were made.
+    scores: tuple[ScoresAt, ...] = ()
     fidelity: Fidelity | None = None
     #: Share of true peaks by score (validation scenes, 2 m gate); empty where it was not fitted.
     calibration: ScoreTable = ()
     #: How training and test scenes were made, and how many.
-    data: dict[str, str | int]
+    data: dict[str, str | int] = {}
     #: Training command, chosen epoch, and the resolved configuration of data, schedule and network.
-    training: dict[str, Any]
+    training: dict[str, Any] = {}
 
     def __post_init__(self) -> None:
         if self.anchor_stride < 1:

@@ -1,49 +1,22 @@
-"""A radar of one's own as a node: its set-up once, then a beam whenever the hardware has one.
-
-    PYTHONPATH=docs/examples mirrorwave launch docs/examples/my_radar.yaml
-
-`Hardware` stands for yours: it measures a wall of four points and noise.
-"""
+"""A radar of your own as a node: its set-up once, then a beam whenever the hardware has one."""
 
 from __future__ import annotations
 
 import msgspec
-import numpy as np
+from my_radar_hardware import Hardware
 
-from models.physics.antenna import setup_weights, two_way_pattern
-from models.physics.waveform import beat_samples
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from nodes.node import Node
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a launch file may say."""
+    """Parameters that a launch file may set."""
 
     chirps_per_beam: int = 8
+    #: Standard deviation of the receiver's noise, in codes.
     noise_codes: float = 20.0
     seed: int = 0
-
-
-class Hardware:
-    """Measures one beam: int16 I and Q codes [chirps, samples, 2]."""
-
-    def __init__(self, setup: RadarSetup, noise_codes: float, seed: int) -> None:
-        self._setup, self._noise_codes = setup, noise_codes
-        self._random = np.random.default_rng(seed)
-        across_m = np.linspace(-3.0, 3.0, 4)
-        azimuth_rad = np.arctan2(across_m, 20.0)
-        # the array's own field in every steered direction, [beams, points]: what makes the map coherent
-        self._field = two_way_pattern(setup, setup_weights(setup), azimuth_rad, np.zeros_like(azimuth_rad))
-        # recorded beats have positive frequency for positive range; else say `beat_sign: -1` in the set-up
-        self._beats = beat_samples(setup.radar, 2.0 * np.hypot(20.0, across_m))
-
-    def measure(self, beam_index: int) -> np.ndarray:
-        """The beam of this place in the scan."""
-        shape = (self._setup.radar.chirps_per_beam, self._setup.radar.samples_per_chirp)
-        noise = self._noise_codes * (self._random.normal(size=shape) + 1j * self._random.normal(size=shape))
-        codes = self._field[beam_index] @ self._beats + noise
-        return np.rint(np.stack([codes.real, codes.imag], axis=-1)).astype(np.int16)
 
 
 class MyRadar(Node):
@@ -53,19 +26,20 @@ class MyRadar(Node):
 
     def __init__(self, params: Params) -> None:
         super().__init__()
+        # what a receiver must know: waveform, array, azimuths, power of a full-scale tone; recorded beats have positive
+        # frequency for positive range, else add beat_sign=-1
         radar = RadarParams(chirps_per_beam=params.chirps_per_beam)
-        # what a receiver must know: waveform, array, azimuths, power of a full-scale tone
         self._setup = RadarSetup(radar=radar, beams=BeamGrid(), full_scale_dbm=-20.0)
         self._hardware = Hardware(self._setup, params.noise_codes, params.seed)
         self._beams = 0
         self._next_ns: int | None = None
 
     def due_ns(self, now_ns: int) -> int | None:
-        """At once for the set-up, then whenever a beam is due."""
+        """Return the time of the next step: at once for the set-up, then whenever a beam is due."""
         return now_ns if self._next_ns is None else self._next_ns
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One message a call: heartbeats come between."""
+        """Return one message a call: heartbeats come between."""
         if self._next_ns is None:
             self._next_ns = now_ns + 300_000_000
             return [Outgoing("radar/setup", self._setup)]
@@ -88,5 +62,5 @@ class MyRadar(Node):
 
 
 def create(params: Params) -> MyRadar:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return MyRadar(params)
