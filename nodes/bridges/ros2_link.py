@@ -57,7 +57,7 @@ def domain_config(interface: str) -> str:
         discovery = (
             "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS}</MaxAutoParticipantIndex>"
-            '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
+            '<SPDPInterval>1s</SPDPInterval><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay><Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
         )
     multicast = "<AllowMulticast>false</AllowMulticast>" if interface == LOOPBACK else ""
     return (
