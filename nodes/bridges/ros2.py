@@ -123,6 +123,8 @@ class Ros2Bridge(Node):
 
     #: As the viewer's: perception goes first on busy cores.
     nice = 10
+    #: What waits meanwhile is late for ROS 2, not lost.
+    wants_all = True
 
     def __init__(self, params: Params, link: Ros2Link, store: Any) -> None:
         super().__init__()

@@ -30,6 +30,14 @@ POLICIES = {2: "durability", 4: "deadline", 5: "latency budget", 6: "ownership",
             12: "destination order", 23: "data representation", 24: "type consistency"}  # fmt: skip
 #: Fast DDS: types are matched by name, because Cyclone DDS 11 rejects the type objects that it sends.
 _FAST_DDS = "1.15"
+#: Nodes are looked for at the ports of this machine, once a second and for ever: ROS 2 may announce itself by multicast
+#: alone, which is not heard here.
+_LOCAL_DISCOVERY = (
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS}</MaxAutoParticipantIndex>"
+    "<SPDPInterval>1s</SPDPInterval><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
+    '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
+)
 
 
 def require_library() -> None:
@@ -51,23 +59,19 @@ def require_interface(name: str) -> None:
 
 
 def domain_config(interface: str) -> str:
-    """Return the configuration of Cyclone DDS: one interface alone; on the loopback by unicast, which it always has."""
-    discovery = ""
-    if interface == LOOPBACK:
-        discovery = (
-            "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
-            f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS}</MaxAutoParticipantIndex>"
-            '<SPDPInterval>1s</SPDPInterval><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay><Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
-        )
-    multicast = "<AllowMulticast>false</AllowMulticast>" if interface == LOOPBACK else ""
-    return (
-        '<CycloneDDS><Domain Id="any"><General><Interfaces>'
-        f"<NetworkInterface name={quoteattr(interface)}/></Interfaces>{multicast}"
-        f"<MaxMessageSize>65500B</MaxMessageSize></General>{discovery}"
-        f"<Compatibility><IgnoreTypeInformation>{_FAST_DDS}</IgnoreTypeInformation></Compatibility>"
-        f"<Internal><Watermarks><WhcHigh>{MAX_WAITING}</WhcHigh></Watermarks>"
-        f"<MaxSampleSize>{MAX_INPUT_BYTES}B</MaxSampleSize></Internal></Domain></CycloneDDS>"
+    """Return the configuration of Cyclone DDS for one interface alone; the loopback has no multicast."""
+    is_local = interface == LOOPBACK
+    parts = (
+        "<General>",
+        f"<Interfaces><NetworkInterface name={quoteattr(interface)}/></Interfaces>",
+        "<AllowMulticast>false</AllowMulticast>" if is_local else "",
+        "<MaxMessageSize>65500B</MaxMessageSize></General>",
+        _LOCAL_DISCOVERY if is_local else "",
+        f"<Compatibility><IgnoreTypeInformation>{_FAST_DDS}</IgnoreTypeInformation></Compatibility>",
+        f"<Internal><Watermarks><WhcHigh>{MAX_WAITING}</WhcHigh></Watermarks>",
+        f"<MaxSampleSize>{MAX_INPUT_BYTES}B</MaxSampleSize></Internal>",
     )
+    return f'<CycloneDDS><Domain Id="any">{"".join(parts)}</Domain></CycloneDDS>'
 
 
 class Writer:

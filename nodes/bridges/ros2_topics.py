@@ -35,7 +35,7 @@ _ALL = (
     Ros2Topic(name="hidden_points", kind="sensor_msgs/msg/PointCloud2", source=_SCENE, depth=10),
     Ros2Topic(name="visibility", kind="nav_msgs/msg/OccupancyGrid", source=_SCENE, depth=1, latched=True),
     Ros2Topic(name="ra_map", kind="sensor_msgs/msg/Image", source="radar/ra_map", depth=5),
-    Ros2Topic(name="odom", kind="nav_msgs/msg/Odometry", source="vehicle/state", depth=50),
+    Ros2Topic(name="odom", kind="nav_msgs/msg/Odometry", source="vehicle/state", depth=100),
     Ros2Topic(name="tf", kind="tf2_msgs/msg/TFMessage", source="vehicle/state", depth=100),
     Ros2Topic(name="tf_static", kind="tf2_msgs/msg/TFMessage", source="perception/peaks", depth=1, latched=True),
     Ros2Topic(name="diagnostics", kind="diagnostic_msgs/msg/DiagnosticArray", source="diagnostics/node", depth=50),

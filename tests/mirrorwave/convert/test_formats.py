@@ -207,7 +207,6 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "drive.ros2"
     found = said(capsys, 0, record(tmp_path / "a.mcap"), out)
     assert found["not_converted"] == {
-        "diagnostics/node": 1,
         "log": 1,
         "radar/beam": 9,
         "radar/setup": 1,
@@ -221,6 +220,9 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "/hidden_points": (3, "sensor_msgs/msg/PointCloud2"),
         "/hidden_objects": (3, "visualization_msgs/msg/MarkerArray"),
         "/visibility": (3, "nav_msgs/msg/OccupancyGrid"),
+        "/hidden_detections": (3, "vision_msgs/msg/Detection3DArray"),
+        "/hidden_tracks": (3, "radar_msgs/msg/RadarTracks"),
+        "/diagnostics": (1, "diagnostic_msgs/msg/DiagnosticArray"),
         "/odom": (10, "nav_msgs/msg/Odometry"),
         "/tf": (10, "tf2_msgs/msg/TFMessage"),
     }

@@ -150,6 +150,24 @@ class RadarScan(IdlStruct, typename="radar_msgs.msg.dds_.RadarScan_"):
     returns: sequence[RadarReturn]
 
 
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
+    transforms: sequence[TransformStamped]
+
+
 def quality(options: list[str], **more: Any) -> Qos:
     reliable, latched = Policy.Reliability.Reliable(1_000_000_000), Policy.Durability.TransientLocal
     return Qos(

@@ -21,6 +21,7 @@ import pytest
 
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.bus.topics import TOPICS
+from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState
 from msgs.values.frames import Pose2
 from msgs.values.perception import HiddenObject, Peaks
@@ -488,6 +489,21 @@ def test_the_configuration_keeps_to_one_interface() -> None:
     assert "name='\"/>&lt;x'" in ros2_link.domain_config('"/><x')
 
 
+def test_the_guide_has_the_table_of_the_code() -> None:
+    text = (CHECKOUT / "docs/guides/ros2.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| `/")]
+    promised = {row[0].strip("`/"): (row[1].strip("`"), row[3]) for row in rows}
+    expected = {
+        name: (
+            topic.kind,
+            f"{'reliable' if topic.reliable else 'best effort'}, "
+            f"{'transient local' if topic.latched else 'volatile'}, depth {topic.depth}",
+        )
+        for name, topic in PUBLISHED.items()
+    }
+    assert promised == expected
+
+
 # with DDS: another program in the domain
 
 
@@ -559,6 +575,52 @@ def test_another_program_decodes_tracks(domain: int) -> None:
     (track,) = first["message"]["tracks"]
     assert (track["position"]["x"], track["velocity"]["y"], track["uuid"]["uuid"][-1]) == (13.0, 5.0, 1)
     assert track["velocity_covariance"] == pytest.approx([1.0, 0.1, 0.0, 2.0, 0.0, 0.0])
+
+
+@pytest.mark.graph
+@needs_dds
+@needs_rosbags
+def test_another_program_decodes_the_mounting_as_a_late_joiner(domain: int) -> None:
+    node = create(Params(domain=domain))
+    moved = msgspec.structs.replace(no_peaks(0, NOW_NS), vehicle_from_radar=Pose2(1.5, -0.5, 0.2))
+    try:
+        node.step([received(moved)], NOW_NS)
+        with peer("listen", domain, "rt/tf_static", "TFMessage", "latched", "reliable") as process:
+            (_, first) = lines_of(process, 2)
+    finally:
+        node.close()
+    (mount,) = first["message"]["transforms"]
+    assert (mount["header"]["frame_id"], mount["child_frame_id"]) == ("base_link", "radar")
+    assert (mount["transform"]["translation"]["x"], mount["transform"]["rotation"]["z"]) == (
+        1.5,
+        pytest.approx(np.sin(0.1)),
+    )
+
+
+@pytest.mark.graph
+@needs_dds
+@needs_rosbags
+@pytest.mark.skipif(not os.environ.get("MIRRORWAVE_RCLPY"), reason="MIRRORWAVE_RCLPY names no interpreter with rclpy")
+def test_a_node_of_ros_2_receives_and_knows_the_types(domain: int) -> None:
+    node = create(Params(domain=domain))
+    script = CHECKOUT / "benchmarks/live/ros2_subscriber.py"
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment.pop("PYTHONPATH", None)
+    command = [os.environ["MIRRORWAVE_RCLPY"], str(script)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+    wanted = ("hidden_objects", "hidden_points", "ra_map", "odom", "diagnostics")
+    try:
+        until(lambda: all(node._writers[name].is_wanted for name in wanted), lambda: None)
+        now_ns = time.monotonic_ns()
+        stepped = [view(3, now_ns), ra_map(3, now_ns), states(1)[0], status(now_ns)]
+        node.step([received(message) for message in stepped], now_ns)
+        topics = {json.loads(line)["topic"] for line in itertools.islice(process.stdout or (), 6)}
+    finally:
+        # the subscriber compares the hashes once it is told to end, while the node is there
+        out, _ = process.communicate(timeout=PATIENCE_S)
+        node.close()
+    assert topics == {f"/{name}" for name in (*wanted, "visibility")}
+    assert [json.loads(line)["agrees"] for line in out.splitlines()] == [True] * 6
 
 
 @pytest.mark.graph
