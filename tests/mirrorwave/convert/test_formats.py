@@ -231,7 +231,8 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kinds = np.dtype([(field.name, "<f4") for field in cloud.fields])
     points = np.frombuffer(cloud.data.tobytes(), kinds)
     assert points.tolist() == [(10.0, 8.0, 0.0, 0.5), (11.0, 8.0, 0.0, 0.75)]
-    clear, wall, *objects = seen["/hidden_objects"][2][1].markers
+    clear, wall, *objects, track = seen["/hidden_objects"][2][1].markers
+    assert (track.ns, track.type) == ("tracks", 0)
     assert (clear.action, wall.type, [(p.x, p.y) for p in wall.points]) == (3, 4, [(22.0, -10.0), (22.0, 16.0)])
     assert [(each.ns, each.id, each.type, each.pose.position.x) for each in objects] == [
         ("objects", 0, 1, 13.0),

@@ -486,7 +486,7 @@ def test_the_configuration_keeps_to_one_interface() -> None:
     assert '<NetworkInterface name="lo"/>' in ros2_link.domain_config("lo")
     assert "<AllowMulticast>false" in ros2_link.domain_config("lo")
     assert "AllowMulticast" not in ros2_link.domain_config("eth0")
-    assert "name='\"/>&lt;x'" in ros2_link.domain_config('"/><x')
+    assert """name='"/&gt;&lt;x'""" in ros2_link.domain_config('"/><x')
 
 
 def test_the_guide_has_the_table_of_the_code() -> None:
