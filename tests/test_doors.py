@@ -288,6 +288,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from msgs.recording import sigmf as sigmf_capture
     from msgs.values import arrays
     from nodes import bev_viewer
+    from nodes.bridges import ros2_link, ros2_topics
     from nodes.can import log_file as can_log_file
     from nodes.process import launch_file, logs
     from nodes.viewer import connection_limiter as limiter
@@ -310,6 +311,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "pages at the viewer": str(bev_viewer.Params().max_clients),
         "connections to the viewer that are no page": f"{limiter.MAX_PENDING}, for {limiter.PENDING_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
+        "message from ROS 2": f"{_size(ros2_link.MAX_INPUT_BYTES)}, {ros2_topics.INPUT_DEPTH} waiting",
         "launch, parameter, profile, CAN or detection mapping or annotation file": (
             f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),

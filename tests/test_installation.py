@@ -25,7 +25,18 @@ INDIRECT = {"websockets"}
 #: Import name -> distribution, where they differ.
 DISTRIBUTIONS = {"can": "python-can", "yaml": "pyyaml", "zmq": "pyzmq"}
 #: What only extras bring, and what only type checkers read.
-OPTIONAL = {"onnx", "open3d", "osmium", "ray", "rosbags", "shapely", "submitit", "torch", "typing_extensions"}
+OPTIONAL = {
+    "cyclonedds",
+    "onnx",
+    "open3d",
+    "osmium",
+    "ray",
+    "rosbags",
+    "shapely",
+    "submitit",
+    "torch",
+    "typing_extensions",
+}
 
 
 @pytest.fixture(scope="module")

@@ -8,17 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mirrorwave.convert.detection_tables import ScanRows
-from models.sensors.point_cloud2 import cloud_columns
 from msgs.values.units import NANOSECONDS_PER_SECOND
+from nodes.bridges.detection_mapping import READERS
+from nodes.bridges.ros2_types import CLOUD, SCAN, type_store
 
 #: Ends of names that rosbags reads; a ROS 2 bag may also be a folder.
 SUFFIXES = (".bag", ".mcap", ".db3")
-CLOUD, SCAN = "sensor_msgs/msg/PointCloud2", "radar_msgs/msg/RadarScan"
-#: Fields of a return in `radar_msgs`, all float32: m, rad, rad, m/s, dB.
-RETURN_FIELDS = ("range", "azimuth", "elevation", "doppler_velocity", "amplitude")
 
 
 def require_library() -> None:
@@ -54,7 +50,7 @@ class DetectionBag:
             advance()
             try:
                 message = self._reader.deserialize(data, connection.msgtype)
-                columns = cloud_columns(message) if self.kind == CLOUD else return_columns(message)
+                columns = READERS[self.kind](message)
             except Exception as error:  # noqa: BLE001 - as above
                 left_out[f"message: {_reason(error)}"] += 1
                 continue
@@ -71,33 +67,12 @@ def open_bag(path: Path, topic: str | None) -> Iterator[DetectionBag]:
     from rosbags.highlevel import AnyReader
 
     with _bag_errors(path):
-        reader = AnyReader([path], default_typestore=_typestore())
+        reader = AnyReader([path], default_typestore=type_store())
         reader.open()
     try:
         yield DetectionBag(reader, path, _of_topic(reader.connections, path, topic))
     finally:
         reader.close()
-
-
-def return_columns(message: Any) -> dict[str | int, np.ndarray]:
-    """Return the fields of a `RadarScan`, float64 [returns]; an elevation that is 0 throughout was not measured."""
-    columns: dict[str | int, np.ndarray] = {
-        name: np.array([getattr(each, name) for each in message.returns], np.float64) for name in RETURN_FIELDS
-    }
-    if not columns["elevation"].any():
-        columns["elevation"] = np.full(len(message.returns), np.nan)
-    return columns
-
-
-def _typestore() -> Any:
-    """Return the types of bags that bring none, with those of `radar_msgs`."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_JAZZY)
-    fields = "\n".join(f"float32 {name}" for name in RETURN_FIELDS)
-    store.register(get_types_from_msg(fields, "radar_msgs/msg/RadarReturn"))
-    store.register(get_types_from_msg("std_msgs/Header header\nradar_msgs/RadarReturn[] returns", SCAN))
-    return store
 
 
 def _of_topic(connections: list[Any], path: Path, topic: str | None) -> list[Any]:

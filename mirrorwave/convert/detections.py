@@ -7,58 +7,47 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mirrorwave.convert.detection_bags import CLOUD, SUFFIXES, open_bag
+from mirrorwave.convert.detection_bags import SUFFIXES, open_bag
 from mirrorwave.convert.detection_tables import ScanRows, count_lines, table_scans
 from mirrorwave.convert.formats import Bar
 from models.sensors.detection_columns import DetectionMapping, detections_of
 from models.training.files import file_sha256
-from msgs.files.shipped import LAUNCH, shipped_path
+from msgs.files.shipped import shipped_path
 from msgs.recording.mcap import RecordingWriter, whole_recording
 from msgs.values.arrays import MAX_STAMP_NS
-from nodes.process.launch_file import read_yaml_mapping
-from nodes.process.validation import convert_at
+from nodes.bridges.detection_mapping import mapping_path, read_mapping
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
-#: Mappings of messages that say what their fields are called.
-_SHIPPED = LAUNCH / "detections"
 
 
-def read_mapping(path: Path) -> DetectionMapping:
-    """Return a mapping from YAML; `ValueError` names file, field, value and rule."""
-    return convert_at(read_yaml_mapping(path), DetectionMapping, f"{path}: ")
-
-
-def import_detections(
-    source: Path, out: Path, mapping_path: Path | None, topic: str | None, bar: Bar
-) -> dict[str, Any]:
+def import_detections(source: Path, out: Path, given: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
     """Write the detections of a table or a bag to the new recording `out`; returns counts and `loss`.
 
     Raises `ValueError` where file, mapping and topic do not fit, or no scan comes out; `ImportError` without rosbags.
     """
     if source.is_dir() or source.suffix.lower() in SUFFIXES:
-        return _import_bag(source, out, mapping_path, topic, bar)
+        return _import_bag(source, out, given, topic, bar)
     if source.suffix.lower() not in TEXT_SUFFIXES:
         ends = ", ".join((*TEXT_SUFFIXES, *SUFFIXES))
         raise ValueError(f"{source}: must be a table or a ROS bag, by the end of its name: {ends}, or a bag's folder")
     if topic is not None:
         raise ValueError(f"{source}: --topic is for bags, got {topic!r}")
-    if mapping_path is None:
+    if given is None:
         raise ValueError(f"{source}: --mapping must name what the columns are, such as launch/detections/table.yaml")
-    mapping_path = shipped_path(mapping_path)
-    mapping = read_mapping(mapping_path)
+    used = shipped_path(given)
+    mapping = read_mapping(used)
     if mapping.stamp is None:
-        raise ValueError(f"{mapping_path}: stamp must be given: the column with a row's time")
+        raise ValueError(f"{used}: stamp must be given: the column with a row's time")
     sink = _Sink(source, mapping)
-    provenance = _provenance(source, mapping_path)
+    provenance = _provenance(source, used)
     with bar("lines", count_lines(source)) as advance, whole_recording(out, provenance) as writer:
         sink.write(writer, table_scans(source, mapping, sink.left_out, advance))
     return sink.summary("")
 
 
-def _import_bag(source: Path, out: Path, mapping_path: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
+def _import_bag(source: Path, out: Path, given: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
     with open_bag(source, topic) as bag:
-        name = "point_cloud2" if bag.kind == CLOUD else "radar_scan"
-        used = shipped_path(mapping_path) if mapping_path else _SHIPPED / f"{name}.yaml"
+        used = mapping_path(bag.kind, given)
         mapping = read_mapping(used)
         sink = _Sink(source, mapping)
         provenance = _provenance(source, used) | {"topic": bag.topic, "type": bag.kind}

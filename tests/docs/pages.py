@@ -7,6 +7,7 @@ would take minutes runs in its short form: `SHORTER` lists every change, nothing
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import os
 import re
@@ -43,6 +44,10 @@ OPTIONAL = ("node", "npm", "cc", "./my_node")
 C_LIBRARIES = ("libzmq", "msgpack")
 #: Folder of a page into which packages are installed.
 INSTALLED = "installed"
+#: A machine that has no DDS shows the bridge's graph instead.
+WITHOUT_DDS: tuple[tuple[str, str], ...] = (
+    () if importlib.util.find_spec("cyclonedds") else ((r"^mirrorwave launch (\S+_ros2\S+)$", r"mirrorwave graph \1"),)
+)
 #: (pattern, replacement): what is changed in a command before it is run, in this order. Sizes and times only, or the
 #: same verb on what is small; `make` says what it would do.
 SHORTER: tuple[tuple[str, str], ...] = (
@@ -59,6 +64,12 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
     (r"--scans \d+", "--scans 2"),
+    # without DDS here
+    *(
+        ()
+        if importlib.util.find_spec("cyclonedds")
+        else ((r"^mirrorwave launch (\S+_ros2\S+)$", r"mirrorwave graph \1"),)
+    ),
     # two machines in one folder; the nodes that link them run in tests/nodes/test_link.py
     (r"^scp keys/(\S+) \w+:(\S+)$", r"cp keys/\1 \2"),
     (r"^mirrorwave launch (launch/two_hosts_\S+).*$", r"mirrorwave graph \1"),

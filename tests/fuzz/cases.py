@@ -73,6 +73,8 @@ from nodes import (
     recorder,
     vehicle_can,
 )
+from nodes.bridges import ros2
+from nodes.bridges.ros2_types import type_store
 from nodes.can.bus import CanLink, load_dbc, load_mapping
 from nodes.drivers import dca1000, detections_radar
 from nodes.node import Node
@@ -680,6 +682,38 @@ def make_snapshots(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     return node
 
 
+def make_ros2(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    """The bridge on a link without a network, which gives it bytes of any kind."""
+    stamps: Any = ("acquisition", "arrival")[seed % 2]
+    heard = {"detections": ros2.DetectionParams(), "odometry": ros2.OdometryParams()} if seed % 4 > 1 else {}
+    params = ros2.Params(stamps=stamps, **heard)  # type: ignore[arg-type]
+    return ros2.Ros2Bridge(params, WhimsicalRos2Link(seed), type_store())  # type: ignore[arg-type]
+
+
+class WhimsicalRos2Link:
+    """A link whose readers take nothing now and then, and whose publishers send anything."""
+
+    descriptor = -1
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+
+    def writer(self, topic: Any) -> Any:
+        whim = self._random
+        return mock.Mock(topic=topic, is_wanted=True, write=lambda cdr: whim.random() < 0.9, mismatch=lambda: "")
+
+    def reader(self, topic: Any) -> Any:
+        whim = self._random
+        take: Callable[[], list[bytes]] = lambda: [whim.randbytes(whim.randrange(200))] * whim.randrange(3)  # noqa: E731
+        return mock.Mock(take=take, mismatch=lambda: whim.choice(("", "durability")))
+
+    def clear(self) -> None:
+        """Nothing to clear."""
+
+    def close(self) -> None:
+        """No domain to leave."""
+
+
 LINK = {"bind": "tcp://127.0.0.1:*", "export": tuple(TOPICS), "insecure": True}
 
 
@@ -726,6 +760,7 @@ CASES: dict[str, Case] = {
         lambda folder: {"interface": "virtual"},
     ),
     "car_sim": Case(make_car_sim, (), "nodes.car_sim", lambda folder: {"interface": "virtual"}),
+    "ros2": Case(make_ros2, all_talk(), "nodes.bridges.ros2"),
     "bev_viewer": Case(make_viewer, all_talk(), "nodes.bev_viewer"),
     "recorder": Case(make_recorder, all_talk(), "nodes.recorder", lambda folder: {"path": str(folder / "out.mcap")}),
     "snapshot_recorder": Case(

@@ -20,6 +20,7 @@ MOVERS = (
     "nodes.can_out",
     "nodes.car_sim",
     "nodes.bev_viewer",
+    "nodes.bridges.ros2",
     "nodes.process.supervisor",
 )
 #: Modules that one process imports in turn, and what must not have come along with them.

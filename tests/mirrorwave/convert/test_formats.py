@@ -21,7 +21,6 @@ from mcap.writer import Writer
 from mirrorwave.cli import main
 from mirrorwave.console import progress_bar
 from mirrorwave.convert.formats import Format, convert, format_of
-from mirrorwave.convert.shapes import Odometry, wall_line_m
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.recording.sigmf import SigmfCapture
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
@@ -38,6 +37,7 @@ from msgs.values.perception import (
 )
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
+from nodes.bridges.shapes import Odometry, wall_line_m
 
 GRID = BevGrid(x_min_m=0.0, y_min_m=-2.0, cell_m=1.0, rows=4, columns=6)
 SETUP = RadarSetup(
@@ -207,7 +207,6 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "drive.ros2"
     found = said(capsys, 0, record(tmp_path / "a.mcap"), out)
     assert found["not_converted"] == {
-        "diagnostics/node": 1,
         "log": 1,
         "radar/beam": 9,
         "radar/setup": 1,
@@ -221,6 +220,9 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "/hidden_points": (3, "sensor_msgs/msg/PointCloud2"),
         "/hidden_objects": (3, "visualization_msgs/msg/MarkerArray"),
         "/visibility": (3, "nav_msgs/msg/OccupancyGrid"),
+        "/hidden_detections": (3, "vision_msgs/msg/Detection3DArray"),
+        "/hidden_tracks": (3, "radar_msgs/msg/RadarTracks"),
+        "/diagnostics": (1, "diagnostic_msgs/msg/DiagnosticArray"),
         "/odom": (10, "nav_msgs/msg/Odometry"),
         "/tf": (10, "tf2_msgs/msg/TFMessage"),
     }
@@ -229,7 +231,8 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kinds = np.dtype([(field.name, "<f4") for field in cloud.fields])
     points = np.frombuffer(cloud.data.tobytes(), kinds)
     assert points.tolist() == [(10.0, 8.0, 0.0, 0.5), (11.0, 8.0, 0.0, 0.75)]
-    clear, wall, *objects = seen["/hidden_objects"][2][1].markers
+    clear, wall, *objects, track = seen["/hidden_objects"][2][1].markers
+    assert (track.ns, track.type) == ("tracks", 0)
     assert (clear.action, wall.type, [(p.x, p.y) for p in wall.points]) == (3, 4, [(22.0, -10.0), (22.0, 16.0)])
     assert [(each.ns, each.id, each.type, each.pose.position.x) for each in objects] == [
         ("objects", 0, 1, 13.0),

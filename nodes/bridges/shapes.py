@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from models.perception.tracking.yaw_rate_bias import YawRateBias
-from models.physics.curved_mirror import arc_points
 from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.frames import Pose2
 from msgs.values.perception import Wall
@@ -106,6 +105,9 @@ def wall_line_m(wall: Wall) -> list[tuple[float, float]]:
     half_m, bend_per_m = 0.5 * math.hypot(bx - ax, by - ay), abs(wall.curvature_per_m)
     if bend_per_m < _STRAIGHT_PER_M or half_m == 0.0 or bend_per_m * half_m >= 1.0:
         return [(ax, ay), (bx, by)]
+    # it brings compiled kernels along, which a bridge without curved walls does without
+    from models.physics.curved_mirror import arc_points
+
     # an arc bends to the left of the way from end to end, a wall towards its normal
     left = wall.normal[1] * (bx - ax) - wall.normal[0] * (by - ay)
     curvature_per_m = math.copysign(1.0, left) * wall.curvature_per_m
