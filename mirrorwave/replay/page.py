@@ -11,6 +11,7 @@ from mirrorwave.replay.playback import Playback
 from msgs.recording.mcap import RecordingReader
 from msgs.values.wording import counted
 from nodes.viewer.newest import Board
+from nodes.viewer.series import SeriesStore
 from nodes.viewer.server import ViewerServer
 
 
@@ -24,7 +25,7 @@ def serve_recording(
     """
     with RecordingReader(recording) as reader:
         tell(f"{recording}: reading")
-        board = Board()
+        board = Board(SeriesStore(keeps_all=True))
         playback = Playback(reader, board)
         with (
             ViewerServer(board, title=title or recording.name, port=port, commands=playback.commands.put) as server,

@@ -43,7 +43,7 @@ class Playback:
     def __init__(self, reader: RecordingReader, board: Board) -> None:
         self._reader, self._board = reader, board
         self.commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        log = read_log(reader)
+        log = read_log(reader, board.series)
         self._scans = log.moments
         if not self._scans:
             raise ValueError(f"{reader.path}: holds no {VIEW_TOPIC} to show; {_source_of_views(reader)}")
@@ -57,6 +57,7 @@ class Playback:
             post_sensor(board, log.sensor)
         overview = overview_json(log)
         board.post("overview", lambda: (json_text(overview),))
+        board.post_series()
         self.show(0)
 
     @property
