@@ -192,14 +192,14 @@ function optionsOf(plot) {
   const axis = { stroke: colour("axis"), font, grid: { stroke: colour("grid"), width: 1 }, ticks: { stroke: colour("grid"), width: 1, size: 4 } };
   return {
     width: plotWidth(), height: PLOT_HEIGHT, legend: { show: false }, padding: [6, 8, 0, 0],
-    cursor: { y: false, sync: { key: "plots" }, drag: { x: state.recording, y: false, setScale: state.recording }, bind: { click: seekByClick } },
+    cursor: { y: false, sync: { key: "plots" }, drag: { x: state.recording, y: false, setScale: state.recording } },
     scales: { x: { time: false, auto: false }, y: { range: (_, low, high) => valueRange(low, high) } },
     series: [{}, { stroke: colour(PLOT_COLOURS[plots.shown.indexOf(plot) % PLOT_COLOURS.length]), width: 1.6, points: { size: 4 } }],
     axes: [
       { ...axis, size: 22, gap: 2, values: (_, values) => values.map((value) => `${Number(value.toPrecision(6))} s`) },
       { ...axis, size: 56, gap: 3, values: (_, values) => values.map(numberText) },
     ],
-    hooks: { draw: [drawShownTime], setCursor: [() => showValue(plot)] },
+    hooks: { draw: [drawShownTime], setCursor: [() => showValue(plot)], ready: [seekByClick] },
   };
 }
 
@@ -221,15 +221,12 @@ function drawShownTime(chart) {
   chart.ctx.restore();
 }
 
-// A click, not the end of a drag, goes to the scan of that time.
-function seekByClick(chart, target, handler) {
-  return (event) => {
-    handler(event);
-    if (state.recording && state.overview && chart.select.width < 3) {
-      const time = chart.posToVal(event.clientX - chart.over.getBoundingClientRect().left, "x");
-      send({ type: "seek", index: scanNearest(time) });
-    }
-  };
+// A click goes to the scan of its time; uPlot keeps those to itself that end a drag.
+function seekByClick(chart) {
+  chart.over.addEventListener("click", (event) => {
+    if (!state.recording || !state.overview) return;
+    send({ type: "seek", index: scanNearest(chart.posToVal(event.clientX - chart.over.getBoundingClientRect().left, "x")) });
+  });
 }
 
 function scanNearest(time) {
