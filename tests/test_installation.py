@@ -59,11 +59,11 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    """Contents by name; compiled modules aside."""
+    """Contents by name; compiled modules and kernels aside."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file() and path.suffix != ".pyc"
+        if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc")
     }
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def process(
     capture: Annotated[
         Path | None,
-        typer.Argument(metavar="[CAPTURE]", help="SigMF capture or MCAP recording with raw beams or detections."),
+        typer.Argument(metavar="CAPTURE", help="SigMF capture or MCAP recording with raw beams or detections."),
     ] = None,
     sample: Sample = False,
     out: Annotated[

@@ -17,7 +17,7 @@ DEFAULT_PORT = 8765
 
 def view(
     recording: Annotated[
-        Path | None, typer.Argument(metavar="[RECORDING]", help="MCAP recording of a graph, or of process --view.")
+        Path | None, typer.Argument(metavar="RECORDING", help="MCAP recording of a graph, or of process --view.")
     ] = None,
     sample: Sample = False,
     port: Port = DEFAULT_PORT,
