@@ -291,7 +291,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from nodes.can import log_file as can_log_file
     from nodes.process import launch_file, logs
     from nodes.viewer import connection_limiter as limiter
-    from nodes.viewer import server
+    from nodes.viewer import series, server
     from sim_player.scene import description as scene
     from sim_player.scene import meshes
 
@@ -310,6 +310,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "pages at the viewer": str(bev_viewer.Params().max_clients),
         "connections to the viewer that are no page": f"{limiter.MAX_PENDING}, for {limiter.PENDING_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
+        "numbers that a page can plot; samples of each": f"{series.MAX_SERIES}; {series.MAX_SAMPLES}",
         "launch, parameter, profile, CAN or detection mapping or annotation file": (
             f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),

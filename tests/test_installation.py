@@ -101,6 +101,7 @@ def test_it_runs_in_a_folder_of_somebody_elses_models(environment: Path, tmp_pat
     assert {item["status"] for item in weights} == {"ok"}
 
 
+@pytest.mark.slow
 def test_the_sample_is_processed_and_shown_anywhere(environment: Path, tmp_path: Path) -> None:
     """One command, no data: results and the page, which Ctrl-C ends."""
     command = [str(environment / "bin" / "mirrorwave"), "process", "--sample", "--view", "--no-browser", "--port", "0"]

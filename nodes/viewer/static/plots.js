@@ -152,17 +152,19 @@ function drawPlot(plot) {
   if (plot.data !== data || !state.recording) {
     plot.data = data;
     plot.chart.setData([times, data ? data.v : []], false);
-    plot.chart.setScale("x", wholeSpan(times));
+    plot.chart.setScale("x", shownSpan());
   } else {
     plot.chart.redraw(false);
   }
   showValue(plot);
 }
 
-function wholeSpan(times) {
+// The same for all plots: live back from now, of a recording from the first sample of any to the last.
+function shownSpan() {
   if (!state.recording) return { min: -Number(byId("plot-span").value), max: 0 };
-  const last = times.length ? times[times.length - 1] : 1;
-  return { min: times.length ? times[0] : 0, max: Math.max(last, (times[0] || 0) + 1e-3) };
+  const spans = [...plots.data.values()].filter(({ t }) => t.length).map(({ t }) => [t[0], t[t.length - 1]]);
+  const [min, max] = [Math.min(0, ...spans.map(([first]) => first)), Math.max(0, ...spans.map(([, last]) => last))];
+  return { min, max: Math.max(max, min + 1e-3) };
 }
 
 function showValue(plot) {
