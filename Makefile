@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint audit stability reference bench faults soak fuzz tables fdtd-figures full-wave compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint audit stability reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -101,6 +101,9 @@ fuzz: setup-dev  ## nodes against messages and parameters, then readers against 
 
 tables: setup  ## the shipped reflectance table, simulated again (minutes; goes on if stopped)
 	$(BIN)/mirrorwave sim reflectance --rebuild
+
+sample: setup  ## the shipped sample capture, simulated again: docs/guides/first-look.md
+	$(BIN)/python -m benchmarks.simulator.sample_capture
 
 fdtd-figures: setup  ## the pictures of docs/explain/materials.md
 	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png

@@ -434,7 +434,7 @@ def _can_log(parts: Parts, box: Box) -> None:
 
 def _viewer_client(parts: Parts, box: Box) -> None:
     from nodes.viewer.newest import Board
-    from nodes.viewer.server import Acknowledge, _Client, _ProtocolError
+    from nodes.viewer.server import Acknowledge, Plot, _Client, _ProtocolError
 
     commands: list[Any] = []
     client = _Client(None, Board(), commands.append)  # type: ignore[arg-type]
@@ -444,7 +444,7 @@ def _viewer_client(parts: Parts, box: Box) -> None:
             client._take(message)
         except _ProtocolError as error:
             raise ValueError(error) from None
-        assert isinstance(message, Acknowledge) or commands
+        assert isinstance(message, Acknowledge | Plot) or commands
 
 
 def _log_lines(parts: Parts, box: Box) -> None:
@@ -768,6 +768,7 @@ def _client_seeds() -> list[Parts]:
         [b'{"type": "ack", "number": 0}'],
         [b'{"type": "play", "speed": 1.0, "loop": true}', b'{"type": "seek", "index": 3}'],
         [b'{"type": "step", "by": -1}'],
+        [b'{"type": "plot", "ids": [1, 2]}', b'{"type": "plot", "ids": []}'],
     ]
 
 

@@ -6,7 +6,8 @@
         for hidden in view.frame.objects:
             print(f"scan {view.scan_id}: {hidden.length_m:.1f} m long at {hidden.x_m:.1f}, {hidden.y_m:.1f} m")
 
-`Perception` does the same for beams of your own. Parameters are those of the nodes (docs/reference/parameters.md).
+`Perception` does the same for beams of your own. Parameters are those of the nodes (docs/reference/parameters.md). In a
+notebook views, maps and scenes show themselves as pictures.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import msgspec
 import numpy as np
 
 from mirrorwave.pipeline import Pipeline, played
+from mirrorwave.plots.notebook import show_values_as_pictures
 from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
 from models.perception.chain import ScanView
@@ -27,6 +29,7 @@ from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
+from msgs.values.wording import counted
 from nodes.player import capture_events
 from nodes.process.launch_file import read_launch_file, with_overrides
 
@@ -50,6 +53,19 @@ class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         from mirrorwave.plots.bird_eye_view import draw_bev
 
         draw_bev(self.frame, Path(path), truth=self.truth, ra_map=self.ra_map)
+
+    def __repr__(self) -> str:
+        counts = ((self.frame.objects, "hidden object"), (self.frame.tracks, "track"), (self.frame.walls, "wall"))
+        parts = [f"scan {self.scan_id}", *(counted(len(items), name) for items, name in counts)]
+        parts.append(counted(len(self.peaks.range_m), "peak"))
+        return f"View({', '.join([*parts, *(['truth'] if self.truth is not None else [])])})"
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows."""
+        from mirrorwave.plots.bird_eye_view import bev_figure
+        from mirrorwave.plots.style import png
+
+        return png(bev_figure(self.frame, truth=self.truth, ra_map=self.ra_map))
 
 
 class Perception:
@@ -90,6 +106,9 @@ class Perception:
     def finish(self) -> list[View]:
         """Return the view of a scan whose last beams never came, if one was begun."""
         return _as_views(self._pipeline.finish())
+
+
+show_values_as_pictures()
 
 
 def views(capture: str | PathLike[str], profile: str = "default", overrides: Sequence[str] = ()) -> Iterator[View]:

@@ -137,6 +137,15 @@ def compile_line() -> Iterator[None]:
         yield
 
 
+def file_or_sample(file: Path | None, sample: bool, name: str) -> Path:
+    """Return the file that a verb was given, or the shipped sample; `ValueError` where it got both or neither."""
+    from msgs.files.shipped import SAMPLE
+
+    if sample != (file is None):
+        raise ValueError(f"give {name} or --sample{', not both' if sample else ''}")
+    return SAMPLE if file is None else file
+
+
 def error_line(error: BaseException) -> str:
     """An error as one line that names file, field, value and rule, as far as it knows them."""
     if isinstance(error, OSError) and error.filename is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,10 +14,11 @@ from mirrorwave.plots.bird_eye_view import draw_bev
 from mirrorwave.plots.scoreboard import Scoreboard
 from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
+from mirrorwave.replay.result_recording import ResultRecording
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
 from msgs.files.whole_files import named_errors, whole
-from msgs.recording.mcap import RecordingReader
+from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.perception import SceneTruth
 from nodes.node import StageClock
 from nodes.player import Event, Params, events_of
@@ -31,6 +32,10 @@ LINES = {
     "timing": {"scan_id", "stages"},
 }
 PICTURE = "bev.png"
+#: A recording of what came out, for the page of `mirrorwave view`; written where it is asked for.
+RECORDING = "view.mcap"
+#: Metadata of that recording.
+_ORIGIN = {"made_by": "mirrorwave process"}
 #: The first line of a file of ours is shorter.
 _MAX_LINE_BYTES = 1 << 26
 #: Node that runs each stage in the live graph, in the order of the graph.
@@ -49,9 +54,12 @@ _NODE_OF_STAGE = {
 class Results:
     """Writes what comes out, line by line: objects, tracks, times; keeps the last scan for picture and score."""
 
-    def __init__(self, files: Sequence[_LineFile], clock: StageClock, on_scan: Callable[[], None]) -> None:
+    def __init__(
+        self, files: Sequence[_LineFile], clock: StageClock, on_scan: Callable[[], None],
+        recording: ResultRecording | None,
+    ) -> None:  # fmt: skip
         self._objects, self._tracks, self._timing = files
-        self._clock, self._on_scan = clock, on_scan
+        self._clock, self._on_scan, self._recording = clock, on_scan, recording
         self.scoreboard = Scoreboard()
         self.last: ScanView | None = None
         #: Maps, and those that lack beams.
@@ -65,6 +73,8 @@ class Results:
             self.scoreboard.add_truth(result)
             return
         self.last = result
+        if self._recording is not None:
+            self._recording.add_view(result)
         frame = result.frame
         self.scoreboard.add_frame(frame)
         self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
@@ -89,13 +99,13 @@ def launch_for(capture: Path, profile: str, overrides: list[str], **player: Any)
 
 def run_capture(
     capture: Path, out: Path, profile: str = "default", overrides: list[str] | None = None,
-    on_scan: Callable[[], None] = lambda: None,
+    on_scan: Callable[[], None] = lambda: None, records: bool = False,
 ) -> Results:  # fmt: skip
     """Process `capture`; writes `objects.jsonl`, `tracks.jsonl`, `timing.jsonl` and `bev.png` into `out`.
 
-    All four are there afterwards, or what was there before. Returns what was seen. Raises `FileExistsError` where a
-    file is in the way that was not written so, `ValueError` for a symbolic link and where the capture is none, or holds
-    nothing to process, `OSError` with the name of what a full disk does not take.
+    With `records`, `view.mcap` too. All are there afterwards, or what was there before. Returns what was seen. Raises
+    `FileExistsError` where a file is in the way that was not written so, `ValueError` for a symbolic link and where the
+    capture is none, or holds nothing to process, `OSError` with the name of what a full disk does not take.
     """
     require_own_results(out)
     require_raw(capture)
@@ -110,8 +120,10 @@ def run_capture(
         parts = [stack.enter_context(whole(path)) for path in paths]
         picture = stack.enter_context(whole(out / PICTURE, ".png"))
         files = [stack.enter_context(_LineFile(path, part)) for path, part in zip(paths, parts, strict=True)]
-        results = Results(files, clock, on_scan)
-        for result in played(_timed(events, clock), pipeline):
+        recording = stack.enter_context(_recording(out / RECORDING)) if records else None
+        results = Results(files, clock, on_scan, recording)
+        timed = _timed(events, clock)
+        for result in played(timed if recording is None else recording.passed(timed), pipeline):
             results.add(result)
         results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss
         results.capture_loss = _loss_of(capture)
@@ -121,6 +133,13 @@ def run_capture(
         with named_errors(out / PICTURE):
             draw_bev(frame, picture, truth=results.scoreboard.truth_of(frame.scan_id), ra_map=ra_map)
     return results
+
+
+@contextmanager
+def _recording(path: Path) -> Iterator[ResultRecording]:
+    """Yield the recording of results that takes its name at the end."""
+    with whole(path) as part, RecordingWriter(part, _ORIGIN) as writer:
+        yield ResultRecording(writer)
 
 
 def _timed(events: Iterator[Event], clock: StageClock) -> Iterator[Event]:
@@ -136,12 +155,14 @@ def _timed(events: Iterator[Event], clock: StageClock) -> Iterator[Event]:
 def require_own_results(out: Path) -> None:
     """Raise rather than write over what `run_capture` did not write; errors as that says."""
     files = {out / f"{name}.jsonl": keys for name, keys in LINES.items()}
-    for path in (out, *files, out / PICTURE):
+    for path in (out, *files, out / PICTURE, out / RECORDING):
         if path.is_symlink():
             raise ValueError(f"{path}: must not be a symbolic link; name what it leads to with --out")
     strange = [path for path, keys in files.items() if path.exists() and not _is_ours(path, keys)]
     if (out / PICTURE).exists() and not any(path.exists() for path in files):
         strange.append(out / PICTURE)
+    if (out / RECORDING).exists() and not _is_own_recording(out / RECORDING):
+        strange.append(out / RECORDING)
     if strange:
         raise FileExistsError(17, "was not written by `mirrorwave process`; choose another --out", str(strange[0]))
 
@@ -157,6 +178,14 @@ def _is_ours(path: Path, keys: set[str]) -> bool:
     except (ValueError, RecursionError):
         return False
     return isinstance(first_row, dict) and keys <= first_row.keys()
+
+
+def _is_own_recording(path: Path) -> bool:
+    try:
+        with RecordingReader(path) as reader:
+            return reader.metadata.items() >= _ORIGIN.items()
+    except (ValueError, OSError):
+        return False
 
 
 class _LineFile:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS
+from msgs.bus.topics import RAW_TOPICS, SENSOR_TOPICS
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture
 from msgs.values.radar import RadarSetup
@@ -24,7 +24,7 @@ def require_raw(capture: Path) -> None:
     for setup, raw in SENSOR_TOPICS:
         if raw in held and setup not in held:
             raise ValueError(f"{capture}: holds no {setup}, which says how to read its {raw}")
-    if not any(raw in held for raw in (DETECTIONS_TOPIC, *(raw for _, raw in SENSOR_TOPICS))):
+    if not any(raw in held for raw in RAW_TOPICS):
         content = "holds no radar/beam, no lidar/histograms and no radar/detections to process"
         raise ValueError(f"{capture}: {content}; {_use_of(capture, held)}{loss}")
     if "radar/beam" in held and isinstance(first, RadarSetup):

@@ -292,7 +292,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from nodes.can import log_file as can_log_file
     from nodes.process import launch_file, logs
     from nodes.viewer import connection_limiter as limiter
-    from nodes.viewer import server
+    from nodes.viewer import series, server
     from sim_player.scene import description as scene
     from sim_player.scene import meshes
 
@@ -312,6 +312,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "connections to the viewer that are no page": f"{limiter.MAX_PENDING}, for {limiter.PENDING_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
         "message from ROS 2": f"{_size(ros2_link.MAX_INPUT_BYTES)}, {ros2_topics.INPUT_DEPTH} waiting",
+        "numbers that a page can plot; samples of each": f"{series.MAX_SERIES}; {series.MAX_SAMPLES}",
         "launch, parameter, profile, CAN or detection mapping or annotation file": (
             f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),

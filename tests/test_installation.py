@@ -6,10 +6,12 @@ import ast
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import sysconfig
 import tomllib
+import urllib.request
 import venv
 import zipfile
 from collections.abc import Iterator
@@ -68,11 +70,11 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    """Contents by name; compiled modules aside."""
+    """Contents by name; compiled modules and kernels aside."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file() and path.suffix != ".pyc"
+        if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc")
     }
 
 
@@ -108,6 +110,27 @@ def test_it_runs_in_a_folder_of_somebody_elses_models(environment: Path, tmp_pat
     weights = [item for item in json.loads(findings.stdout) if item["check"].startswith("weights")]
     assert len(weights) == 4
     assert {item["status"] for item in weights} == {"ok"}
+
+
+@pytest.mark.slow
+def test_the_sample_is_processed_and_shown_anywhere(environment: Path, tmp_path: Path) -> None:
+    """One command, no data: results and the page, which Ctrl-C ends."""
+    command = [str(environment / "bin" / "mirrorwave"), "process", "--sample", "--view", "--no-browser", "--port", "0"]
+    variables = {**os.environ, "PYTHONPATH": sysconfig.get_path("purelib"), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, cwd=tmp_path, env=variables, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            line = next((line for line in process.stdout if "open http" in line), "")
+            assert line, "the page was not served"
+            url = line.split("open ")[1].split()[0]
+            for name in ("", "plots.js", "uplot.js", "uplot.css"):
+                with urllib.request.urlopen(url + name, timeout=60) as answer:
+                    assert answer.status == 200
+        finally:
+            process.send_signal(signal.SIGINT)
+    assert process.returncode == 0
+    results = {path.name for path in (tmp_path / "out" / "side_street").iterdir()}
+    assert results == {"objects.jsonl", "tracks.jsonl", "timing.jsonl", "bev.png", "view.mcap"}
 
 
 def test_it_uses_its_own_floors_and_leaves_those_of_others(environment: Path, tmp_path: Path) -> None:

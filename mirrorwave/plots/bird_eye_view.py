@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Polygon
 
 from mirrorwave.plots.style import (
@@ -33,6 +34,7 @@ from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObje
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from nodes.viewer.driver_warnings import FLAG_WORDS
 
+DPI = 130
 #: What the map shows below its strongest cell.
 DYNAMIC_RANGE_DB = 55.0
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
@@ -69,6 +71,11 @@ def draw_bev(
     frame: BevFrame, out_path: Path, truth: SceneTruth | None = None, ra_map: RangeAzimuthMap | None = None
 ) -> None:
     """Write the picture (format by the suffix of `out_path`); without a map, the bird's-eye view alone."""
+    save(bev_figure(frame, truth, ra_map), Path(out_path), dpi=DPI)
+
+
+def bev_figure(frame: BevFrame, truth: SceneTruth | None = None, ra_map: RangeAzimuthMap | None = None) -> Figure:
+    """Return the picture of a scan as a figure."""
     limits = _limits(frame, truth)
     least, most = HEIGHTS_INCH
     height = float(np.clip(VIEW_INCH * limits.shape + 1.0, least if ra_map is not None else LEAST_VIEW_INCH, most))
@@ -92,7 +99,19 @@ def draw_bev(
         labelspacing=0.3,
     )
     figure.suptitle(_title(frame, truth), fontsize=13)
-    save(figure, Path(out_path), dpi=130)
+    return figure
+
+
+def map_figure(ra_map: RangeAzimuthMap) -> Figure:
+    """Return the picture of a map in the plane, to its largest range."""
+    side_m = float(ra_map.grid.range_m[-1] * math.sin(math.radians(ra_map.grid.azimuth_limit_deg)))
+    limits = Limits(0.0, max(float(ra_map.grid.range_m[-1]), ra_map.grid.range_bin_m), -side_m, side_m)
+    figure = new_figure(VIEW_INCH, 0.78 * VIEW_INCH)
+    axes = figure.subplots()
+    _draw_levels(axes, ra_map)
+    _finish(axes, limits)
+    axes.set_title(f"Scan {ra_map.scan_id} at {ra_map.stamp_ns * 1e-9:.3f} s, {ra_map.mode}", fontsize=11)
+    return figure
 
 
 def _title(frame: BevFrame, truth: SceneTruth | None) -> str:
@@ -137,8 +156,19 @@ def _finish(axes: Axes, limits: Limits) -> None:
 
 def _draw_map(axes: Axes, frame: BevFrame, ra_map: RangeAzimuthMap) -> None:
     """Level of the map over its noise in the plane, with the returns the view stands on."""
+    _draw_levels(axes, ra_map)
+    los_m = frame.los_points_m
+    axes.scatter(los_m[:, 1], los_m[:, 0], s=22, facecolors="none", edgecolors=SEEN_DIRECTLY, linewidths=1.2)
+    images = np.array([[point.image_x_m, point.image_y_m] for point in frame.points]).reshape(-1, 2)
+    axes.scatter(images[:, 1], images[:, 0], s=26, marker="D", facecolors="none", edgecolors=MIRROR_IMAGE)
+    axes.set_title("what the radar measures", fontsize=11)
+
+
+def _draw_levels(axes: Axes, ra_map: RangeAzimuthMap) -> None:
     grid = ra_map.grid
-    power = np.square(np.abs(ra_map.values)).astype(np.float64)
+    power = np.square(np.abs(ra_map.values.astype(np.complex128)))
+    # one bad cell must not spoil the scale of all others
+    power = np.where(np.isfinite(power), power, 0.0)
     level_db = 10.0 * np.log10(np.maximum(power, 1e-30) / max(ra_map.noise_power_mw, 1e-30))
     corners = xy_from_polar(*np.meshgrid(_edges(grid.range_m), _edges(grid.azimuth_rad), indexing="ij"))
     top = float(level_db.max())
@@ -149,11 +179,6 @@ def _draw_map(axes: Axes, frame: BevFrame, ra_map: RangeAzimuthMap) -> None:
     )  # fmt: skip
     assert axes.figure is not None
     axes.figure.colorbar(mesh, ax=axes, label="level over noise [dB]", location="bottom", shrink=0.9, aspect=30)
-    los_m = frame.los_points_m
-    axes.scatter(los_m[:, 1], los_m[:, 0], s=22, facecolors="none", edgecolors=SEEN_DIRECTLY, linewidths=1.2)
-    images = np.array([[point.image_x_m, point.image_y_m] for point in frame.points]).reshape(-1, 2)
-    axes.scatter(images[:, 1], images[:, 0], s=26, marker="D", facecolors="none", edgecolors=MIRROR_IMAGE)
-    axes.set_title("what the radar measures", fontsize=11)
 
 
 def _edges(centres: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mirrorwave.plots.style import BLACK, MIRROR_IMAGE, SEEN_DIRECTLY, handles_of, legend_of_figure, new_figure, save
@@ -71,12 +72,17 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
 def write_scene(out: Path, scene: Scene) -> None:
     """Write the picture of a scene."""
+    save(scene_figure(scene), out, dpi=130)
+
+
+def scene_figure(scene: Scene) -> Figure:
+    """Return the picture of a scene as a figure."""
     figure = new_figure(8.0, 9.0)
     axes = figure.subplots()
     draw_scene(axes, scene)
     axes.set(xlabel="y, left [m]", ylabel="x, forward [m]", title=scene.name)
     legend_of_figure(figure, handles_of(axes), columns=2)
-    save(figure, out, dpi=130)
+    return figure
 
 
 def _first(words: str, labels: set[str]) -> str:

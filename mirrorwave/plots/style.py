@@ -6,6 +6,7 @@ Colours are from the Okabe-Ito set, which colour-blind readers tell apart.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -68,3 +69,10 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     """Write a figure, the format by the suffix; equal figures give equal bytes."""
     # a PNG holds the version of matplotlib unless told not to
     figure.savefig(path, dpi=dpi, metadata={"Software": None} if path.suffix == ".png" else None)
+
+
+def png(figure: Figure, dpi: int = 80) -> bytes:
+    """Return a figure as PNG, by default of a size for a notebook."""
+    content = BytesIO()
+    figure.savefig(content, format="png", dpi=dpi, metadata={"Software": None})
+    return content.getvalue()

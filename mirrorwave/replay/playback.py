@@ -7,6 +7,7 @@ import time
 from typing import NoReturn
 
 from mirrorwave.replay.view_log import overview_json, read_log
+from msgs.bus.topics import RAW_TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.viewer.assembly import ScanAssembly, post_sensor, post_warnings
@@ -27,6 +28,12 @@ LAST_SCAN_S = 1.0
 POLL_S = 0.2
 
 
+def _source_of_views(reader: RecordingReader) -> str:
+    if any(raw in reader.types for raw in RAW_TOPICS):
+        return f"of its raw data `mirrorwave process {reader.path} --view` makes some"
+    return "record one: mirrorwave launch --record"
+
+
 class Playback:
     """A position in a recording, moved by commands and by time; posts on a board what a live graph would.
 
@@ -36,10 +43,10 @@ class Playback:
     def __init__(self, reader: RecordingReader, board: Board) -> None:
         self._reader, self._board = reader, board
         self.commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        log = read_log(reader)
+        log = read_log(reader, board.series)
         self._scans = log.moments
         if not self._scans:
-            raise ValueError(f"{reader.path}: holds no {VIEW_TOPIC} to show; record one: mirrorwave launch --record")
+            raise ValueError(f"{reader.path}: holds no {VIEW_TOPIC} to show; {_source_of_views(reader)}")
         self._index = -1
         self._recent: list[Recorded] = []
         self._speed = 0.0
@@ -50,6 +57,7 @@ class Playback:
             post_sensor(board, log.sensor)
         overview = overview_json(log)
         board.post("overview", lambda: (json_text(overview),))
+        board.post_series()
         self.show(0)
 
     @property

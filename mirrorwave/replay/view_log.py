@@ -16,6 +16,7 @@ from nodes.inputs.view_latency import Setup
 from nodes.viewer.assembly import TABLE_PERIOD_NS
 from nodes.viewer.driver_warnings import DriverWarning, Level
 from nodes.viewer.newest import json_text
+from nodes.viewer.series import SeriesStore
 from nodes.viewer.trails import Past
 from nodes.viewer.watch import TOPICS_WATCHED, Watch
 
@@ -58,8 +59,9 @@ class ViewLog(NamedTuple):
     sensor: Setup | None
 
 
-def read_log(reader: RecordingReader) -> ViewLog:
-    """Read all scans of a recording; messages that cannot be read are passed over."""
+def read_log(reader: RecordingReader, series: SeriesStore | None = None) -> ViewLog:
+    """Read all scans of a recording, the numbers of all messages into `series`; unreadable messages are passed over."""
+    series = series or SeriesStore(keeps_all=True)
     moments: list[Moment] = []
     marks = _Marks()
     watch: Watch | None = None
@@ -67,7 +69,7 @@ def read_log(reader: RecordingReader) -> ViewLog:
     for recorded in reader.messages(TOPICS_WATCHED):
         now_ns, message = recorded.log_time_ns, recorded.message
         if watch is None:
-            watch, due_ns = Watch(now_ns), now_ns
+            watch, due_ns = Watch(now_ns, series), now_ns
         # a live page asks this often, whether anything comes or not
         due_ns = max(due_ns, now_ns - LONGEST_HOLE_NS)
         while due_ns < now_ns:
@@ -77,6 +79,8 @@ def read_log(reader: RecordingReader) -> ViewLog:
         if isinstance(message, BevFrame):
             moments.append(_moment(message, watch, now_ns))
             marks.add(moments[-1].warnings, now_ns)
+    if moments:
+        series.set_zero(moments[0].sent_ns)
     return ViewLog(moments, marks.closed(), None if watch is None else watch.sensor)
 
 

@@ -96,6 +96,8 @@ SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histogram
 
 #: Of a radar that gives no beats; it needs no set-up.
 DETECTIONS_TOPIC = "radar/detections"
+#: What the graph starts from.
+RAW_TOPICS = (*(raw for _, raw in SENSOR_TOPICS), DETECTIONS_TOPIC)
 
 
 def topic_facts(name: str) -> Topic:

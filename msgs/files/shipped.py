@@ -7,6 +7,8 @@ from pathlib import Path
 #: Folder that holds the packages and `launch/`: the checkout, or what an installation keeps in place of one.
 CHECKOUT = Path(__file__).resolve().parents[2]
 LAUNCH = CHECKOUT / "launch"
+#: A short drive past hidden cars, simulated: raw beams, vehicle states and truth (docs/guides/first-look.md).
+SAMPLE = LAUNCH / "samples" / "side_street.mcap"
 WEIGHTS = CHECKOUT / "models" / "weights"
 #: What benchmarks measured, as pages and as files that the program reads.
 RESULTS = CHECKOUT / "docs" / "results"

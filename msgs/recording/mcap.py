@@ -37,11 +37,13 @@ from mcap.writer import MCAP0_MAGIC
 from msgs.bus.codec import CodecError, decode_inline, encode_inline, json_schema
 from msgs.bus.topics import TOPICS, topic_facts
 from msgs.files.whole_files import whole
-from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, McapFile
+from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, ZSTD_LEVEL, McapFile
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 
 #: 350 MB/s of noise, which does not compress and must not cost time while it arrives; all else is compressed.
 RAW_TOPIC = "radar/beam"
+#: A second a scan, and three quarters of the size.
+ARCHIVE_ZSTD_LEVEL = 19
 #: Bus time after which an unfilled chunk is written all the same: the loss of slow topics if a recorder is killed.
 FLUSH_INTERVAL_NS = NANOSECONDS_PER_SECOND
 METADATA_NAME = "mirrorwave"
@@ -154,15 +156,17 @@ class RecordingWriter:
     """Writer of a recording; a context manager.
 
     Raises `FileExistsError` (one line) where `path` exists and `overwrite` was not asked for, `OSError` where the disk
-    refuses, `ValueError` for an unknown topic.
+    refuses, `ValueError` for an unknown topic. An `archive` is as small as zstd makes it, raw beams too: for files that
+    are written once and copied often.
     """
 
-    def __init__(self, path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> None:
+    def __init__(self, path: Path, metadata: dict[str, str], *, overwrite: bool = False, archive: bool = False) -> None:
         self._file = _create(Path(path), overwrite)
+        self._plain_topics = () if archive else (RAW_TOPIC,)
         _keep_large_blocks()
         with contextlib.ExitStack() as stack:
             stack.callback(self._file.close)
-            self._mcap = McapFile(self._file, METADATA_NAME)
+            self._mcap = McapFile(self._file, METADATA_NAME, ARCHIVE_ZSTD_LEVEL if archive else ZSTD_LEVEL)
             self._mcap.add_metadata(METADATA_NAME, metadata)
             stack.pop_all()
         self._channels: dict[tuple[str, str], int] = {}
@@ -243,7 +247,7 @@ class RecordingWriter:
                 MessageEncoding.MessagePack,
                 self._mcap.add_schema(message_type.__name__, SchemaEncoding.JSONSchema, schema),
                 {_PUBLISHER_KEY: publisher},
-                compressed=topic != RAW_TOPIC,
+                compressed=topic not in self._plain_topics,
             )
         return self._channels[key]
 

@@ -36,6 +36,8 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 CHUNK_BYTES = 1 << 20
+#: Compression that keeps up with a running graph.
+ZSTD_LEVEL = 3
 #: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/results/live.md).
 RESERVE_BYTES = 16 << 20
 #: Written data is sent to the disk, and its memory freed, while this much more is written.
@@ -79,11 +81,13 @@ class McapFile:
     """Append to a new MCAP file with both checksums and a full index; `file` is unbuffered and stays the caller's.
 
     A write that the disk refuses raises `OSError` with the file's name and leaves the file as it was after its last
-    whole chunk; the data of the chunk in progress is lost, and the file may still be finished.
+    whole chunk; the data of the chunk in progress is lost, and the file may still be finished. `zstd_level` is that of
+    compressed chunks.
     """
 
-    def __init__(self, file: FileIO, profile: str) -> None:
+    def __init__(self, file: FileIO, profile: str, zstd_level: int = ZSTD_LEVEL) -> None:
         self._file = file
+        self._zstd_level = zstd_level
         self._size = self._data_crc = 0
         # a small file does not need it
         self._reserved = RESERVE_BYTES
@@ -216,7 +220,7 @@ class McapFile:
         crc = _crc32(batch.pieces)
         pieces: Sequence[bytes] = batch.pieces
         if compressed:
-            pieces = [zstandard.compress(b"".join(batch.pieces))]
+            pieces = [zstandard.compress(b"".join(batch.pieces), self._zstd_level)]
         name = b"zstd" if compressed else b""
         stored = sum(len(piece) for piece in pieces)
         tail = struct.pack(f"<I{len(name)}sQ", len(name), name, stored)

@@ -396,6 +396,14 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     #: to this is new, with its neighbours. None: the beams of one scan, all of them new.
     settled_stamp_ns: int | None = None
 
+    def __repr__(self) -> str:
+        grid, noise_mw = self.grid, self.noise_power_mw
+        noise = f"noise {10.0 * math.log10(noise_mw):.1f} dBm a bin" if noise_mw > 0.0 else "noise unknown"
+        cells = f"{grid.range_bins} x {grid.azimuth_bins} cells to {grid.range_m[-1]:.1f} m"
+        return (
+            f"RangeAzimuthMap(scan {self.scan_id}, {cells} and +-{grid.azimuth_limit_deg:g} deg, {self.mode}, {noise})"
+        )
+
     def __post_init__(self) -> None:
         require_array("map.values", self.values, "<c8", self.grid.shape)
         require_array("map.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (self.grid.azimuth_bins,))

@@ -117,6 +117,8 @@ class Assembly:
         self._board = board
         self._scans = ScanAssembly(board, sheds_maps)
         self._watch: Watch | None = None
+        self._sheds = sheds_maps
+        self._series_posted_ns: int | None = None
         self._table_due_ns: int | None = None
 
     @property
@@ -146,10 +148,18 @@ class Assembly:
         table = self._watching(now_ns).table(now_ns)
         self._board.post("nodes", lambda: (json_text(table),))
         self._post_warnings(now_ns)
+        self._post_series(now_ns)
 
     def _watching(self, now_ns: int) -> Watch:
-        self._watch = self._watch or Watch(now_ns)
+        self._watch = self._watch or Watch(now_ns, self._board.series)
         return self._watch
+
+    def _post_series(self, now_ns: int) -> None:
+        """Post new samples, as seldom as maps while views are late."""
+        is_shed = self._sheds and self._watching(now_ns).is_late and self._series_posted_ns is not None
+        if not is_shed or now_ns - (self._series_posted_ns or 0) >= LATE_MAP_PERIOD_NS:
+            self._series_posted_ns = now_ns
+            self._board.post_series()
 
     def _post_warnings(self, now_ns: int) -> None:
         post_warnings(self._board, self._watching(now_ns).warnings(now_ns), now_ns)

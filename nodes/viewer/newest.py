@@ -9,8 +9,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from nodes.viewer.series import SeriesStore
+
 #: One websocket message: text (JSON) or a binary tile.
 WireMessage = str | bytes
+#: Kind of the posts whose messages each reader chooses.
+SERIES = "series"
 Render = Callable[[], tuple[WireMessage, ...]]
 
 
@@ -27,12 +31,15 @@ class Posted(NamedTuple):
 class Board:
     """Newest post of each kind. A post costs no more than a swap; any thread may post and read.
 
-    There is no queue: a late reader gets the newest, and sees from the version how many it missed.
+    There is no queue: a late reader gets the newest, and sees from the version how many it missed. Beside it hang the
+    `series` that plots are drawn from: a post of `SERIES` says that there are new samples, each reader asks for some.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, series: SeriesStore | None = None) -> None:
+        self.series = series or SeriesStore()
         self._lock = threading.Lock()
         self._posted: dict[str, Posted] = {}
+        self._fields_version = self._series_version = 0
         self._rendered: dict[str, tuple[int, tuple[WireMessage, ...]]] = {}
         #: Called after each post, from the posting thread.
         self.on_post: Callable[[], None] = _nobody
@@ -43,6 +50,15 @@ class Board:
             before = self._posted.get(kind)
             self._posted[kind] = Posted(before.version + 1 if before else 1, time.monotonic_ns(), render)
         self.on_post()
+
+    def post_series(self) -> None:
+        """Post that series have new samples, and their list where it changed."""
+        if self.series.fields_version != self._fields_version:
+            self._fields_version = self.series.fields_version
+            self.post("fields", lambda: (json_text(self.series.fields_json()),))
+        if self.series.version != self._series_version:
+            self._series_version = self.series.version
+            self.post(SERIES, lambda: ())
 
     def newer(self, versions: Mapping[str, int]) -> dict[str, Posted]:
         """Return the posts newer than a reader's `versions`, in the order of first posts."""

@@ -23,7 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, MutableMapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import uvicorn
@@ -35,7 +35,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nodes.viewer.connection_limiter import BACKLOG, ConnectionLimiter, PageSocket, PendingConnection
-from nodes.viewer.newest import Board, Posted, json_text
+from nodes.viewer.newest import SERIES, Board, Posted, WireMessage, json_text
 from nodes.viewer.page_token import TokenFile
 from nodes.viewer.view_model import COLOURS
 
@@ -43,7 +43,14 @@ _LOG = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 _STATIC = Path(__file__).parent / "static"
-_PAGE_FILES = {"": "index.html", "viewer.js": "viewer.js", "viewer.css": "viewer.css"}
+_PAGE_FILES = {
+    "": "index.html",
+    "viewer.js": "viewer.js",
+    "plots.js": "plots.js",
+    "viewer.css": "viewer.css",
+    "uplot.js": "uplot/uPlot.iife.min.js",
+    "uplot.css": "uplot/uPlot.min.css",
+}
 _PROOF_PATH = re.compile(r"/proof/[0-9a-f]{32}")
 #: Names under which a browser on this machine, or at the end of an SSH tunnel, may reach a loopback address.
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost")
@@ -64,6 +71,8 @@ _HEADERS = [
 #: No message of a page is longer.
 MAX_CLIENT_MESSAGE_BYTES = 1024
 MAX_CLIENT_MESSAGES_PER_S = 200
+#: Series that a page plots at most.
+MAX_PLOTS = 6
 #: A client that has not acknowledged an update by then counts as gone.
 ACKNOWLEDGE_S = 20.0
 STOP_S = 5.0
@@ -95,8 +104,14 @@ class Step(msgspec.Struct, frozen=True, tag="step", tag_field="type", forbid_unk
     by: int
 
 
+class Plot(msgspec.Struct, frozen=True, tag="plot", tag_field="type", forbid_unknown_fields=True):
+    """Send the samples of these series from now on, live or of a recording; of none where empty."""
+
+    ids: Annotated[tuple[int, ...], msgspec.Meta(max_length=MAX_PLOTS)]
+
+
 Command = Play | Seek | Step
-_FROM_CLIENT = msgspec.json.Decoder(Acknowledge | Play | Seek | Step)
+_FROM_CLIENT = msgspec.json.Decoder(Acknowledge | Plot | Play | Seek | Step)
 
 
 class ViewerServer:
@@ -245,6 +260,7 @@ class _Client:
         self._acknowledged.set()
         self._number = 0
         self._seen: dict[str, int] = {}
+        self._plotted: tuple[int, ...] = ()
         self._second, self._heard = 0, 0
 
     async def run(self, hello: str) -> list[Exception]:
@@ -272,6 +288,8 @@ class _Client:
         while True:
             self.news.clear()
             newer = self._board.newer(self._seen)
+            if not self._plotted:
+                newer.pop(SERIES, None)
             if newer:
                 async with asyncio.timeout(ACKNOWLEDGE_S):
                     await self._send_update(newer)
@@ -282,7 +300,7 @@ class _Client:
     async def _send_update(self, newer: dict[str, Posted]) -> None:
         self._number += 1
         self._acknowledged.clear()
-        messages = [message for kind, posted in newer.items() for message in self._board.messages(kind, posted)]
+        messages = [message for kind, posted in newer.items() for message in self._messages(kind, posted)]
         await self._websocket.send_text(json_text(self._announcement(newer, len(messages))))
         for message in messages:
             if isinstance(message, str):
@@ -290,6 +308,11 @@ class _Client:
             else:
                 await self._websocket.send_bytes(message)
         self._seen.update({kind: posted.version for kind, posted in newer.items()})
+
+    def _messages(self, kind: str, posted: Posted) -> tuple[WireMessage, ...]:
+        if kind == SERIES:
+            return (json_text(self._board.series.series_json(self._plotted)),)
+        return self._board.messages(kind, posted)
 
     def _announcement(self, newer: dict[str, Posted], messages: int) -> dict[str, object]:
         """Return the head of an update: its number of messages, and each kind's version, skipped posts and age."""
@@ -311,7 +334,7 @@ class _Client:
                 return
             self._take(self._understood(message.get("text")))
 
-    def _understood(self, text: str | None) -> Acknowledge | Command:
+    def _understood(self, text: str | None) -> Acknowledge | Plot | Command:
         second = int(time.monotonic())
         self._second, self._heard = second, (self._heard + 1 if second == self._second else 1)
         if self._heard > MAX_CLIENT_MESSAGES_PER_S:
@@ -321,8 +344,13 @@ class _Client:
         except (msgspec.MsgspecError, UnicodeError, RecursionError):
             raise _ProtocolError("not a message of this protocol") from None
 
-    def _take(self, message: Acknowledge | Command) -> None:
-        if not isinstance(message, Acknowledge):
+    def _take(self, message: Acknowledge | Plot | Command) -> None:
+        if isinstance(message, Plot):
+            self._plotted = message.ids
+            # what was sent before is sent anew, with the series of now
+            self._seen.pop(SERIES, None)
+            self.news.set()
+        elif not isinstance(message, Acknowledge):
             if self._commands is None:
                 raise _ProtocolError("a live graph takes no commands")
             self._commands(message)

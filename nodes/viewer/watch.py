@@ -1,20 +1,24 @@
-"""State derived from many messages rather than one: trails, warnings, node table, latency of views."""
+"""State derived from many messages rather than one: trails, warnings, node table, latency of views, numbers in time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
+import numpy as np
 
+from msgs.bus.topics import TOPICS
 from msgs.values.diagnostics import NodeStatus
 from msgs.values.lidar import LidarSetup
-from msgs.values.perception import BevFrame, Peaks
+from msgs.values.perception import BevFrame, PathClass, Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
-from nodes.inputs.view_latency import Setup, ViewWatch, scan_period_s, views_text
+from nodes.inputs.view_latency import Setup, ViewWatch, on_one_clock, scan_period_s, views_text
 from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner
 from nodes.viewer.node_table import NodeTable
+from nodes.viewer.numeric_fields import MAX_KEY_LENGTH, numeric_fields
+from nodes.viewer.series import SeriesStore
 from nodes.viewer.trails import Past, Trails
 
 #: Accepted message types; of maps only the time is used.
@@ -29,10 +33,21 @@ TOPICS_WATCHED = (
 )
 
 
-class Watch:
-    """Processes messages in order of arrival; belongs to one thread. `start_ns`: when it began to listen."""
+#: Message types whose numbers are plotted, by the name of their group. Nodes have a group each.
+_GROUPS = {
+    TOPICS[topic].type: topic
+    for topic in ("perception/hidden_objects", "perception/peaks", "radar/ra_map", "vehicle/state")
+}
 
-    def __init__(self, start_ns: int) -> None:
+
+class Watch:
+    """Processes messages in order of arrival; belongs to one thread. `start_ns`: when it began to listen.
+
+    The numbers in messages and in the node table go to `series`.
+    """
+
+    def __init__(self, start_ns: int, series: SeriesStore) -> None:
+        self._series = series
         self._trails = Trails()
         self._views = ViewWatch(start_ns)
         self._nodes = NodeTable()
@@ -45,6 +60,9 @@ class Watch:
 
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
         """Process one message; topics that are not used here are ignored."""
+        group = _GROUPS.get(type(message))
+        if group is not None and self._series.is_due(group, now_ns):
+            self._series.take(group, _numbers(message, now_ns), now_ns)
         match message:
             case BevFrame():
                 self._trails.add_view(message, self._facts.vehicle_from_radar)
@@ -79,9 +97,29 @@ class Watch:
 
     def table(self, now_ns: int) -> dict[str, Any]:
         """Return the node table in the page's form."""
-        views = self._views.figures(now_ns)
+        views, rows = self._views.figures(now_ns), self._nodes.rows(now_ns)
+        for row in rows:
+            group = f"node {row['node'][:MAX_KEY_LENGTH]}"
+            if row["state"] != "silent" and self._series.is_due(group, now_ns):
+                self._series.take(group, numeric_fields(row), now_ns)
         graph = {"text": views_text(views), "well": views.misses == views.overdue == 0}
-        return {"type": "nodes", "graph": graph, "nodes": self._nodes.rows(now_ns)}
+        return {"type": "nodes", "graph": graph, "nodes": rows}
+
+
+def _numbers(message: msgspec.Struct, now_ns: int) -> Iterator[tuple[str, float]]:
+    """Yield what is plotted of a message: what is counted in it first, then its own numbers."""
+    match message:
+        case BevFrame():
+            if on_one_clock(message.stamp_ns, now_ns):
+                yield "latency_ms", 1e-6 * (now_ns - message.stamp_ns)
+            yield "direct_returns.count", float(len(message.los_points_m))
+        case Peaks():
+            yield "count", float(len(message.range_m))
+            yield "mirrored.count", float(np.count_nonzero(message.path_class == PathClass.MIRRORED))
+        case RangeAzimuthMap():
+            yield "incoherent_share", float(message.incoherent.mean())
+            yield "missing_beams.count", float(len(message.missing_beams))
+    yield from numeric_fields(message)
 
 
 def _node_facts(rows: Sequence[dict[str, Any]]) -> tuple[NodeFact, ...]:

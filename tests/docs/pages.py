@@ -242,7 +242,7 @@ class Runner:
         if words[1:2] == ["launch"]:
             # by then the graph before it has ended by itself
             self.close()
-        if background or (words[:2] == ["mirrorwave", "view"] and "--help" not in words):
+        if background or _serves_page(words):
             self._start(words, command)
             self._graph = command if words[1:2] == ["launch"] else self._graph
             return
@@ -292,14 +292,14 @@ class Runner:
     def _start(self, words: list[str], command: str) -> None:
         """Start in the background, with as long to run as the page's foreground needs."""
         verb = words[1] if words[0] == "mirrorwave" else ""
-        if verb == "view":
+        if _serves_page(words):
             command += " --no-browser --port 0"
         process = self._popen(command.replace("--duration 2", ""))
         self._background.append(process)
         if verb == "launch":
             # without a source there are no views until `bag play` sends beams
             _wait_until_ready(process, has_source="launch/replay.yaml" not in words)
-        elif verb == "view":
+        elif _serves_page(words):
             assert process.stdout is not None
             lines = iter(process.stdout.readline, "")
             assert any("open http" in line for line in lines), f"{command}: no address"
@@ -320,6 +320,12 @@ def has_c_libraries() -> bool:
     """Return whether a C compiler finds `C_LIBRARIES`."""
     query = ["pkg-config", "--exists", *C_LIBRARIES]
     return shutil.which(query[0]) is not None and subprocess.run(query, check=False).returncode == 0
+
+
+def _serves_page(words: list[str]) -> bool:
+    """Return whether a command serves a recording's page until Ctrl-C."""
+    verb = words[1] if words[0] == "mirrorwave" and "--help" not in words else ""
+    return verb == "view" or (verb == "process" and "--view" in words)
 
 
 def _backgrounds(blocks: list[Block]) -> set[str]:

@@ -17,4 +17,4 @@ def test_the_notebook_runs() -> None:
     pictures = [
         output for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {})
     ]
-    assert len(pictures) == 2
+    assert len(pictures) == 5

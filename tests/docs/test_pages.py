@@ -19,6 +19,7 @@ GIVEN: dict[str, tuple[str, ...]] = {
     "docs/guides/can-out.md": ("list.log",),
     "docs/guides/connect-my-car.md": ("drive.log", "car.dbc", "car.yaml"),
     "docs/guides/connect-my-radar.md": ("capture.bin", "chirps.cfg", "detections.csv"),
+    "docs/guides/first-look.md": ("corner.mcap",),
     "docs/guides/recordings.md": ("seen.mcap",),
     "docs/guides/train-on-my-captures.md": ("truth",),
     "docs/guides/use-from-code.md": ("seen.mcap", "corner.mcap"),

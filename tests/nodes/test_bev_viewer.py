@@ -310,6 +310,7 @@ GARBAGE = (
     "", "x", "{}", "[]", "null", '{"type": "ack"}', '{"type": "ack", "number": "1"}', '{"type": "ack", "number": 99}',
     '{"type": "ack", "number": 1e400}', '{"type": "nope"}', '{"type": "ack", "number": 1, "more": 1}', "[" * 1000,
     '{"type": "seek", "index": 1}', '{"type": "step", "by": 1}', '{"type": "play", "speed": 1}', b"",
+    '{"type": "plot", "ids": [1, 2, 3, 4, 5, 6, 7]}', '{"type": "plot", "ids": ["x"]}', '{"type": "plot"}',
     b"\x00\xff", b"x" * 500, "x" * (MAX_CLIENT_MESSAGE_BYTES + 1), "x" * 200_000,
 )  # fmt: skip
 
@@ -435,7 +436,7 @@ def test_the_node_hands_over_view_map_truth_and_table(viewer: BevViewer) -> None
         page.recv(PATIENCE_S)
         head, messages = update(page)
     told = {one["type"]: one for one in messages if isinstance(one, dict)}
-    assert set(told) == {"view", "map", "nodes", "warnings"}
+    assert set(told) == {"view", "map", "nodes", "warnings", "fields"}
     assert (told["view"]["scan_id"], told["map"]["scan_id"]) == (4, 4)
     assert told["view"]["truth"] is not None
     assert told["view"]["vehicle"]["speed_mps"] == 4.0

@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mirrorwave.console import print_line
-from msgs.values.wording import counted
+from mirrorwave.console import compile_line, file_or_sample, print_line, scan_counter
+
+Sample = Annotated[bool, typer.Option("--sample", help="Take the drive past two hidden cars that ships (no FILE).")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")]
+NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Only print the address.")]
+DEFAULT_PORT = 8765
 
 
 def view(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="MCAP recording of a graph.")],
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")] = 8765,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    recording: Annotated[
+        Path | None, typer.Argument(metavar="RECORDING", help="MCAP recording of a graph, or of process --view.")
+    ] = None,
+    sample: Sample = False,
+    port: Port = DEFAULT_PORT,
+    no_browser: NoBrowser = False,
 ) -> None:
     """Look at a recording in the browser: seek, step, play at any speed; Ctrl-C ends it."""
-    import webbrowser
+    from mirrorwave.replay.page import serve_recording
 
-    from mirrorwave.replay.playback import Playback
-    from msgs.recording.mcap import RecordingReader
-    from nodes.viewer.newest import Board
-    from nodes.viewer.server import ViewerServer
+    path = file_or_sample(recording, sample, "RECORDING")
+    if not sample:
+        serve_recording(path, port, not no_browser, print_line)
+        return
+    from tempfile import TemporaryDirectory
 
-    with RecordingReader(recording) as reader:
-        print_line(f"{recording}: reading")
-        board = Board()
-        playback = Playback(reader, board)
-        with (
-            ViewerServer(board, title=recording.name, port=port, commands=playback.commands.put) as server,
-            contextlib.suppress(KeyboardInterrupt),
-        ):
-            print_line(f"{recording}: {counted(playback.count, 'scan')}; open {server.url} (Ctrl-C ends it)")
-            if not no_browser:
-                webbrowser.open(server.url)
-            playback.run()
+    from mirrorwave.offline import RECORDING, run_capture
+
+    with TemporaryDirectory(prefix="mirrorwave-") as folder:
+        print_line(f"{path}: processing the sample")
+        with compile_line(), scan_counter() as advance:
+            run_capture(path, Path(folder), on_scan=advance, records=True)
+        serve_recording(Path(folder) / RECORDING, port, not no_browser, print_line, title="sample")

@@ -1,4 +1,4 @@
-// The page of the viewer: takes updates from the websocket, holds the newest, draws it. No library, nothing from outside.
+// The page of the viewer: takes updates from the websocket, holds the newest, draws it. Nothing from outside.
 "use strict";
 
 const byId = (id) => document.getElementById(id);
@@ -134,6 +134,7 @@ function greet(message) {
   document.body.toggleAttribute("data-recording", message.recording);
   byId("pause").hidden = message.recording;
   setConnection("live");
+  forgetSeries();
   for (const layer of LAYERS) drawSwatch(layer);
 }
 
@@ -148,6 +149,8 @@ function take({ kinds, got }) {
     else if (message.type === "nodes") { state.nodes = message.nodes; state.graph = message.graph; showNodes(); }
     else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
     else if (message.type === "sensor") showSensor(message);
+    else if (message.type === "fields") takeFields(message);
+    else if (message.type === "series") takeSeries(message);
     else if (message.type === "overview") { state.overview = message; drawStrip(); }
     else if (message.type === "warnings") { state.warnings = message.warnings; state.warningsAt = performance.now(); showWarnings(); }
   }
@@ -508,6 +511,7 @@ function showTimeline() {
   byId("clock").textContent = `${time.toFixed(1)} / ${duration.toFixed(1)} s · ${index + 1} of ${count}${loss ? " · incomplete" : ""}`;
   byId("clock").title = loss || "";
   byId("loop").setAttribute("aria-pressed", playing ? loop : state.loop);
+  drawPlots();
   setLabel("play", "space", playing ? "Pause" : "Play");
   drawStrip();
 }
@@ -1333,6 +1337,7 @@ function setTheme(theme) {
   state.maskImage = null;
   for (const layer of LAYERS) drawSwatch(layer);
   drawStrip();
+  buildPlots();
   dirty = { bev: true, map: true };
 }
 
@@ -1441,6 +1446,7 @@ function turn() {
 
 function start() {
   buildLayers();
+  startPlots();
   const darkWanted = matchMedia("(prefers-color-scheme: dark)");
   const theme = () => recall("theme") || (darkWanted.matches ? "dark" : "light");
   setTheme(theme());
@@ -1488,6 +1494,6 @@ function start() {
 }
 
 // For tests and for whoever opens the console: what is shown, and the canvas's own scale.
-window.mirrorwave = { state, camera, toCanvas, toWorld, mapToCanvas: (range, azimuth) => mapToCanvas(range, azimuth), setPaused, setLayer, setForm, setTheme, fit };
+window.mirrorwave = { state, plots, camera, toCanvas, toWorld, mapToCanvas: (range, azimuth) => mapToCanvas(range, azimuth), setPaused, setLayer, setForm, setTheme, fit };
 
 start();

@@ -638,7 +638,7 @@ def test_what_peers_say_is_text_and_never_markup(board: Board, open_page: Open) 
         page = open_page(server)
         until(page, "mirrorwave.state.nodes.length && mirrorwave.state.view && mirrorwave.state.warnings.length")
         assert page.locator("img").count() == 0
-        assert page.locator("script").count() == 1
+        assert page.locator("script").count() == 3
         assert page.evaluate("window.evil") is None
         for place in ("#title", "#nodes", "#warning-list"):
             assert evil in page.locator(place).inner_text().replace("\n", " "), place

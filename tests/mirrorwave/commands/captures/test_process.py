@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from mirrorwave.api import views
 from mirrorwave.cli import main
 from mirrorwave.console import ExitCode
 from mirrorwave.convert.result_lines import bev_to_json, track_to_json
+from mirrorwave.replay.playback import Playback
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
-from msgs.recording.mcap import RecordingWriter, info
+from msgs.files.shipped import SAMPLE
+from msgs.recording.mcap import RecordingReader, RecordingWriter, info
 from msgs.values.radar import BeamGrid
 from msgs.values.vehicle import VehicleState
 from nodes.player import Params, scene_player, truth_beside
@@ -250,3 +253,128 @@ def test_wrong_files_are_one_line(
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)
     assert rule in said.err
+
+
+# the page at once, and the sample
+
+
+def interrupted(playback: Playback) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_process_view_records_what_the_page_shows_and_serves_it(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The recording holds the very views, no raw data, in the times of the capture; a second run takes its place."""
+    monkeypatch.setattr(Playback, "run", interrupted)
+    command = ["process", str(capture), "--out", str(tmp_path), "--profile", "cfar"]
+    for _ in range(2):
+        assert main([*command, "--view", "--no-browser", "--port", "0"]) == 0
+    assert "view.mcap: 2 scans; open http://127.0.0.1:" in capsys.readouterr().out
+    with RecordingReader(tmp_path / "view.mcap") as reader:
+        recorded = list(reader.messages())
+    topics = Counter(item.topic for item in recorded)
+    assert topics == {
+        "radar/setup": 1, "vehicle/state": 50, "radar/ra_map": 2, "perception/peaks": 2,
+        "perception/hidden_objects": 2, "sim/truth": 2,
+    }  # fmt: skip
+    views = [item for item in recorded if item.topic == "perception/hidden_objects"]
+    lines = "".join(json.dumps(bev_to_json(item.message)) + "\n" for item in views)
+    assert lines == (tmp_path / "objects.jsonl").read_text()
+    # the view stands at the time of its scan's last beam
+    assert [item.log_time_ns - item.message.stamp_ns for item in views] == [24 * 12_000_000] * 2
+
+
+def test_process_view_of_detections_has_no_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Playback, "run", interrupted)
+    scans = [detections(street_points(), scan, scan_id=scan, stamp_ns=scan * 10**8) for scan in range(2)]
+    path = recording_of(tmp_path / "street.mcap", [("radar/detections", scan) for scan in scans])
+    out = tmp_path / "out"
+    assert main(["process", str(path), "--out", str(out), "--view", "--no-browser", "--port", "0"]) == 0
+    with RecordingReader(out / "view.mcap") as reader:
+        assert [item.topic for item in reader.messages()] == ["perception/peaks", "perception/hidden_objects"] * 2
+
+
+@pytest.mark.slow
+def test_the_sample_holds_two_hidden_cars_that_are_recovered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twelve scans, none with loss; the errors are those that docs/guides/first-look.md states."""
+    assert main(["process", "--sample", "--out", str(tmp_path), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["scans_with_loss"], result["capture_loss"]) == (0, None)
+    assert result["score"]["scans"] == 12
+    assert result["score"]["matched"] >= 11
+    assert result["score"]["unmatched"] <= 4
+    last = json.loads((tmp_path / "objects.jsonl").read_text().splitlines()[-1])
+    assert len(last["objects"]) == 2
+    assert SAMPLE.stat().st_size < 3_500_000
+
+
+@pytest.mark.slow
+def test_view_of_the_sample_processes_it_first(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Playback, "run", interrupted)
+    assert main(["view", "--sample", "--no-browser", "--port", "0"]) == 0
+    out = capsys.readouterr().out
+    assert "12 scans; open http://127.0.0.1:" in out
+    # nothing is left behind
+    assert not Path(out.splitlines()[-1].split("view.mcap")[0]).exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["process", "a.mcap", "--sample"], "give CAPTURE or --sample, not both"),
+        (["process"], "give CAPTURE or --sample"),
+        (["process", "--sample", "--view", "--json"], "--json and --view exclude each other"),
+        (["view", "a.mcap", "--sample"], "give RECORDING or --sample, not both"),
+        (["view"], "give RECORDING or --sample"),
+    ],
+)
+def test_a_file_or_the_sample(words: list[str], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == ExitCode.BAD_INPUT
+    error = capsys.readouterr().err
+    assert line in error
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"no recording" * 100])
+def test_process_view_of_what_is_no_recording_is_one_line(
+    content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    assert main(["process", str(path), "--out", str(tmp_path / "out"), "--view"]) == ExitCode.BAD_INPUT
+    error = capsys.readouterr().err
+    assert str(path) in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_truncated_sample_is_shown_as_far_as_it_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Playback, "run", interrupted)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(SAMPLE.read_bytes()[: SAMPLE.stat().st_size // 4])
+    command = ["process", str(path), "--out", str(tmp_path / "out"), "--view", "--no-browser", "--port", "0"]
+    assert main([*command, "--profile", "cfar"]) == ExitCode.DONE_WITH_LOSS
+    captured = capsys.readouterr()
+    assert f"{path}: " in captured.out
+    assert "scans; open http://127.0.0.1:" in captured.out
+    assert "Traceback" not in captured.err
+
+
+def test_somebody_elses_view_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    with RecordingWriter(out / "view.mcap", {"made_by": "somebody"}):
+        pass
+    before = (out / "view.mcap").read_bytes()
+    assert main(["process", "--sample", "--out", str(out), "--view"]) == ExitCode.BAD_INPUT
+    assert f"{out / 'view.mcap'}: was not written by `mirrorwave process`" in capsys.readouterr().err
+    assert (out / "view.mcap").read_bytes() == before

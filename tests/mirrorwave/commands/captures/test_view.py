@@ -14,13 +14,14 @@ import pytest
 from mirrorwave.commands.captures.view import view
 from mirrorwave.replay.playback import MAX_SPEED, Playback
 from mirrorwave.replay.view_log import _Marks, overview_json, read_log
+from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.perception import BevFrame, BevGrid, SceneTruth, Track
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.viewer.driver_warnings import DriverWarning, Level
-from nodes.viewer.newest import Board
+from nodes.viewer.newest import SERIES, Board
 from nodes.viewer.server import Play, Seek, Step
 
 SCANS = 20
@@ -77,7 +78,8 @@ def playback(tmp_path: Path) -> Iterator[Playback]:
 def shown(playback: Playback) -> dict[str, dict[str, Any]]:
     """What hangs on the board, as the page would read it."""
     board = playback._board
-    return {kind: json.loads(board.messages(kind, posted)[0]) for kind, posted in board.newer({}).items()}
+    posts = {kind: posted for kind, posted in board.newer({}).items() if kind != SERIES}
+    return {kind: json.loads(board.messages(kind, posted)[0]) for kind, posted in posts.items()}
 
 
 def test_it_opens_at_the_first_scan(playback: Playback) -> None:
@@ -167,6 +169,14 @@ def test_the_command_serves_until_interrupted(
     path = write_recording(tmp_path / "a.mcap")
     view(path, port=0, no_browser=True)
     assert f"{path}: {SCANS} scans; open http://127.0.0.1:" in capsys.readouterr().out
+
+
+def test_raw_data_are_sent_to_the_verb_that_takes_them() -> None:
+    with (
+        RecordingReader(SAMPLE) as reader,
+        pytest.raises(ValueError, match=r"of its raw data `mirrorwave process \S+ --view` makes some"),
+    ):
+        Playback(reader, Board())
 
 
 # a drive: trails and warnings follow from all that came before
