@@ -136,8 +136,8 @@ class Ros2Link:
         try:
             self._domain: Any = Domain(domain, domain_config(interface))
             self._participant: Any = DomainParticipant(domain)
-        except DDSException as error:
-            raise OSError(f"domain {domain} on interface {interface} cannot be joined: {error.msg}") from None
+        except DDSException:
+            raise OSError(f"domain {domain} cannot be joined on {interface}: is it up, with an address?") from None
         self._store = store
         self._types: dict[str, Any] = {}
         self._entities: list[Any] = []

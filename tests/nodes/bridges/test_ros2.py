@@ -17,6 +17,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import psutil
 import pytest
 
 from msgs.bus.interface import Envelope, Outgoing, Received
@@ -471,6 +472,14 @@ def test_wrong_parameters_are_one_line(params: dict[str, Any], rule: str) -> Non
     with pytest.raises((ValueError, OSError), match=rule) as caught:
         load_node("nodes.bridges.ros2", given)
     assert "\n" not in str(caught.value)
+
+
+@needs_dds
+@needs_rosbags
+def test_an_interface_that_is_down_is_one_line(monkeypatch: pytest.MonkeyPatch, domain: int) -> None:
+    monkeypatch.setattr(psutil, "net_if_addrs", lambda: {"down0": []})
+    with pytest.raises(OSError, match=rf"^domain {domain} cannot be joined on down0: is it up, with an address\?$"):
+        create(Params(domain=domain, interface="down0"))
 
 
 @pytest.mark.parametrize("library", ["cyclonedds", "rosbags"])
