@@ -108,7 +108,7 @@ def test_it_runs_in_a_folder_of_somebody_elses_models(environment: Path, tmp_pat
         assert "dense_predictor" in drawn.stdout
     findings = run(environment, tmp_path, "mirrorwave", "doctor", "--json")
     weights = [item for item in json.loads(findings.stdout) if item["check"].startswith("weights")]
-    assert len(weights) == 4
+    assert len(weights) == 5
     assert {item["status"] for item in weights} == {"ok"}
 
 

@@ -97,6 +97,7 @@ class DoubleChain:
             azimuth_stamp_ns=stamps.azimuth_stamp_ns,
             noise_power_mw=beam_noise_mw * float(np.sum(np.abs(forward) ** 2) / len(forward)),
             incoherent=incoherent,
+            settled_stamp_ns=None,
             missing_beams=(),
             saturated_share=stamps.saturated_share,
             faults=stamps.faults,

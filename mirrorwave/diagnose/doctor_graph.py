@@ -34,7 +34,7 @@ _SLOW = 0.7
 #: Topics that a graph does without: their absence is said, and is no failure.
 _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
-_OPTIONAL_TOPICS = frozenset({"environment/walls"})
+_OPTIONAL_TOPICS = frozenset({"environment/walls", "param/request"})
 _LOG_BYTES = 1 << 18
 _ROOM_WARNING_BYTES, _ROOM_FAILED_BYTES = 5 * _GIB, 200 * _MIB
 _LOST = ("lost", "rejected")

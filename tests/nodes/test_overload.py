@@ -75,7 +75,7 @@ class Rig:
             self._turns(0.0)
 
     def bus_waits(self) -> bool:
-        return _turn(self.node, self.bus, 0.0)
+        return _turn(self.node, self.bus, self.bus.receive(0.0))
 
     def shed(self) -> dict[str, int]:
         return {f"{count.what} {count.reason}": count.count for count in self.node.shed.counts()}
@@ -97,7 +97,7 @@ class Rig:
         self.cost_ns = round(cost_ms * MS)
         while self.free_ns <= self.network.now_ns:
             start_ns = self.free_ns if self.node.pending() else self.network.now_ns
-            if not _turn(self.node, self.bus, 0.0):
+            if not _turn(self.node, self.bus, self.bus.receive(0.0)):
                 return
             folded = sum(stage.count for stage in self.node.stages.drain())
             self.free_ns = start_ns + round(folded * cost_ms * MS)
@@ -309,7 +309,7 @@ def test_work_left_over_is_done_before_the_end() -> None:
     rig = Rig(behind=1e9)
     for _ in range(3 * BEAMS):
         rig.radar.publish("radar/beam", rig._beam())
-    _turn(rig.node, rig.bus, 0.0)
+    _turn(rig.node, rig.bus, rig.bus.receive(0.0))
     assert rig.node.pending()
     _drain(rig.node, rig.bus, Stop(), Heartbeat(rig.bus, "ra_former"))
     assert not rig.node.pending()
