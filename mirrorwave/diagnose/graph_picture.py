@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from msgs.bus.topics import TOPICS
+from msgs.bus.topics import ABOUT_NODES, TOPICS
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from nodes.process.launch_file import LaunchFile, NodeEntry
-
-#: All nodes speak on these; they say nothing about who works for whom.
-HEALTH_TOPICS = frozenset({"diagnostics/node", "log"})
 
 
 class Link(msgspec.Struct, frozen=True, kw_only=True):
@@ -147,7 +144,7 @@ def _node(
     name: str, state: str, reason: str, inputs: dict[str, Link], outputs: dict[str, Link], health: bool
 ) -> GraphNode:
     topics = [
-        tuple(links[topic] for topic in sorted(links) if health or topic not in HEALTH_TOPICS)
+        tuple(links[topic] for topic in sorted(links) if health or topic not in ABOUT_NODES)
         for links in (inputs, outputs)
     ]
     return GraphNode(node=name, state=state, reason=reason, inputs=topics[0], outputs=topics[1])

@@ -91,6 +91,9 @@ _ALL = (
 )
 
 TOPICS: dict[str, Topic] = {topic.name: topic for topic in _ALL}
+#: What nodes say of themselves and are asked to be: it says nothing of who works for whom, and is never played into
+#: another graph, where it would be taken for living nodes, or change some.
+ABOUT_NODES = frozenset({"diagnostics/node", "log", "param/request", "param/values"})
 #: Set-up topic of each kind of sensor, and the topic of its measurements; a graph has one kind of sensor.
 SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histograms"))
 

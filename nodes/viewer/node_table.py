@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, NamedTuple
 
-from msgs.bus.topics import TOPICS
+from msgs.bus.topics import ABOUT_NODES, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus, StageTime
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.wording import counted
@@ -21,8 +21,6 @@ MAX_HEARTBEATS = 64
 #: Maximum stages, topics and shed work of a node on the page: none has more than a few.
 MAX_ENTRIES = 32
 _MAX_TEXT = 500
-#: Topics on which nodes report on themselves have no rate worth showing.
-_SELF_TALK = ("diagnostics/node", "log")
 
 
 def is_of_peer(name: str) -> bool:
@@ -94,7 +92,7 @@ class NodeTable:
 def _stream_order(status: NodeStatus) -> int:
     """Return the index of the first topic that a node publishes in the table of topics."""
     published = {count.topic for count in status.published}
-    return next((index for index, topic in enumerate(TOPICS) if topic in published - set(_SELF_TALK)), len(TOPICS))
+    return next((index for index, topic in enumerate(TOPICS) if topic in published - ABOUT_NODES), len(TOPICS))
 
 
 def _gone(status: NodeStatus) -> int:
@@ -108,7 +106,7 @@ def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:
     return [
         {"topic": count.topic, "hz": round(_rate(before.get(count.topic, 0), count.messages, first, last), 1)}
         for count in last.status.published[:MAX_ENTRIES]
-        if count.topic in TOPICS and count.topic not in _SELF_TALK and TOPICS[count.topic].rate_hz > 0.0
+        if count.topic in TOPICS and count.topic not in ABOUT_NODES and TOPICS[count.topic].rate_hz > 0.0
     ]
 
 

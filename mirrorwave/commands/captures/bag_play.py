@@ -11,7 +11,7 @@ import typer
 
 from mirrorwave.commands.captures.bag_options import EndS, File, StartS, Topics, span_ns, split_topics, stop_by_signal
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line
-from msgs.bus.topics import TOPICS
+from msgs.bus.topics import ABOUT_NODES, TOPICS
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from msgs.recording.mcap import RecordingReader
     from nodes.node import Stop
 
-#: What nodes say about themselves; played back, it would be taken for living nodes.
-_SELF_TALK = ("diagnostics/node", "log")
 _PLAYER = "bag_player"
 
 
@@ -126,7 +124,7 @@ def _playable(
     if wanted:
         names = {topic: names[topic] for topic in playable if topic in wanted}
     else:
-        names = {topic: name for topic, name in names.items() if name not in _SELF_TALK and name not in made}
+        names = {topic: name for topic, name in names.items() if name not in ABOUT_NODES and name not in made}
         names = {topic: name for topic, name in names.items() if name in SENSED_TOPICS or not sensed_only}
     _require_free(names, publishers, domain)
     if not names:

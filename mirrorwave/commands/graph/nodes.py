@@ -17,6 +17,7 @@ from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_table
 from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
+from msgs.bus.topics import ABOUT_NODES
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
 from msgs.values.wording import counted
 from nodes.viewer.node_table import is_of_peer
@@ -204,8 +205,7 @@ def _rate_hz(first: tuple[TopicCount, ...], last: tuple[TopicCount, ...], elapse
     if elapsed_s <= 0.0:
         return None
     first_total, last_total = (
-        sum(count.messages for count in counts if count.topic not in ("diagnostics/node", "log"))
-        for counts in (first, last)
+        sum(count.messages for count in counts if count.topic not in ABOUT_NODES) for counts in (first, last)
     )
     return (last_total - first_total) / elapsed_s
 

@@ -118,7 +118,7 @@ def test_the_node_that_fails_is_named_and_why(
     told = asked(["node", "info", "tail"], lambda told: told["received"], capsys)
     assert told["params"] == {"head": False}
     assert "nodes.node tests.mirrorwave.toy_chain" in told["command"]
-    assert [row["topic"] for row in told["received"]] == ["perception/peaks"]
+    assert [row["topic"] for row in told["received"]] == ["param/request", "perception/peaks"]
 
     drawn = {row["node"]: row for row in asked(["graph"], _rates_of_tail, capsys)["nodes"]}
     assert [link["topic"] for link in drawn["head"]["outputs"]] == ["perception/peaks"]

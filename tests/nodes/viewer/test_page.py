@@ -49,6 +49,12 @@ def browser() -> Iterator[Any]:
         browser.close()
 
 
+def is_trouble(server: ViewerServer, message: Any) -> bool:
+    """Whether a line of the page's console is an error: looking for a server that has gone is none."""
+    is_search = not server.alive and "ERR_CONNECTION_REFUSED" in message.text
+    return message.type == "error" and not is_search
+
+
 @pytest.fixture
 def open_page(browser: Any) -> Iterator[Open]:
     """Opens the page of a server; any error or refused request on it fails the test."""
@@ -59,7 +65,7 @@ def open_page(browser: Any) -> Iterator[Open]:
         context = browser.new_context(viewport=size, color_scheme=scheme, reduced_motion=motion)
         contexts.append(context)
         page = context.new_page()
-        page.on("console", lambda message: trouble.append(message.text) if message.type == "error" else None)
+        page.on("console", lambda message: trouble.append(message.text) if is_trouble(server, message) else None)
         page.on("pageerror", lambda error: trouble.append(str(error)))
         page.on(
             "request",
