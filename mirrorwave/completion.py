@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -86,3 +87,9 @@ def _files(incomplete: str, folder: str) -> list[str]:
     except OSError:
         near = []
     return _beginning([*shipped, *near], incomplete)
+
+
+#: A node of a running graph.
+NodeName = Annotated[
+    str, typer.Argument(metavar="NODE", help="Node, as `node list` names it.", autocompletion=complete_nodes)
+]

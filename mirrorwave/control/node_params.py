@@ -9,15 +9,18 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from mirrorwave.diagnose.running_graph import require_graph
+from mirrorwave.diagnose.running_graph import launch_of_graph, require_graph
 from msgs.bus.zmq import ZmqBus, list_publishers, run_dir
 from msgs.values.node_params import NodeParams, ParamRequest
-from nodes.process.launch_file import parse_yaml
+from nodes.node import node_module
+from nodes.process.launch_file import SUPERVISOR, parse_yaml
 from nodes.process.param_server import REQUESTS, VALUES
-from nodes.process.validation import merged
+from nodes.process.validation import convert_at, merged
 
 #: A node answers within a step; one that loads a network for it takes half a second.
 ANSWER_S = 10.0
+#: The supervisor answers when a node that it restarts is ready: a stop of some seconds, a start, and again if it fails.
+RESTART_S = 90.0
 #: A request is repeated until it is answered: the node may not have met its sender yet.
 _REPEAT_S = 0.5
 #: Nodes are found within this; each says its parameters at once.
@@ -75,7 +78,7 @@ def parse_changes(node: str, assignments: Iterable[str]) -> dict[str, Any]:
     return changes
 
 
-def change_params(domain: str, node: str, changes: Mapping[str, Any]) -> NodeParams:
+def change_params(domain: str, node: str, changes: Mapping[str, Any], answer_s: float = ANSWER_S) -> NodeParams:
     """Ask a node to change parameters; return its answer, which says why if it refused.
 
     Raises `ConnectionError` where no graph runs, `ValueError` naming the known nodes for one that is none of them,
@@ -88,7 +91,7 @@ def change_params(domain: str, node: str, changes: Mapping[str, Any]) -> NodePar
     try:
         bus.subscribe(VALUES)
         bus.advertise(REQUESTS)
-        end_s = time.monotonic() + ANSWER_S
+        end_s = time.monotonic() + answer_s
         while time.monotonic() < end_s:
             wish = ParamRequest(stamp_ns=bus.now_ns(), request=request, node=node, changes=json.dumps(dict(changes)))
             bus.publish(REQUESTS, wish)
@@ -97,7 +100,21 @@ def change_params(domain: str, node: str, changes: Mapping[str, Any]) -> NodePar
                 return answer
     finally:
         bus.close()
-    raise TimeoutError(f"{node} does not answer in {ANSWER_S:g} s: `mirrorwave doctor` says what it does")
+    raise TimeoutError(f"{node} does not answer in {answer_s:g} s: `mirrorwave doctor` says what it does")
+
+
+def restart_node(domain: str, node: str, changes: Mapping[str, Any]) -> NodeParams:
+    """Have the supervisor restart a node with `changes` merged over the parameters it was started with.
+
+    Changes that the node's type of parameters refuses are refused before anything is stopped; the answer says why where
+    the node could not start with them and was started as it was. Raises as `change_params` does, `ValueError` naming
+    the field for changes refused.
+    """
+    launch = launch_of_graph(run_dir(domain))
+    entry = launch.nodes.get(node) if launch is not None else None
+    if entry is not None and changes:
+        convert_at(merged(entry.params, changes), node_module(entry.module, node).Params, f"{node}.params")
+    return change_params(domain, SUPERVISOR, {node: changes}, RESTART_S)
 
 
 def _answer(bus: ZmqBus, node: str, request: str, until_s: float) -> NodeParams | None:

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nodes.process.launch_file import LaunchFile
 
 #: A graph that is being started has its first socket well within this.
 FIND_S = 5.0
@@ -27,6 +32,17 @@ def require_graph(domain: str) -> None:
         if time.monotonic() >= end_s:
             raise no_graph(domain)
         time.sleep(_LOOK_S)
+
+
+def launch_of_graph(run_dir: Path) -> LaunchFile | None:
+    """Return the launch file of the graph that runs in a directory, as it was resolved; None where none is read."""
+    from nodes.process.launch_file import read_launch_file
+    from nodes.process.supervisor import read_lock
+
+    try:
+        return read_launch_file(Path(read_lock(run_dir)["run"]) / "launch.yaml")
+    except (KeyError, OSError, ValueError):
+        return None
 
 
 def no_graph(domain: str) -> ConnectionError:

@@ -54,7 +54,7 @@ class ParamServer:
     def _changed(self, request: ParamRequest) -> str:
         """Change parameters; return why not, empty if they were."""
         try:
-            changes = _mapping(request.changes)
+            changes = parse_mapping(request.changes)
             wanted = convert_at(merged(_builtins(self._params), changes), type(self._params), self._name)
             if wanted == self._params:
                 return ""
@@ -77,7 +77,8 @@ def _builtins(params: msgspec.Struct) -> dict[str, Any]:
     return values
 
 
-def _mapping(text: str) -> dict[str, Any]:
+def parse_mapping(text: str) -> dict[str, Any]:
+    """Return the changes of a request; raises `ValueError` if they are no JSON object."""
     try:
         changes = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -22,6 +22,7 @@ from typing import Any, TextIO
 from msgs.bus.interface import Received
 from msgs.files.whole_files import no_link
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.node_params import ParamRequest
 from msgs.values.wording import counted
 from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
 from nodes.process.child import PATIENCE_S, Child
@@ -37,6 +38,7 @@ from nodes.process.launch_file import (
 )
 from nodes.process.liveness import LATE_S, Doing, Silence, sample
 from nodes.process.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
+from nodes.process.restarts import Restart, RestartServer
 
 #: Interval between reads of the nodes' output; a crash wakes the supervisor at once.
 POLL_S = 0.05
@@ -193,6 +195,7 @@ class Supervisor:
             stack.callback(self._bus.close)
             self._heartbeat = Heartbeat(self._bus, SUPERVISOR)
             self._bus.subscribe("diagnostics/node")
+            self._restarts = RestartServer(self._bus)
             stack.callback(self._close_all)
             stack.enter_context(self._signals())
             self._say("info", f"graph {self._launch.name}: {counted(len(self._nodes), 'node')}, log in {run_folder}")
@@ -216,6 +219,9 @@ class Supervisor:
     def _hear(self, messages: list[Received], now_s: float) -> None:
         for received in messages:
             status = received.message
+            if isinstance(status, ParamRequest):
+                self._begin_restart(status)
+                continue
             assert isinstance(status, NodeStatus)
             node = self._nodes.get(status.node)
             # a heartbeat in transit when its process died does not concern the next process
@@ -246,6 +252,42 @@ class Supervisor:
         node.phase, node.was_ready = Phase.READY, True
         node.heard(now_s)
         self._say("info", f"{name} ready after {now_s - node.started_s:.2f} s, pid {node.child.pid}")
+        restart = self._restarts.of(name)
+        if restart is not None and restart.has_ended:
+            self._restarts.end()
+
+    # restarts on request
+
+    def _begin_restart(self, request: ParamRequest) -> None:
+        restart = self._restarts.begin(request, {name: node.entry for name, node in self._nodes.items()})
+        if restart is None:
+            return
+        if self._stopping is not None:
+            self._restarts.end("the graph is stopping")
+            return
+        self._say("info", f"{restart.node} is restarted: asked to")
+        if self._nodes[restart.node].child is None:
+            self._start_anew(restart)
+
+    def _start_anew(self, restart: Restart) -> None:
+        restart.has_ended = True
+        node = self._nodes[restart.node]
+        node.entry, node.phase, node.start_at_s = restart.entry, Phase.WAITING, 0.0
+
+    def _is_of_restart(self, name: str, node: _Watched, code: int) -> bool:
+        """Take care of the end of a process that a restart on request brought about; return whether it did."""
+        restart = self._restarts.of(name)
+        if restart is None:
+            return False
+        if restart.has_ended:
+            reason = node.why(code) or _how(code)
+            if restart.entry == restart.before:
+                self._restarts.end(reason)
+                return False
+            self._say("warning", f"{name} is started as it was, as it {_how(code)} with its new parameters: {reason}")
+            restart.entry, restart.error = restart.before, reason
+        self._start_anew(restart)
+        return True
 
     # restarts and failures
 
@@ -268,6 +310,8 @@ class Supervisor:
         again = restart.policy is RestartPolicy.ALWAYS or (code != 0 and restart.policy is RestartPolicy.ON_FAILURE)
         if self._stopping is not None:
             self._after_stop(name, node, code)
+        elif self._is_of_restart(name, node, code):
+            return
         elif not again or code == EXIT_BAD_INPUT:
             self._end_node(name, node, code)
         elif node.recent_restarts(now_s) >= restart.max_restarts:
@@ -322,9 +366,13 @@ class Supervisor:
     # start and end of the graph
 
     def _start_or_stop(self, now_s: float) -> None:
+        restart = self._restarts.current
         if self._stopping is not None:
+            self._restarts.end("the graph is stopping")
             self._stop_next(now_s)
             return
+        if restart is not None and not restart.has_ended:
+            self._stop(self._nodes[restart.node], now_s, PATIENCE_S, by_hand=True)
         for name, node in self._nodes.items():
             if node.phase is Phase.WAITING and node.start_at_s <= now_s and self._may_start(node):
                 self._start(name, node, now_s)
@@ -382,11 +430,15 @@ class Supervisor:
             self._stopping = [[name for group in self._stopping for name in group]]
         patience_s = PATIENCE_S if self._stop_requests else DRAIN_S
         for node in (self._nodes[name] for name in (self._stopping[0] if self._stopping else ())):
-            if node.phase is Phase.READY:
-                node.stop(now_s, patience_s, by_hand=self._stop_requests > 0)
-            else:
-                # it has no data yet, and no handler for a gentler signal
-                node.kill()
+            self._stop(node, now_s, patience_s, by_hand=self._stop_requests > 0)
+
+    @staticmethod
+    def _stop(node: _Watched, now_s: float, patience_s: float, by_hand: bool) -> None:
+        if node.phase is Phase.READY:
+            node.stop(now_s, patience_s, by_hand)
+        else:
+            # it has no data yet, and no handler for a gentler signal
+            node.kill()
 
     def _all_gone(self) -> bool:
         waiting = self._stopping is None and any(node.phase is Phase.WAITING for node in self._nodes.values())

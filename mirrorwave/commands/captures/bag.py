@@ -106,15 +106,12 @@ def _recorder(params: Any) -> Any:
 
 
 def _launch_of(run_dir: Path) -> dict[str, str]:
-    """The launch file of the graph that runs in a directory, as it was resolved; nothing where none is found."""
-    from nodes.process.launch_file import dump_launch, read_launch_file, without_metadata
-    from nodes.process.supervisor import read_lock
+    """The launch file of the graph that runs in a directory, as it was resolved; nothing where there is none."""
+    from mirrorwave.diagnose.running_graph import launch_of_graph
+    from nodes.process.launch_file import dump_launch, without_metadata
 
-    try:
-        launch = read_launch_file(Path(read_lock(run_dir)["run"]) / "launch.yaml")
-    except (KeyError, OSError, ValueError):
-        return {}
-    return {"launch": dump_launch(without_metadata(launch))}
+    launch = launch_of_graph(run_dir)
+    return {} if launch is None else {"launch": dump_launch(without_metadata(launch))}
 
 
 def _report_recorded(recorder: Any) -> None:

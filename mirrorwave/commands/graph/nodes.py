@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from mirrorwave.completion import complete_nodes
+from mirrorwave.completion import NodeName
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_table
 from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
@@ -129,7 +129,7 @@ def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_j
 
 @app.command()
 def info(
-    name: Annotated[str, typer.Argument(help="Node, as `node list` names it.", autocompletion=complete_nodes)],
+    name: NodeName,
     window: WindowS = WINDOW_S,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
@@ -211,8 +211,34 @@ def _rate_hz(first: tuple[TopicCount, ...], last: tuple[TopicCount, ...], elapse
 
 
 @app.command()
+def restart(
+    node: NodeName,
+    params: Annotated[
+        list[str] | None, typer.Option("-p", "--param", metavar="KEY=VALUE", help="Parameter to start it with.")
+    ] = None,
+    domain: Domain = DEFAULT_DOMAIN,
+    as_json: AsJson = False,
+) -> None:
+    """Stop a node and start it again, with other parameters if wished.
+
+    It starts with those of the graph's launch file, changes of earlier restarts and -p merged over them; what `param
+    set` changed is as it was before. If -p is refused nothing is stopped (exit code 2); a node that cannot start with
+    it is started as it was.
+    """
+    from mirrorwave.control.node_params import parse_changes, restart_node
+
+    answer = restart_node(domain, node, parse_changes(node, params or []))
+    if answer.error:
+        raise ValueError(f"{node} was not restarted with these parameters: {answer.error}" if params else answer.error)
+    if as_json:
+        print_json(json.loads(answer.params))
+    else:
+        print_line(f"{node} is ready again")
+
+
+@app.command()
 def kill(
-    name: Annotated[str, typer.Argument(help="Node, as `node list` names it.", autocompletion=complete_nodes)],
+    name: NodeName,
     how: Annotated[str, typer.Option("--signal", metavar="NAME", help=f"One of {', '.join(_SIGNALS)}.")] = "KILL",
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:

@@ -7,14 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from mirrorwave.completion import complete_nodes
+from mirrorwave.completion import NodeName, complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 
 app = typer.Typer(help="Read and change parameters of running nodes.", no_args_is_help=True)
-
-NodeName = Annotated[
-    str, typer.Argument(metavar="NODE", help="Node, as `node list` names it.", autocompletion=complete_nodes)
-]
 
 
 @app.command("list")
