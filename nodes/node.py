@@ -42,6 +42,7 @@ from nodes.process.validation import convert_at
 
 if TYPE_CHECKING:
     from msgs.bus.local import LocalNetwork
+    from msgs.bus.zmq import ZmqBus
 
 _LOG = logging.getLogger(__name__)
 
@@ -241,10 +242,19 @@ def _compile_notice() -> contextlib.AbstractContextManager[None]:
 
 
 class Heartbeat:
-    """Publishes on `diagnostics/node` that the loop runs, and passes log records on to the topic `log`."""
+    """Publishes on `diagnostics/node` that the loop runs, and passes log records on to the topic `log`.
 
-    def __init__(self, bus: Bus, name: str, log: BusLogHandler | None = None) -> None:
-        self._bus, self._name, self._log = bus, name, log
+    `cpu_s`: clock of the processor time that the node has taken, read where the loop runs.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        name: str,
+        log: BusLogHandler | None = None,
+        cpu_s: Callable[[], float] = time.process_time,
+    ) -> None:
+        self._bus, self._name, self._log, self._cpu_s = bus, name, log, cpu_s
         self._started_s = self._last_s = time.monotonic()
         self._process = psutil.Process()
 
@@ -265,7 +275,7 @@ class Heartbeat:
             state=state,
             reason=reason[:_REASON_LIMIT],
             uptime_s=self._last_s - self._started_s,
-            cpu_s=time.process_time(),
+            cpu_s=self._cpu_s(),
             resident_bytes=self._process.memory_info().rss,
             stages=stages,
             received=received,
@@ -431,15 +441,21 @@ def stopping_signals(*numbers: signal.Signals) -> tuple[signal.Signals, ...]:
     return numbers if is_ignored else (*numbers, signal.SIGHUP)
 
 
+def stop_by_signal() -> Stop:
+    """Return what SIGINT, SIGTERM and the end of the terminal ask to end from now on."""
+    stop = Stop()
+    for number in stopping_signals(signal.SIGINT):
+        signal.signal(number, lambda number, frame: stop.request())
+    signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
+    return stop
+
+
 def main(argv: list[str] | None = None) -> int:
     """Host one node as a process; return the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
     arguments = _arguments(argv)
     if arguments.die_with is not None:
         die_with_parent(arguments.die_with)
-    stop = Stop()
-    for number in stopping_signals(signal.SIGINT):
-        signal.signal(number, lambda number, frame: stop.request())
-    signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
+    stop = stop_by_signal()
     stream = logging.StreamHandler(sys.stderr)
     if arguments.json_log:
         stream.setFormatter(SeparatedJsonFormatter(arguments.name))
@@ -454,17 +470,11 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
     bus = ZmqBus(arguments.name, arguments.run_dir)
     try:
         heartbeat = Heartbeat(bus, arguments.name, log)
-        if not _has_its_name(heartbeat):
-            return EXIT_FAILED
-        node = _load_or_say_why(arguments, heartbeat)
-        if node is None:
-            return EXIT_BAD_INPUT
-        for topic in node.outputs:
-            bus.advertise(topic, node.max_origins)
-        if node.wants_all:
-            bus.want_all()
+        node = open_node(arguments.module, json.loads(arguments.params), arguments.name, bus, heartbeat)
+        if isinstance(node, int):
+            return node
         _lower_priority(node.nice)
-        run_loop(node, bus, stop, heartbeat, _param_server(node, bus, arguments.name))
+        run_loop(node, bus, stop, heartbeat, param_server(node, bus, arguments.name))
         if not stop.at_once:
             time.sleep(FLUSH_S)
     except Exception as error:  # noqa: BLE001 - the border of the process: every failure leaves as one line and a code
@@ -475,7 +485,22 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
     return EXIT_DONE
 
 
-def _param_server(node: Node, bus: WaitingBus, name: str) -> ParamServer | None:
+def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, heartbeat: Heartbeat) -> Node | int:
+    """Make a node and open the topics that it publishes; return the exit code of its process where it cannot be."""
+    if not _has_its_name(heartbeat):
+        return EXIT_FAILED
+    node = _load_or_say_why(module, params, name, heartbeat)
+    if node is None:
+        return EXIT_BAD_INPUT
+    for topic in node.outputs:
+        bus.advertise(topic, node.max_origins)
+    if node.wants_all:
+        bus.want_all()
+    return node
+
+
+def param_server(node: Node, bus: WaitingBus, name: str) -> ParamServer | None:
+    """Return what answers requests to change the parameters of a node that `load_node` made."""
     return None if node.made_with is None else ParamServer(bus, name, node.made_with, node.change_params)
 
 
@@ -495,11 +520,11 @@ def _lower_priority(nice: int) -> None:
         os.setpriority(os.PRIO_PROCESS, thread.id, min(19, os.getpriority(os.PRIO_PROCESS, thread.id) + nice))
 
 
-def _load_or_say_why(arguments: argparse.Namespace, heartbeat: Heartbeat) -> Node | None:
+def _load_or_say_why(module: str, params: Mapping[str, Any], name: str, heartbeat: Heartbeat) -> Node | None:
     # imported modules stay: repeated garbage collection of them took a tenth of the start
     gc.disable()
     try:
-        return load_node(arguments.module, json.loads(arguments.params), arguments.name)
+        return load_node(module, params, name)
     except (ValueError, FileNotFoundError, msgspec.MsgspecError) as error:
         reason = " ".join(str(error).split())
         _LOG.critical("%s", reason)

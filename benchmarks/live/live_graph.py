@@ -2,14 +2,16 @@
 
 Latency counts from the nominal end of the last beam (its start plus its time on air) to the arrival of the view at a
 subscriber outside the graph. The age of an object counts from the beams that measured it to the arrival of the first
-view that says so.
+view that says so. Cores and memory are those of the graph's processes: resident memory counts a page that several
+share in each of them, proportional memory once.
 Usage: python -m benchmarks.live.live_graph [--launch FILE] [--duration S] [--viewer] [--json]
-       [--profile NAME | --budget-ms N]
+       [--profile NAME | --budget-ms N] [--group PROCESS=NODE,NODE]
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import platform
@@ -18,8 +20,10 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import psutil
 
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT
@@ -42,13 +46,36 @@ def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool, opt
     for topic in ("perception/hidden_objects", "diagnostics/node"):
         bus.subscribe(topic)
     latency_ms, age_ms, status = [], [], {}
+    usage: list[Usage] = []
     with tempfile.TemporaryFile("w+") as said:
         graph = subprocess.Popen(command, cwd=ROOT, stdout=said)
-        _watch(bus, graph, duration_s, latency_ms, age_ms, status)
+        _watch(bus, graph, duration_s, latency_ms, age_ms, status, usage)
         said.seek(0)
         selected = [line.strip() for line in said if line.startswith("profile ")]
     bus.close()
-    return {"options": options, "chosen": selected, **report(latency_ms, age_ms, status, graph.returncode)}
+    return {"options": options, "chosen": selected, **report(latency_ms, age_ms, status, usage, graph.returncode)}
+
+
+class Usage(NamedTuple):
+    """What the graph's processes have taken up to a time, in all."""
+
+    at_s: float
+    cpu_s: float
+    resident_mib: float
+    proportional_mib: float
+
+
+def usage_of(status: dict[str, list[NodeStatus]]) -> Usage:
+    """Return what all processes that said something have taken so far."""
+    cpu_s = resident = proportional = 0.0
+    for pid in {items[-1].pid for items in status.values()}:
+        with contextlib.suppress(psutil.Error):
+            process = psutil.Process(pid)
+            memory, times = process.memory_full_info(), process.cpu_times()
+            cpu_s += times.user + times.system
+            resident += memory.rss / 2**20
+            proportional += memory.pss / 2**20
+    return Usage(time.monotonic(), cpu_s, resident, proportional)
 
 
 def _watch(
@@ -58,10 +85,13 @@ def _watch(
     latency_ms: list[float],
     age_ms: list[float],
     status: dict[str, list[NodeStatus]],
+    usage: list[Usage],
 ) -> None:
     """Take down when views come, for so long since the first, and what the nodes say until the graph ends."""
     end_ns, new_objects = None, NewObjects()
     while graph.poll() is None:
+        if end_ns is not None and len(usage) < 1 + (time.monotonic_ns() >= end_ns):
+            usage.append(usage_of(status))
         for received in bus.receive(0.05):
             now_ns = time.monotonic_ns()
             if isinstance(received.message, BevFrame):
@@ -73,7 +103,13 @@ def _watch(
                 status.setdefault(received.message.node, []).append(received.message)
 
 
-def report(latency_ms: list[float], age_ms: list[float], status: dict[str, list[NodeStatus]], exit_code: int) -> dict:
+def report(
+    latency_ms: list[float],
+    age_ms: list[float],
+    status: dict[str, list[NodeStatus]],
+    usage: list[Usage],
+    exit_code: int,
+) -> dict:
     ready = {name: [item for item in items if item.state == "ready"] for name, items in status.items()}
     nodes = {name: node_report(items) for name, items in ready.items() if len(items) >= 2}
     lost = {
@@ -90,8 +126,9 @@ def report(latency_ms: list[float], age_ms: list[float], status: dict[str, list[
         "lost_or_rejected": lost,
         "shed": {name: shed for name, items in status.items() if (shed := shed_of(items[-1]))},
         "nodes": nodes,
-        "cores": round(sum(node["cpu_share"] for node in nodes.values()), 2),
-        "resident_mib": round(sum(node["resident_mib"] for node in nodes.values()), 0),
+        "cores": round((usage[-1].cpu_s - usage[0].cpu_s) / max(usage[-1].at_s - usage[0].at_s, 1e-9), 2),
+        "resident_mib": round(usage[-1].resident_mib),
+        "proportional_mib": round(usage[-1].proportional_mib),
     }
 
 
@@ -141,10 +178,12 @@ def main() -> None:
     parser.add_argument("--viewer", action="store_true", help="start the launch file's viewers too")
     parser.add_argument("--profile")
     parser.add_argument("--budget-ms", help="let the graph choose the profile")
+    parser.add_argument("--group", action="append", default=[], help="host these nodes in one process")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     options = ["--profile", arguments.profile] if arguments.profile else []
     options += ["--latency-budget-ms", arguments.budget_ms] if arguments.budget_ms else []
+    options += [part for group in arguments.group for part in ("--group", group)]
     result = run(arguments.launch, arguments.duration, arguments.overrides, arguments.viewer, options)
     print(json.dumps(result) if arguments.json else json.dumps(result, indent=2))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
+from typing import TypeVar
 
 import msgspec
 
@@ -18,6 +19,8 @@ from msgs.values.diagnostics import TopicCount
 from msgs.values.units import NANOSECONDS_PER_SECOND
 
 logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 _WARNING_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
 #: A player gives up a scan that has no answer for this long (`mirrorwave.replay.listeners`).
@@ -40,9 +43,9 @@ class _Count:
     def __init__(self) -> None:
         self.messages = self.bytes = self.lost = self.rejected = self.outdated = 0
 
-    def add(self, frames: Sequence[Buffer]) -> None:
+    def add(self, size: int) -> None:
         self.messages += 1
-        self.bytes += sum(len(frame) for frame in frames)
+        self.bytes += size
 
     def frozen(self, topic: str) -> TopicCount:
         return TopicCount(
@@ -83,12 +86,12 @@ class Tally:
         envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
         frames = encode(envelope, message)
         self._sequences[topic] = sequence + 1
-        self._published.setdefault(topic, _Count()).add(frames)
+        self._published.setdefault(topic, _Count()).add(total_size(frames))
         return envelope, frames
 
     def forward(self, message: Forwarded) -> None:
         """Count a forwarded message; it uses no number."""
-        self._published.setdefault(message.topic, _Count()).add(message.frames)
+        self._published.setdefault(message.topic, _Count()).add(total_size(message.frames))
 
     def expect(self, topic: str) -> None:
         """Count `topic` from now on, so that silence shows as zero."""
@@ -96,26 +99,33 @@ class Tally:
 
     def accept(self, topic: str, frames: Sequence[Buffer], now_ns: int) -> Received | None:
         """Return the message of `frames`; None if it is unreadable (counted, logged) or older than an earlier one."""
-        count = self._received[topic]
         try:
             received = decode(frames)
             _check_origin(received, topic, now_ns)
-            self._make_room(received.envelope, now_ns)
         except CodecError as error:
-            count.rejected += 1
-            self._warn(topic, str(error))
+            self._reject(topic, error)
             return None
-        envelopes = self._last[topic]
-        last = envelopes.get(received.envelope.publisher)
+        return self.admit(received, total_size(frames), now_ns)
+
+    def admit(self, received: Received, size: int, now_ns: int) -> Received | None:
+        """Return a message of `size` bytes as `accept` does, one that needs no decoding."""
+        topic, envelope = received.topic, received.envelope
+        try:
+            self._make_room(envelope, now_ns)
+        except CodecError as error:
+            self._reject(topic, error)
+            return None
+        count, envelopes = self._received[topic], self._last[topic]
+        last = envelopes.get(envelope.publisher)
         if last is not None:
-            if received.envelope.sent_ns <= last.sent_ns and received.envelope.sequence <= last.sequence:
+            if envelope.sent_ns <= last.sent_ns and envelope.sequence <= last.sequence:
                 return None
             # a publisher that restarts counts from 0: what it sent in between was never numbered
-            count.lost = min(_MAX_LOST, count.lost + max(0, received.envelope.sequence - last.sequence - 1))
-        envelopes.pop(received.envelope.publisher, None)
-        envelopes[received.envelope.publisher] = received.envelope
-        count.add(frames)
-        if received.envelope.paced:
+            count.lost = min(_MAX_LOST, count.lost + max(0, envelope.sequence - last.sequence - 1))
+        envelopes.pop(envelope.publisher, None)
+        envelopes[envelope.publisher] = envelope
+        count.add(size)
+        if envelope.paced:
             self._paced_ns[topic] = now_ns
         else:
             self._paced_ns.pop(topic, None)
@@ -164,17 +174,23 @@ class Tally:
             )
         del envelopes[silent]
 
-    def _warn(self, topic: str, reason: str) -> None:
+    def _reject(self, topic: str, error: CodecError) -> None:
+        self._received[topic].rejected += 1
         now_ns = time.monotonic_ns()
         if now_ns - self._warned_ns.get(topic, -_WARNING_INTERVAL_NS) >= _WARNING_INTERVAL_NS:
             self._warned_ns[topic] = now_ns
-            logger.warning("rejected: %s (%d so far)", reason, self._received[topic].rejected)
+            logger.warning("rejected: %s (%d so far)", error, self._received[topic].rejected)
 
 
-def latch(kept: dict[str, list[Buffer]], publisher: str, frames: list[Buffer]) -> None:
+def total_size(frames: Sequence[Buffer]) -> int:
+    """Return the bytes of a message on the wire."""
+    return sum(len(frame) for frame in frames)
+
+
+def latch(kept: dict[str, T], publisher: str, message: T) -> None:
     """Keep the last message of a publisher of a latched topic; of too many, those that sent most recently."""
     kept.pop(publisher, None)
-    kept[publisher] = frames
+    kept[publisher] = message
     while len(kept) > MAX_LATCHED:
         del kept[next(iter(kept))]
 

@@ -20,9 +20,10 @@ from typing import Any
 import msgspec
 import zmq
 
-from msgs.bus.codec import Buffer, topic_frame
+from msgs.bus.codec import Buffer, decode, topic_frame
+from msgs.bus.exchange import Exchange, Mailbox, Parcel
 from msgs.bus.interface import Forwarded, Received
-from msgs.bus.sequencing import MAX_LATCHED, Tally, latch
+from msgs.bus.sequencing import MAX_LATCHED, Tally, latch, total_size
 from msgs.bus.topics import MIB, TOPICS, Topic, topic_facts
 from msgs.values.diagnostics import TopicCount
 from msgs.values.units import NANOSECONDS_PER_SECOND
@@ -65,11 +66,14 @@ class ZmqBus:
     `paced`: subscribers that are behind hold up `publish` instead of missing messages, and every message says so.
     `counted`: `subscribers` covers every topic, as on a paced bus, and every message is kept, also on topics whose
     receivers want the newest only.
+    `exchange`: what connects the nodes of this process, past the sockets.
     Raises `ValueError` for a node name or run directory that cannot be used or is not ours alone, `OSError` where the
     directory cannot be made.
     """
 
-    def __init__(self, node: str, run_dir: Path, paced: bool = False, counted: bool = False) -> None:
+    def __init__(
+        self, node: str, run_dir: Path, paced: bool = False, counted: bool = False, exchange: Exchange | None = None
+    ) -> None:
         if not _NODE_NAME.fullmatch(node):
             raise ValueError(f"node name must be 1..64 letters, digits, '_', '-' or '.', got {node!r}")
         self._node = node
@@ -92,6 +96,9 @@ class ZmqBus:
         #: Other sources that may end a wait: sockets and file descriptors that do not belong to the bus.
         self._watched: set[zmq.Socket[bytes] | int] = set()
         self._next_scan_ns = 0
+        self._exchange, self._mailbox = exchange, Mailbox() if exchange else None
+        if self._mailbox is not None:
+            self._poller.register(self._mailbox.descriptor, zmq.POLLIN)
 
     def advertise(self, topic: str, origins: int = 1) -> None:
         """Open `topic` for subscribers before the first message; `publish` and `forward` do it otherwise.
@@ -111,12 +118,16 @@ class ZmqBus:
         self.advertise(topic)
         envelope, frames = self._tally.pack(topic, message, self.now_ns())
         self._hand_out(topic, envelope.publisher, frames)
+        if self._exchange is not None:
+            self._exchange.hand_over(Parcel(Received(topic, message, envelope), total_size(frames)))
 
     def forward(self, message: Forwarded) -> None:
         """Send a message of another graph unchanged, without waiting; raises `TimeoutError` as `publish` does."""
         self.advertise(message.topic, MAX_LATCHED)
         self._tally.forward(message)
         self._hand_out(message.topic, message.envelope.publisher, message.frames)
+        if self._exchange is not None and self._exchange.wants(message.topic):
+            self._exchange.hand_over(Parcel(decode(message.frames), total_size(message.frames)))
 
     def subscribers(self, topic: str) -> int:
         """Return the number of connections to an advertised topic, latched or counted: they get all later messages."""
@@ -139,6 +150,8 @@ class ZmqBus:
         self._lives[topic] = {}
         self._poller.register(subscriber, zmq.POLLIN)
         self._tally.expect(topic)
+        if self._exchange is not None and self._mailbox is not None:
+            self._exchange.join(topic, self._mailbox)
         self._search()
 
     def want_all(self) -> None:
@@ -178,6 +191,10 @@ class ZmqBus:
 
     def close(self) -> None:
         """Close all sockets; waits for messages in transit no longer than half a second."""
+        if self._exchange is not None and self._mailbox is not None:
+            self._exchange.leave(self._mailbox)
+            self._mailbox.close()
+            self._exchange = self._mailbox = None
         self._context.destroy()
         self._publishers.clear()
         self._subscribers.clear()
@@ -250,6 +267,8 @@ class ZmqBus:
         for topic, subscriber in self._subscribers.items():
             if subscriber in ready:
                 received += self._drain(topic, subscriber)
+        if self._mailbox is not None and self._mailbox.descriptor in ready:
+            received += self._take(self._mailbox)
         # one publisher's clock readings never fall: its own order is kept
         received.sort(key=lambda message: message.envelope.sent_ns)
         return self._tally.without_outdated(received), not self._watched.isdisjoint(ready)
@@ -266,6 +285,11 @@ class ZmqBus:
             if message is not None:
                 messages.append(message)
         return messages
+
+    def _take(self, mailbox: Mailbox) -> list[Received]:
+        now_ns = self.now_ns()
+        messages = [self._tally.admit(*parcel, now_ns) for parcel in mailbox.take()]
+        return [message for message in messages if message is not None]
 
     def _notice_restarts(self, topic: str) -> None:
         """Restart the count of a restarted publisher: what its new life sent before it was connected is no loss."""
@@ -308,11 +332,14 @@ class ZmqBus:
             if error.errno not in (errno.EMFILE, errno.ENFILE):
                 raise
             published = []
+        within = self._exchange.nodes if self._exchange else frozenset()
+        sought = {topic for topic in self._subscribers if not self._lives[topic]}
         for topic, node in published:
-            if topic in self._subscribers and node not in self._lives[topic]:
+            sought.discard(topic)
+            if node not in within and topic in self._subscribers and node not in self._lives[topic]:
                 self._subscribers[topic].connect(f"ipc://{socket_path(self._dir, topic, node)}")
                 self._lives[topic][node] = _life(socket_path(self._dir, topic, node))
-        interval_ns = _RESCAN_INTERVAL_NS if all(self._lives.values()) else _SEARCH_INTERVAL_NS
+        interval_ns = _SEARCH_INTERVAL_NS if sought else _RESCAN_INTERVAL_NS
         self._next_scan_ns = self.now_ns() + interval_ns
 
 

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from msgs.files.shipped import CHECKOUT
-from nodes.process.launch_file import NodeEntry
+from nodes.process.launch_file import GROUP_MODULE, NodeEntry
 from nodes.process.logs import LineSplitter
 
 #: Root of the checkout: children import nodes from here, wherever the graph was started.
@@ -123,8 +123,11 @@ class Child:
 
 def _command(name: str, entry: NodeEntry, run_dir: Path) -> list[str]:
     # -P: a file of the working directory must not replace a module
-    host = [sys.executable, "-P", "-m", "nodes.node", entry.module, "--name", name, "--run-dir", str(run_dir)]
-    return [*host, "--params", json.dumps(entry.params), "--json-log", "--die-with", str(os.getpid())]
+    python, params = [sys.executable, "-P", "-m"], json.dumps(entry.params)
+    common = ["--run-dir", str(run_dir), "--die-with", str(os.getpid())]
+    if entry.module == GROUP_MODULE:
+        return [*python, GROUP_MODULE, params, *common]
+    return [*python, "nodes.node", entry.module, "--name", name, "--params", params, "--json-log", *common]
 
 
 def _environment(entry: NodeEntry) -> dict[str, str]:

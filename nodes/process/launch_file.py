@@ -25,6 +25,8 @@ SUPERVISOR = "supervisor"
 RECORDER = "recorder"
 RECORDER_MODULE = "nodes.recorder"
 VIEWER_MODULE = "nodes.bev_viewer"
+#: Hosts a group of nodes; its parameters are their modules and parameters by name.
+GROUP_MODULE = "nodes.process.group"
 
 
 def _require_duration(name: str, value: float) -> None:
@@ -64,7 +66,7 @@ class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One process of the graph."""
+    """One node of the graph, or one process."""
 
     #: Module that defines Params and create(params): its dotted name, or the name that an installed package gives it
     #: under the entry points `mirrorwave.nodes`.
@@ -83,6 +85,8 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ends_graph: bool = False
     #: Left out by `--headless`.
     viewer: bool = False
+    #: Process that it shares with all nodes that name the same, a thread each; empty: one of its own.
+    process: str = ""
 
     def __post_init__(self) -> None:
         if not MODULE_NAME.fullmatch(self.module):
@@ -106,7 +110,7 @@ class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError("nodes must name at least one node")
         for node, entry in self.nodes.items():
             self._check_node(node, entry)
-        start_order(self)
+        processes(self)
 
     def _check_node(self, node: str, entry: NodeEntry) -> None:
         if not NODE_NAME.fullmatch(node):
@@ -116,6 +120,20 @@ class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         for other in entry.after:
             if other not in self.nodes:
                 raise ValueError(f"nodes.{node}.after: unknown node {other!r}; known are {_names(self.nodes)}")
+        if entry.process:
+            self._check_process(node, entry)
+
+    def _check_process(self, node: str, entry: NodeEntry) -> None:
+        rule = f"nodes.{node}.process"
+        if not NODE_NAME.fullmatch(entry.process) or entry.process == SUPERVISOR:
+            raise ValueError(f"{rule} must be of a-z, 0-9 and _, and not {SUPERVISOR}, got {entry.process!r}")
+        if entry.process in self.nodes and self.nodes[entry.process].process != entry.process:
+            raise ValueError(f"{rule}: node {entry.process!r} has a process of this name and is not in it")
+        if entry.module == RECORDER_MODULE:
+            raise ValueError(f"{rule}: a recorder has a process of its own, to record how the others fail")
+        for other, partner in self.nodes.items():
+            if partner.process == entry.process and (partner.restart, partner.env) != (entry.restart, entry.env):
+                raise ValueError(f"{rule}: restart and env must be those of {other}, which shares the process")
 
 
 def start_order(launch: LaunchFile) -> tuple[str, ...]:
@@ -123,10 +141,43 @@ def start_order(launch: LaunchFile) -> tuple[str, ...]:
     return _ordered({name: entry.after for name, entry in launch.nodes.items()})
 
 
+def processes(launch: LaunchFile) -> dict[str, NodeEntry]:
+    """Return the processes of a graph in the order in which they start: those of one node, and groups of nodes.
+
+    A cycle among them is a `ValueError`.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in start_order(launch):
+        groups.setdefault(launch.nodes[name].process or name, []).append(name)
+    home = {name: process for process, names in groups.items() for name in names}
+    entries = {process: _process(process, launch, names, home) for process, names in groups.items()}
+    return {process: entries[process] for process in _ordered({name: entry.after for name, entry in entries.items()})}
+
+
+def _process(process: str, launch: LaunchFile, names: list[str], home: Mapping[str, str]) -> NodeEntry:
+    nodes = {name: launch.nodes[name] for name in names}
+    first = nodes[names[0]]
+    after = dict.fromkeys(home[other] for entry in nodes.values() for other in entry.after)
+    after.pop(process, None)
+    if not first.process:
+        return msgspec.structs.replace(first, after=tuple(after))
+    return msgspec.structs.replace(
+        first,
+        module=GROUP_MODULE,
+        params={name: {"module": entry.module, "params": entry.params} for name, entry in nodes.items()},
+        after=tuple(after),
+        hang_timeout_s=max(entry.hang_timeout_s for entry in nodes.values()),
+        # made one after the other
+        start_timeout_s=sum(entry.start_timeout_s for entry in nodes.values()),
+        ends_graph=any(entry.ends_graph for entry in nodes.values()),
+    )
+
+
 def stop_order(launch: LaunchFile) -> tuple[str, ...]:
-    """Return nodes so that each precedes all its `after`, otherwise as written: sources first, recorder last."""
-    followers: dict[str, list[str]] = {name: [] for name in launch.nodes}
-    for name, entry in launch.nodes.items():
+    """Return processes so that each precedes all its `after`, otherwise as started: sources first, recorder last."""
+    entries = processes(launch)
+    followers: dict[str, list[str]] = {name: [] for name in entries}
+    for name, entry in entries.items():
         for other in entry.after:
             followers[other].append(name)
     return _ordered(followers)
@@ -205,6 +256,19 @@ def with_overrides(launch: LaunchFile, overrides: Iterable[str]) -> LaunchFile:
             changes = {key: changes}
         launch = with_params(launch, {name: changes}, f"-p {override}")
     return launch
+
+
+def with_process(launch: LaunchFile, group: str) -> LaunchFile:
+    """Return `launch` with nodes in one process, `process=node,node`; raises `ValueError` naming the rule."""
+    process, equals, names = group.partition("=")
+    nodes = dict(launch.nodes)
+    for name in names.split(",") if equals else ():
+        if name not in nodes:
+            raise ValueError(f"--group {group}: unknown node {name!r}; known are {_names(nodes)}")
+        nodes[name] = msgspec.structs.replace(nodes[name], process=process)
+    if not (process and equals):
+        raise ValueError(f"--group {group}: expected process=node,node")
+    return msgspec.structs.replace(launch, nodes=nodes)
 
 
 def with_recorder(launch: LaunchFile, path: Path, params: Mapping[str, Any] | None = None) -> LaunchFile:

@@ -9,7 +9,7 @@ import logging.handlers
 import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,11 @@ class SeparatedJsonFormatter(JsonFormatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return the JSON object behind a record separator."""
         return RECORD_SEPARATOR + super().format(record)
+
+
+def of_thread(node: str) -> Callable[[logging.LogRecord], bool]:
+    """Return a filter that lets records of the thread that is named like `node` pass."""
+    return lambda record: record.threadName == node
 
 
 class BusLogHandler(logging.Handler):
@@ -184,19 +189,20 @@ def printable(text: str, kept: str = "\t\n") -> str:
     return text if text.isprintable() else "".join(mark for mark in text if mark.isprintable() or mark in kept)
 
 
-def parse_line(node: str, line: str) -> dict[str, Any]:
+def parse_line(node: str, line: str, members: Collection[str] = ()) -> dict[str, Any]:
     """Return a line of a child as a log entry: its own record if it is one, else its text at level "output".
 
-    An entry has time, node (never another's), level and text, and state and traceback where the record has them.
+    An entry has time, node, level and text, and state and traceback where the record has them. Its node is `node`, or
+    the one of `members` that the record names: never another's.
     """
     entry = _record(line) if line.startswith(RECORD_SEPARATOR) else None
     if entry is None:
         return {"time": utc_now(), "node": node, "level": "output", "text": line.replace(RECORD_SEPARATOR, "")}
-    level = entry.get("level")
+    level, name = entry.get("level"), entry.get("node")
     more = {key: printable(entry[key]) for key in ("state", "traceback") if isinstance(entry.get(key), str)}
     return {
         "time": utc_now(),
-        "node": node,
+        "node": name if isinstance(name, str) and name in members else node,
         "level": level if level in _LEVELS else "output",
         # one that begins on a new line could imitate another node's
         "text": printable(entry["text"]).replace("\n", "\n    "),

@@ -38,10 +38,6 @@ class RestartServer:
         bus.subscribe(REQUESTS)
         bus.advertise(VALUES)
 
-    def of(self, node: str) -> Restart | None:
-        """Return the restart of `node` that is under way."""
-        return self.current if self.current is not None and self.current.node == node else None
-
     def begin(self, request: ParamRequest, entries: Mapping[str, NodeEntry]) -> Restart | None:
         """Return the restart that a request begins; None if it is not for the supervisor, repeated or refused."""
         if request.node != SUPERVISOR or (self.current is not None and self.current.request == request.request):

@@ -14,10 +14,12 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TextIO
+
+import msgspec
 
 from msgs.bus.interface import Received
 from msgs.files.whole_files import no_link
@@ -33,7 +35,7 @@ from nodes.process.launch_file import (
     NodeEntry,
     RestartPolicy,
     dump_launch,
-    start_order,
+    processes,
     stop_order,
 )
 from nodes.process.liveness import LATE_S, Doing, Silence, sample
@@ -69,16 +71,19 @@ class Phase(StrEnum):
 
 
 class _Watched:
-    """A node of the graph: its entry, its process if it has one, its history."""
+    """A process of the graph, of one node or of several: its entry, its child if it has one, its history."""
 
-    def __init__(self, entry: NodeEntry) -> None:
+    def __init__(self, entry: NodeEntry, members: Collection[str] = ("",)) -> None:
         self.entry = entry
+        #: Nodes that it hosts, and which of them are ready.
+        self.members, self.ready = frozenset(members), set[str]()
         self.phase = Phase.WAITING
         self.child: Child | None = None
         self.was_ready = False
         #: WAITING nodes start no earlier.
         self.start_at_s = 0.0
-        self.started_s = self.heard_s = 0.0
+        self.started_s = 0.0
+        self._heard_s: dict[str, float] = {}
         #: Its silence since its heartbeat is late; None while it is not.
         self.silence: Silence | None = None
         #: When the log last reported its silence; whether it reported the present one.
@@ -95,6 +100,7 @@ class _Watched:
     def start(self, name: str, run_dir: Path, now_s: float) -> None:
         self.phase, self.started_s = Phase.STARTING, now_s
         self.reason = self.killed_for = ""
+        self.ready.clear()
         self.heard(now_s)
         self.child = Child(name, self.entry, run_dir)
 
@@ -102,8 +108,17 @@ class _Watched:
         if self.child is not None:
             self.child.kill()
 
-    def heard(self, now_s: float) -> None:
-        self.heard_s, self.silence, self.is_said = now_s, None, False
+    @property
+    def heard_s(self) -> float:
+        """When all its nodes had been heard of."""
+        return min(self._heard_s.values(), default=0.0)
+
+    def heard(self, now_s: float, member: str | None = None) -> None:
+        """Note that a node of it was heard of, or all were."""
+        before_s = self.heard_s
+        self._heard_s |= dict.fromkeys(self.members if member is None else (member,), now_s)
+        if self.heard_s > before_s or len(self.members) == 1:
+            self.silence, self.is_said = None, False
 
     def is_silent(self, now_s: float) -> bool:
         """Return whether it, once ready, has been silent for so long that this is to be reported."""
@@ -165,7 +180,11 @@ class Supervisor:
         if duration_s is not None and not duration_s > 0.0:
             raise ValueError(f"duration_s must be above zero, got {duration_s!r}")
         self._launch, self._run_dir, self._duration_s, self._on_log = launch, run_dir, duration_s, on_log
-        self._nodes = {name: _Watched(launch.nodes[name]) for name in start_order(launch)}
+        self._homes = {name: entry.process or name for name, entry in launch.nodes.items()}
+        self._nodes = {
+            process: _Watched(entry, [name for name, home in self._homes.items() if home == process])
+            for process, entry in processes(launch).items()
+        }
         self._runs_dir = runs_dir
         self._exit_code = EXIT_DONE
         self._stop_requests = 0
@@ -198,7 +217,7 @@ class Supervisor:
             self._restarts = RestartServer(self._bus)
             stack.callback(self._close_all)
             stack.enter_context(self._signals())
-            self._say("info", f"graph {self._launch.name}: {counted(len(self._nodes), 'node')}, log in {run_folder}")
+            self._say("info", f"graph {self._launch.name}: {counted(len(self._homes), 'node')}, log in {run_folder}")
             self._loop()
         return self._exit_code
 
@@ -223,13 +242,13 @@ class Supervisor:
                 self._begin_restart(status)
                 continue
             assert isinstance(status, NodeStatus)
-            node = self._nodes.get(status.node)
+            node = self._nodes.get(self._homes.get(status.node, ""))
             # a heartbeat in transit when its process died does not concern the next process
             if node is None or node.child is None or node.child.pid != status.pid:
                 continue
             if node.is_said:
                 self._say("info", f"{status.node} answers again after {now_s - node.heard_s:.1f} s")
-            node.heard(now_s)
+            node.heard(now_s, status.node)
             node.reason = status.reason or node.reason
 
     def _read_output(self) -> None:
@@ -239,11 +258,14 @@ class Supervisor:
 
     def _pass_on(self, name: str, lines: list[str]) -> None:
         for line in lines:
-            entry = parse_line(name, line)
+            node = self._nodes[name]
+            entry = parse_line(name, line, node.members)
             if entry.get("level") in ("error", "critical"):
-                self._nodes[name].reason = entry["text"]
+                node.reason = entry["text"]
             if entry.get("state") == NodeState.READY:
-                self._mark_ready(name, self._nodes[name], time.monotonic())
+                node.ready.add(entry["node"])
+                if node.ready == node.members:
+                    self._mark_ready(name, node, time.monotonic())
             else:
                 self._write(entry)
 
@@ -252,31 +274,39 @@ class Supervisor:
         node.phase, node.was_ready = Phase.READY, True
         node.heard(now_s)
         self._say("info", f"{name} ready after {now_s - node.started_s:.2f} s, pid {node.child.pid}")
-        restart = self._restarts.of(name)
+        restart = self._restart_of(name)
         if restart is not None and restart.has_ended:
             self._restarts.end()
 
     # restarts on request
 
     def _begin_restart(self, request: ParamRequest) -> None:
-        restart = self._restarts.begin(request, {name: node.entry for name, node in self._nodes.items()})
+        restart = self._restarts.begin(request, self._launch.nodes)
         if restart is None:
             return
         if self._stopping is not None:
             self._restarts.end("the graph is stopping")
             return
         self._say("info", f"{restart.node} is restarted: asked to")
-        if self._nodes[restart.node].child is None:
+        if self._nodes[self._homes[restart.node]].child is None:
             self._start_anew(restart)
+
+    def _restart_of(self, process: str) -> Restart | None:
+        """Return the restart that is under way if it is of a node of this process."""
+        restart = self._restarts.current
+        return restart if restart is not None and self._homes[restart.node] == process else None
 
     def _start_anew(self, restart: Restart) -> None:
         restart.has_ended = True
-        node = self._nodes[restart.node]
-        node.entry, node.phase, node.start_at_s = restart.entry, Phase.WAITING, 0.0
+        process = self._homes[restart.node]
+        nodes = {**self._launch.nodes, restart.node: restart.entry}
+        self._launch = msgspec.structs.replace(self._launch, nodes=nodes)
+        node = self._nodes[process]
+        node.entry, node.phase, node.start_at_s = processes(self._launch)[process], Phase.WAITING, 0.0
 
     def _is_of_restart(self, name: str, node: _Watched, code: int) -> bool:
         """Take care of the end of a process that a restart on request brought about; return whether it did."""
-        restart = self._restarts.of(name)
+        restart = self._restart_of(name)
         if restart is None:
             return False
         if restart.has_ended:
@@ -372,7 +402,7 @@ class Supervisor:
             self._stop_next(now_s)
             return
         if restart is not None and not restart.has_ended:
-            self._stop(self._nodes[restart.node], now_s, PATIENCE_S, by_hand=True)
+            self._stop(self._nodes[self._homes[restart.node]], now_s, PATIENCE_S, by_hand=True)
         for name, node in self._nodes.items():
             if node.phase is Phase.WAITING and node.start_at_s <= now_s and self._may_start(node):
                 self._start(name, node, now_s)
@@ -492,7 +522,7 @@ class Supervisor:
                 "pid": pid,
                 "started": _started(pid),
                 "run": str(run_folder.resolve()),
-                "nodes": list(self._nodes),
+                "nodes": list(self._homes),
             }
             self._tell_owner()
             yield run_folder

@@ -1,4 +1,4 @@
-"""The real graph, one process a node, on a capture: the same bytes as `mirrorwave process`."""
+"""The real graph on a capture, one process a node or one for all: the same bytes as `mirrorwave process`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.mark.graph
-def test_many_processes_give_the_bytes_of_one(tmp_path: Path, run_dir: Path) -> None:
+@pytest.mark.parametrize("group", [[], ["--group", "chain=player,ra_former,dense_predictor,geometry"]])
+def test_a_graph_gives_the_bytes_of_one_thread(group: list[str], tmp_path: Path, run_dir: Path) -> None:
     capture, recording = tmp_path / "capture.mcap", tmp_path / "seen.mcap"
     scene = "launch/scenes/two_hidden_vehicles.yaml"
     short = ["--scans", str(SCANS), "--chirps-per-beam", "8", "--effects", "basic"]
@@ -53,7 +54,7 @@ def test_many_processes_give_the_bytes_of_one(tmp_path: Path, run_dir: Path) -> 
     for rate in RATES:
         launch = tmp_path / "spine.yaml"
         launch.write_text(LAUNCH.format(capture=capture, recording=recording, rate=rate))
-        assert main(["launch", str(launch), "--runs-dir", str(tmp_path / "runs"), "--domain", "spine"]) == 0
+        assert main(["launch", str(launch), "--runs-dir", str(tmp_path / "runs"), "--domain", "spine", *group]) == 0
         with RecordingReader(recording) as reader:
             frames = [item.message for item in reader.messages(topics=["perception/hidden_objects"])]
             assert reader.loss is None

@@ -62,12 +62,16 @@ def launch(
     snapshot_bytes: SnapshotBytes = None,
     min_free: MinFree = None,
     headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
+    group: Annotated[
+        list[str] | None,
+        typer.Option("--group", metavar="PROCESS=NODE,NODE", help="Host these nodes in one process, a thread each."),
+    ] = None,
     runs_dir: Annotated[Path, typer.Option(help="Where each run gets a folder for its log.")] = Path("runs"),
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
     """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages."""
     from mirrorwave.profiles import over_default, with_profile
-    from nodes.process.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params
+    from nodes.process.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params, with_process
 
     graph = read_launch_file(file)
     if profile is not None and latency_budget_ms is not None:
@@ -78,6 +82,8 @@ def launch(
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
     graph = with_overrides(graph, param or ())
+    for nodes in group or ():
+        graph = with_process(graph, nodes)
     options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
     if record is None and (raw or options):
         raise ValueError("--raw and the options of recording need --record OUT")

@@ -94,16 +94,22 @@ def topic_rows(beats: list[NodeStatus]) -> list[dict[str, Any]]:
     return rows
 
 
-def node_process(pid: int) -> dict[str, Any]:
+def node_process(node: str, pid: int) -> dict[str, Any]:
     """Command line of a node's process on this machine and the parameters it was started with; None where unknown."""
     import psutil
+
+    from nodes.process.launch_file import GROUP_MODULE
 
     try:
         words = psutil.Process(pid).cmdline()
     except psutil.Error:
         return _NO_PROCESS
-    at = words.index("--params") if "nodes.node" in words and "--params" in words else -1
-    return {"command": shlex.join(words) or None, "params": json.loads(words[at + 1]) if at >= 0 else None}
+    params = None
+    if GROUP_MODULE in words:
+        params = json.loads(words[words.index(GROUP_MODULE) + 1])[node]["params"]
+    elif "nodes.node" in words and "--params" in words:
+        params = json.loads(words[words.index("--params") + 1])
+    return {"command": shlex.join(words) or None, "params": params}
 
 
 def shed_text(shed: list[dict[str, Any]]) -> str:
@@ -141,7 +147,7 @@ def info(
     beats = heard[name]
     status = next((beat for beat in reversed(beats) if beat.stages), beats[-1])
     # a peer's process is none of this machine, though one here may have its number
-    row = {**node_row(beats), **(_NO_PROCESS if is_of_peer(name) else node_process(beats[-1].pid))}
+    row = {**node_row(beats), **(_NO_PROCESS if is_of_peer(name) else node_process(name, beats[-1].pid))}
     topics = topic_rows(beats)
     if as_json:
         rows = {key: [each for each in topics if each["way"] == direction] for key, direction in _DIRECTIONS.items()}

@@ -14,6 +14,7 @@ from nodes.process.launch_file import (
     dump_launch,
     launch_from_mapping,
     parse_yaml,
+    processes,
     read_launch_file,
     read_yaml_mapping,
     start_order,
@@ -21,6 +22,7 @@ from nodes.process.launch_file import (
     with_origin,
     with_overrides,
     with_params,
+    with_process,
     with_recorder,
     without_viewers,
 )
@@ -118,6 +120,50 @@ def test_order_of_start_and_stop() -> None:
     assert stop_order(launch) == ("player", "former", "geometry")
     recorded = with_recorder(launch, Path("out.mcap"))
     assert start_order(recorded)[0] == stop_order(recorded)[-1] == "recorder"
+
+
+def test_nodes_that_name_a_process_share_it() -> None:
+    launch = with_process(
+        _launch(player={"after": ["former", "geometry"]}, former={}, geometry={}), "back=former,geometry"
+    )
+    graph = processes(launch)
+    assert list(graph) == ["back", "player"]
+    assert graph["back"].module == "nodes.process.group"
+    assert list(graph["back"].params) == ["former", "geometry"]
+    assert graph["player"].after == ("back",)
+    assert graph["player"] is not launch.nodes["player"]
+    assert stop_order(launch) == ("player", "back")
+
+
+@pytest.mark.parametrize(
+    ("nodes", "rule"),
+    [
+        ({"a": {"process": "X"}}, "nodes.a.process must be of a-z, 0-9 and _"),
+        ({"a": {"process": "supervisor"}}, "and not supervisor"),
+        ({"a": {"process": "b"}, "b": {}}, "node 'b' has a process of this name and is not in it"),
+        ({"a": {"process": "p", "module": "nodes.recorder"}}, "a recorder has a process of its own"),
+        ({"a": {"process": "p"}, "b": {"process": "p", "env": {"X": "1"}}}, "restart and env must be those of b"),
+        ({"a": {"process": "p"}, "b": {"process": "p", "restart": {"policy": "never"}}}, "restart and env must be"),
+        ({"a": {"process": "p", "after": ["b"]}, "b": {"after": ["c"]}, "c": {"process": "p"}}, "cycle among p, b"),
+    ],
+)
+def test_processes_that_cannot_be_are_refused(nodes: dict[str, dict], rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        _launch(**nodes)
+
+
+@pytest.mark.parametrize(
+    ("group", "rule"),
+    [
+        ("p", "expected process=node,node"),
+        ("=a", "expected process"),
+        ("p=x", "unknown node 'x'"),
+        ("p=", "unknown node ''"),
+    ],
+)
+def test_wrong_groups_are_refused(group: str, rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        with_process(_launch(a={}), group)
 
 
 def test_a_cycle_over_two_nodes_is_refused() -> None:
