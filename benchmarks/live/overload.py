@@ -2,13 +2,16 @@
 
 Runs `launch/corner.yaml` at the real rate in three phases. In the second the nodes (not the player: it stands for the
 radar, which has its own electronics) may run on the upper half of the cores only (`sched_setaffinity`), and `--busy`
-processes a core of that half compete there at equal priority; `--busy 0` takes the cores alone. Then all is given back.
+processes a core of that half compete there at equal priority; `--busy 0` takes the cores alone. `--quota CORES` limits
+the nodes' processor time instead, as on a small board: so many cores in all, in periods of 100 ms (needs root and the
+kernel's control groups). Then all is given back.
 Each scan falls into the phase in which its last beam ended; it brings a view in time, a late one or none, and for each
 that brings none the nodes' counters must have a reason. Recovered is the graph from the first of ten successive scans
 on whose views come in time. `source_late_ms` is what the player itself was late: where it is not near 0 the machine has
 too few cores for this experiment, and latencies hold that lateness too. The scene's seed is that of the launch file
 (0); what competes draws no numbers.
-Usage: python -m benchmarks.live.overload [--phase S] [--busy N] [-p node.key=value] [--json]
+Usage: python -m benchmarks.live.overload [--phase S] [--busy N | --quota CORES] [--profile NAME] [-p node.key=value]
+       [--group PROCESS=NODE,NODE] [--json]
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +45,7 @@ PHASES = ("before", "during", "after")
 #: The player stands for the radar: its share of the machine is not what the graph may lose.
 SPARED = ("player", "supervisor")
 START_S, STOP_S = 120.0, 30.0
+_CGROUPS, _PERIOD_US = Path("/sys/fs/cgroup"), 100_000
 #: So many successive scans in time are a graph that has recovered.
 STEADY_SCANS = 10
 
@@ -106,16 +111,42 @@ class Squeeze:
                 os.sched_setaffinity(thread.id, cores)
 
 
+class Quota:
+    """A limit in cores on the processor time that all nodes have together, until `release`."""
+
+    def __init__(self, pids: list[int], cores: float) -> None:
+        is_unified = (_CGROUPS / "cgroup.controllers").exists()
+        self._parent = _CGROUPS if is_unified else _CGROUPS / "cpu"
+        self._group = self._parent / f"mirrorwave-{os.getpid()}"
+        self._group.mkdir()
+        quota_us = round(cores * _PERIOD_US)
+        if is_unified:
+            (self._group / "cpu.max").write_text(f"{quota_us} {_PERIOD_US}")
+        else:
+            (self._group / "cpu.cfs_period_us").write_text(str(_PERIOD_US))
+            (self._group / "cpu.cfs_quota_us").write_text(str(quota_us))
+        self._pids = pids
+        self._move(self._group)
+
+    def release(self) -> None:
+        self._move(self._parent)
+        self._group.rmdir()
+
+    def _move(self, group: Path) -> None:
+        for pid in self._pids:
+            (group / "cgroup.procs").write_text(str(pid))
+
+
 def _burn(core: int) -> None:
     os.sched_setaffinity(0, {core})
     while True:
         sum(range(10_000))
 
 
-def run(phase_s: float, busy: int, overrides: list[str]) -> dict:
+def run(phase_s: float, busy: int, quota: float | None, options: list[str]) -> dict:
     domain = f"overload{os.getpid()}"
     command = [sys.executable, "-m", "mirrorwave", "launch", str(LAUNCH), "--headless", "--domain", domain]
-    command += [part for item in overrides for part in ("-p", item)]
+    command += options
     watch = Watch(domain)
     graph = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True)
     edges_ns, counters = [], []
@@ -126,8 +157,8 @@ def run(phase_s: float, busy: int, overrides: list[str]) -> dict:
             edges_ns.append(time.monotonic_ns())
             counters.append(counters_of(watch))
             if phase == "during":
-                pids = [items[-1].pid for name, items in watch.status.items() if name not in SPARED]
-                squeeze = Squeeze(pids, busy)
+                pids = sorted({items[-1].pid for name, items in watch.status.items() if name not in SPARED})
+                squeeze = Squeeze(pids, busy) if quota is None else Quota(pids, quota)
             elif phase == "after":
                 squeeze.release()
             watch.listen(phase_s)
@@ -136,7 +167,11 @@ def run(phase_s: float, busy: int, overrides: list[str]) -> dict:
         os.killpg(graph.pid, signal.SIGINT)
         graph.wait(STOP_S)
         watch.bus.close()
-    return report(watch, [*edges_ns, time.monotonic_ns()], counters, phase_s, busy)
+    return report(watch, [*edges_ns, time.monotonic_ns()], counters, phase_s) | {
+        "busy_processes_a_core": busy if quota is None else None,
+        "quota_cores": quota,
+        "options": options,
+    }
 
 
 def counters_of(watch: Watch) -> dict[str, int]:
@@ -152,11 +187,10 @@ def counters_of(watch: Watch) -> dict[str, int]:
     return counts | {"observer: perception/hidden_objects outdated": overtaken["perception/hidden_objects"]}
 
 
-def report(watch: Watch, edges_ns: list[int], counters: list[dict[str, int]], phase_s: float, busy: int) -> dict:
+def report(watch: Watch, edges_ns: list[int], counters: list[dict[str, int]], phase_s: float) -> dict:
     return {
         "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
         "phase_s": phase_s,
-        "busy_processes_a_core": busy,
         "phases": {
             phase: {
                 **scans_of(watch.views, edges_ns[index], edges_ns[index + 1]),
@@ -223,10 +257,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--phase", type=float, default=60.0)
     parser.add_argument("--busy", type=int, default=1)
+    parser.add_argument("--quota", type=float, metavar="CORES")
+    parser.add_argument("--profile")
     parser.add_argument("-p", dest="overrides", action="append", default=[])
+    parser.add_argument("--group", dest="groups", action="append", default=[])
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    result = run(arguments.phase, arguments.busy, arguments.overrides)
+    options = ["--profile", arguments.profile] if arguments.profile else []
+    options += [part for item in arguments.overrides for part in ("-p", item)]
+    options += [part for item in arguments.groups for part in ("--group", item)]
+    result = run(arguments.phase, arguments.busy, arguments.quota, options)
     print(json.dumps(result, indent=None if arguments.json else 2))
 
 
