@@ -84,8 +84,8 @@ def convert(source: Path, out: Path, target: Format, bar: Bar) -> Conversion:
 
 
 def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> Conversion:
-    from mirrorwave.convert.shapes import Account
     from msgs.files.whole_files import named_errors, require_room
+    from nodes.bridges.shapes import Account
 
     summary = reader.info()
     held = {topic.topic: topic.messages for topic in summary.topics}

@@ -16,7 +16,12 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
-from mirrorwave.convert.shapes import (
+from msgs.recording.mcap import Recorded, RecordingReader
+from msgs.values.diagnostics import LogRecord
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObject
+from msgs.values.vehicle import VehicleState
+from nodes.bridges.shapes import (
     DIRECT_COLOUR,
     OBJECT_COLOUR,
     OBJECT_HEIGHT_M,
@@ -34,11 +39,6 @@ from mirrorwave.convert.shapes import (
     stamp_parts,
     wall_line_m,
 )
-from msgs.recording.mcap import Recorded, RecordingReader
-from msgs.values.diagnostics import LogRecord
-from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObject
-from msgs.values.vehicle import VehicleState
 
 TOPICS = ("perception/hidden_objects", "sim/truth", "vehicle/state", "log")
 RADAR, VEHICLE, ODOM = "radar", "vehicle", "odom"

@@ -18,9 +18,9 @@ from typing import Any, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from mirrorwave.convert.shapes import Account, counted
 from msgs.bus.topics import TOPICS as FACTS
 from msgs.recording.mcap import Recorded, RecordingReader
+from nodes.bridges.shapes import Account, counted
 
 TOPICS = tuple(FACTS)
 INDEX_NAME = "index.json"

@@ -8,7 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mirrorwave.convert.shapes import (
+from msgs.recording.mcap import Recorded, RecordingReader
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, HiddenObject, Visibility, Wall
+from msgs.values.vehicle import VehicleState
+from nodes.bridges.shapes import (
     OBJECT_COLOUR,
     OBJECT_HEIGHT_M,
     WALL_COLOUR,
@@ -21,10 +25,6 @@ from mirrorwave.convert.shapes import (
     stamp_parts,
     wall_line_m,
 )
-from msgs.recording.mcap import Recorded, RecordingReader
-from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, HiddenObject, Visibility, Wall
-from msgs.values.vehicle import VehicleState
 
 TOPICS = ("perception/hidden_objects", "vehicle/state")
 RADAR, VEHICLE, ODOM = "radar", "base_link", "odom"

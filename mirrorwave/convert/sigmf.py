@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from mirrorwave.convert.shapes import Account, counted
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture, write_capture
 from msgs.values.radar import RadarBeam, RadarSetup
+from nodes.bridges.shapes import Account, counted
 
 TOPICS = ("radar/setup", "radar/beam")
 

@@ -21,7 +21,6 @@ from mcap.writer import Writer
 from mirrorwave.cli import main
 from mirrorwave.console import progress_bar
 from mirrorwave.convert.formats import Format, convert, format_of
-from mirrorwave.convert.shapes import Odometry, wall_line_m
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.recording.sigmf import SigmfCapture
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
@@ -38,6 +37,7 @@ from msgs.values.perception import (
 )
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
+from nodes.bridges.shapes import Odometry, wall_line_m
 
 GRID = BevGrid(x_min_m=0.0, y_min_m=-2.0, cell_m=1.0, rows=4, columns=6)
 SETUP = RadarSetup(
