@@ -433,8 +433,9 @@ def _can_log(parts: Parts, box: Box) -> None:
 
 
 def _viewer_client(parts: Parts, box: Box) -> None:
+    from nodes.viewer.loopback_server import ProtocolError
     from nodes.viewer.newest import Board
-    from nodes.viewer.server import Acknowledge, Plot, _Client, _ProtocolError
+    from nodes.viewer.server import Acknowledge, Plot, _Client
 
     commands: list[Any] = []
     client = _Client(None, Board(), commands.append)  # type: ignore[arg-type]
@@ -442,7 +443,7 @@ def _viewer_client(parts: Parts, box: Box) -> None:
         try:
             message = client._understood(text(parts, at))
             client._take(message)
-        except _ProtocolError as error:
+        except ProtocolError as error:
             raise ValueError(error) from None
         assert isinstance(message, Acknowledge | Plot) or commands
 

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -132,9 +133,9 @@ def report(
     }
 
 
-def quantiles(latency_ms: list[float]) -> dict[str, float]:
+def quantiles(latency_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
     """Median, 90 and 99 percent and longest, to a tenth of a millisecond; not a number of none."""
-    if not latency_ms:
+    if len(latency_ms) == 0:
         return dict.fromkeys(QUANTILES, float("nan"))
     return dict(zip(QUANTILES, np.percentile(latency_ms, [50, 90, 99, 100]).round(1).tolist(), strict=True))
 

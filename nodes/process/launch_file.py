@@ -27,6 +27,8 @@ RECORDER_MODULE = "nodes.recorder"
 VIEWER_MODULE = "nodes.bev_viewer"
 #: Hosts a group of nodes; its parameters are their modules and parameters by name.
 GROUP_MODULE = "nodes.process.group"
+#: Nodes that keep the token of their address while they are restarted.
+_TOKEN_MODULES = (VIEWER_MODULE, "nodes.bridges.foxglove")
 
 
 def _require_duration(name: str, value: float) -> None:
@@ -295,7 +297,7 @@ def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
         params = {"run_dir": str(run_dir), **entry.params}
         params["metadata"] = {**metadata, **own} if isinstance(own, Mapping) else own
         nodes[name] = msgspec.structs.replace(entry, params=params)
-    for name, entry in _of_module(launch, VIEWER_MODULE).items():
+    for name, entry in _of_module(launch, *_TOKEN_MODULES).items():
         # the metadata of an earlier run would be of another graph
         params = {**entry.params, "token_file": str(run_dir / f"{name}.token")}
         nodes[name] = msgspec.structs.replace(entry, params=params)
@@ -305,8 +307,8 @@ def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
 def without_metadata(launch: LaunchFile) -> LaunchFile:
     """Return `launch` without the parameters set by `with_origin`."""
     nodes = dict(launch.nodes)
-    for module, names in ((RECORDER_MODULE, ("metadata", "run_dir")), (VIEWER_MODULE, ("token_file",))):
-        for name, entry in _of_module(launch, module).items():
+    for modules, names in (((RECORDER_MODULE,), ("metadata", "run_dir")), (_TOKEN_MODULES, ("token_file",))):
+        for name, entry in _of_module(launch, *modules).items():
             kept = {key: value for key, value in entry.params.items() if key not in names}
             nodes[name] = msgspec.structs.replace(entry, params=kept)
     return msgspec.structs.replace(launch, nodes=nodes)
@@ -317,8 +319,8 @@ def recorders(launch: LaunchFile) -> dict[str, NodeEntry]:
     return _of_module(launch, RECORDER_MODULE)
 
 
-def _of_module(launch: LaunchFile, module: str) -> dict[str, NodeEntry]:
-    return {name: entry for name, entry in launch.nodes.items() if entry.module == module}
+def _of_module(launch: LaunchFile, *modules: str) -> dict[str, NodeEntry]:
+    return {name: entry for name, entry in launch.nodes.items() if entry.module in modules}
 
 
 def without_viewers(launch: LaunchFile) -> LaunchFile:

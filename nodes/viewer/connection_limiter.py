@@ -11,6 +11,7 @@ import logging
 import time
 from typing import NamedTuple
 
+from uvicorn._types import ASGISendEvent
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
@@ -111,6 +112,12 @@ class PageSocket(WebSocketsSansIOProtocol):
             self.transport.abort()
         else:
             super().data_received(data)
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Send an event of the application; a refusal with a reason ends the handshake too, which uvicorn misses."""
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body":
+            self.handshake_complete = True
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Remove the connection from the limiter."""

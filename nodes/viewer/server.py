@@ -11,37 +11,25 @@ duration of pending connections are limited in `connection_limiter.py`.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import errno
 import hashlib
 import hmac
-import logging
 import re
-import secrets
-import socket
-import threading
 import time
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
-import uvicorn
-from starlette.applications import Starlette
 from starlette.requests import HTTPConnection
 from starlette.responses import FileResponse, PlainTextResponse, Response
-from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp, Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.websockets import WebSocket
 
-from nodes.viewer.connection_limiter import BACKLOG, ConnectionLimiter, PageSocket, PendingConnection
+from nodes.viewer.loopback_server import HOST, LoopbackServer, ProtocolError, converse, upgrade_required
 from nodes.viewer.newest import SERIES, Board, Posted, WireMessage, json_text
 from nodes.viewer.page_token import TokenFile
 from nodes.viewer.view_model import COLOURS
 
-_LOG = logging.getLogger(__name__)
-
-HOST = "127.0.0.1"
 _STATIC = Path(__file__).parent / "static"
 _PAGE_FILES = {
     "": "index.html",
@@ -52,8 +40,6 @@ _PAGE_FILES = {
     "uplot.css": "uplot/uPlot.min.css",
 }
 _PROOF_PATH = re.compile(r"/proof/[0-9a-f]{32}")
-#: Names under which a browser on this machine, or at the end of an SSH tunnel, may reach a loopback address.
-_LOOPBACK_NAMES = ("127.0.0.1", "localhost")
 _HEADERS = [
     (
         "Content-Security-Policy",
@@ -75,8 +61,6 @@ MAX_CLIENT_MESSAGES_PER_S = 200
 MAX_PLOTS = 6
 #: A client that has not acknowledged an update by then counts as gone.
 ACKNOWLEDGE_S = 20.0
-STOP_S = 5.0
-_GONE, _POLICY_VIOLATION, _INTERNAL_ERROR, _TRY_AGAIN_LATER = 1001, 1008, 1011, 1013
 
 
 class Acknowledge(msgspec.Struct, frozen=True, tag="ack", tag_field="type", forbid_unknown_fields=True):
@@ -114,13 +98,12 @@ Command = Play | Seek | Step
 _FROM_CLIENT = msgspec.json.Decoder(Acknowledge | Plot | Play | Seek | Step)
 
 
-class ViewerServer:
-    """Serves a board to browsers; a context manager. `commands` receives a page's commands for a recording.
+class ViewerServer(LoopbackServer):
+    """Serves a board to browsers. `commands` receives a page's commands for a recording."""
 
-    `port` 0 takes a free one; so does a port in use, with a warning. If `token_file` has the token of an earlier
-    process and its port is available, both are reused, and open pages reconnect. Raises `OSError` if
-    the host has no port.
-    """
+    name = "viewer"
+    max_message_bytes = MAX_CLIENT_MESSAGE_BYTES
+    headers = _HEADERS
 
     def __init__(
         self,
@@ -132,24 +115,12 @@ class ViewerServer:
         commands: Callable[[Command], None] | None = None,
         token_file: TokenFile | None = None,
     ) -> None:
-        self._board, self._commands, self._max_clients = board, commands, max_clients
+        self._board, self._commands = board, commands
         self._hello = json_text(
             {"type": "hello", "protocol": 1, "title": title, "recording": commands is not None, "colours": COLOURS}
         )
-        kept = token_file.load() if token_file else None
-        self._limiter = ConnectionLimiter()
-        self._clients: set[_Client] = set()
-        self._socket = _listen(kept.port if kept else port)
-        self.port: int = self._socket.getsockname()[1]
-        #: Whether pages of an earlier process find this one at their address.
-        self.is_back = kept is not None and kept.port == self.port
-        self._token = kept.token if kept and self.is_back else secrets.token_urlsafe(24)
-        if token_file:
-            token_file.save(self.port, self._token)
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._server = uvicorn.Server(self._config())
-        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
-        self._thread.start()
+        super().__init__(port=port, max_clients=max_clients, token_file=token_file)
+        self.start()
         board.on_post = self._wake
 
     @property
@@ -157,69 +128,32 @@ class ViewerServer:
         """Address of the page, token included."""
         return f"http://{HOST}:{self.port}/{self._token}/"
 
-    @property
-    def alive(self) -> bool:
-        """Return whether pages are still served."""
-        return self._thread.is_alive()
-
-    @property
-    def clients(self) -> int:
-        """Number of pages open at the moment."""
-        return len(self._clients)
-
-    def close(self) -> None:
-        """Close all clients with a reason and end the thread."""
-        self._server.should_exit = True
-        self._thread.join(STOP_S)
-        self._socket.close()
-
-    def __enter__(self) -> ViewerServer:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def _config(self) -> uvicorn.Config:
-        routes = [
+    def routes(self) -> list[BaseRoute]:
+        """Return the page's files, its websocket and the proof of the token."""
+        return [
             Route("/proof/{nonce}", self._prove),
-            Route("/{token}/ws", _upgrade_required),
+            Route("/{token}/ws", upgrade_required),
             WebSocketRoute("/{token}/ws", self._serve),
             Route("/{token}/{file:path}", _page),
         ]
-        return uvicorn.Config(
-            _Gate(Starlette(routes=routes), self._token),
-            loop="asyncio",
-            http=self._limiter.http,
-            ws=PageSocket,
-            lifespan="off",
-            log_config=None,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            headers=_HEADERS,
-            ws_max_size=MAX_CLIENT_MESSAGE_BYTES,
-            # noise does not compress, and a compressor per client would cost more than loopback
-            ws_per_message_deflate=False,
-            backlog=BACKLOG,
-            timeout_graceful_shutdown=1,
-        )
 
-    def _run(self) -> None:
-        async def serve() -> None:
-            self._loop = asyncio.get_running_loop()
-            await self._server.serve(sockets=[self._socket])
+    def refuse_origin(self, connection: HTTPConnection) -> str:
+        """Refuse what another page asks for: the page's own websocket and files are for itself alone."""
+        host, origins = connection.headers.get("host", ""), connection.headers.getlist("origin")
+        # a browser sends it with every websocket
+        claimed_origins = origins or [""] * (connection.scope["type"] == "websocket")
+        if any(origin != f"http://{host}" for origin in claimed_origins):
+            return "this comes from another page"
+        return "" if _is_of_this_page(connection.headers) else "this was asked for by another page"
 
-        try:
-            asyncio.run(serve())
-        finally:
-            self._loop = None
+    def is_public(self, connection: HTTPConnection) -> bool:
+        """Return whether the proof of the token is asked for."""
+        return connection.scope["type"] == "http" and bool(_PROOF_PATH.fullmatch(connection.scope["path"]))
 
     def _wake(self) -> None:
         """Notify the clients of a post; called from the posting thread, never waits."""
-        loop = self._loop
-        if self._clients and loop is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has just ended
-                loop.call_soon_threadsafe(self._wake_clients)
+        if self._clients:
+            self.call_soon(self._wake_clients)
 
     def _wake_clients(self) -> None:
         for client in self._clients:
@@ -231,30 +165,17 @@ class ViewerServer:
         return PlainTextResponse(hmac.new(self._token.encode(), nonce.encode(), hashlib.sha256).hexdigest())
 
     async def _serve(self, websocket: WebSocket) -> None:
-        """Serve one client, from its connection to its end."""
-        await websocket.accept()
-        if len(self._clients) >= self._max_clients:
-            await websocket.close(_TRY_AGAIN_LATER, f"at most {self._max_clients} pages may look at once")
-            return
-        client = _Client(websocket, self._board, self._commands)
-        self._clients.add(client)
-        pending: PendingConnection = websocket.scope["state"]["pending"]
-        pending.admit()
-        try:
-            errors = await client.run(self._hello)
-        finally:
-            self._clients.discard(client)
-            # before the last message: a client that reads nothing does not read that either
-            pending.linger()
-        for error in errors:
-            await client.say_goodbye(error)
+        """Serve one page, from its connection to its end."""
+        await self.serve(websocket, _Client(websocket, self._board, self._commands, self._hello))
 
 
 class _Client:
     """One websocket: sends an update, waits until it is acknowledged, sends the newest."""
 
-    def __init__(self, websocket: WebSocket, board: Board, commands: Callable[[Command], None] | None) -> None:
-        self._websocket, self._board, self._commands = websocket, board, commands
+    def __init__(
+        self, websocket: WebSocket, board: Board, commands: Callable[[Command], None] | None, hello: str = ""
+    ) -> None:
+        self._websocket, self._board, self._commands, self._hello = websocket, board, commands, hello
         self.news = asyncio.Event()
         self._acknowledged = asyncio.Event()
         self._acknowledged.set()
@@ -263,28 +184,12 @@ class _Client:
         self._plotted: tuple[int, ...] = ()
         self._second, self._heard = 0, 0
 
-    async def run(self, hello: str) -> list[Exception]:
+    async def run(self) -> list[Exception]:
         """Serve until either side ends it; return the reasons, unless the client left."""
-        tasks = [asyncio.create_task(self._send(hello)), asyncio.create_task(self._listen())]
-        try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in tasks:
-                task.cancel()
-            ends = await asyncio.gather(*tasks, return_exceptions=True)
-        return [end for end in ends if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect)]
+        return await converse(self._send(), self._listen())
 
-    async def say_goodbye(self, error: Exception) -> None:
-        """Close the websocket for a reason; faults of the server itself are logged."""
-        code = _POLICY_VIOLATION if isinstance(error, _ProtocolError) else _GONE
-        if not isinstance(error, _ProtocolError | TimeoutError):
-            code = _INTERNAL_ERROR
-            _LOG.error("a page was let go: %s: %s", type(error).__name__, error)
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await self._websocket.close(code, str(error)[:120])
-
-    async def _send(self, hello: str) -> None:
-        await self._websocket.send_text(hello)
+    async def _send(self) -> None:
+        await self._websocket.send_text(self._hello)
         while True:
             self.news.clear()
             newer = self._board.newer(self._seen)
@@ -338,11 +243,11 @@ class _Client:
         second = int(time.monotonic())
         self._second, self._heard = second, (self._heard + 1 if second == self._second else 1)
         if self._heard > MAX_CLIENT_MESSAGES_PER_S:
-            raise _ProtocolError(f"more than {MAX_CLIENT_MESSAGES_PER_S} messages a second")
+            raise ProtocolError(f"more than {MAX_CLIENT_MESSAGES_PER_S} messages a second")
         try:
             return _FROM_CLIENT.decode(text or "")
         except (msgspec.MsgspecError, UnicodeError, RecursionError):
-            raise _ProtocolError("not a message of this protocol") from None
+            raise ProtocolError("not a message of this protocol") from None
 
     def _take(self, message: Acknowledge | Plot | Command) -> None:
         if isinstance(message, Plot):
@@ -352,55 +257,12 @@ class _Client:
             self.news.set()
         elif not isinstance(message, Acknowledge):
             if self._commands is None:
-                raise _ProtocolError("a live graph takes no commands")
+                raise ProtocolError("a live graph takes no commands")
             self._commands(message)
         elif message.number != self._number or self._acknowledged.is_set():
-            raise _ProtocolError("acknowledges what was not sent")
+            raise ProtocolError("acknowledges what was not sent")
         else:
             self._acknowledged.set()
-
-
-class _ProtocolError(Exception):
-    """A client broke the protocol."""
-
-
-class _Gate:
-    """Refuses clients without the token or from elsewhere, before any route is matched."""
-
-    def __init__(self, app: ASGIApp, token: str) -> None:
-        self._app, self._token = app, token.encode()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        reason = self._refusal(HTTPConnection(scope))
-        if scope["type"] == "websocket":
-            await (
-                WebSocket(scope, receive, send).close(_POLICY_VIOLATION, reason)
-                if reason
-                else self._app(scope, receive, send)
-            )
-        else:
-            app = PlainTextResponse(f"{reason}\n", status_code=403) if reason else self._app
-            await app(scope, receive, _closing(send))
-
-    def _refusal(self, connection: HTTPConnection) -> str:
-        """Return why this connection is refused; empty if it is not."""
-        host, origins = connection.headers.get("host", ""), connection.headers.getlist("origin")
-        name, _, port = host.partition(":")
-        if name not in _LOOPBACK_NAMES or not (port or "0").isdecimal():
-            return "this page is for the machine it runs on"
-        # a browser sends it with every websocket
-        claimed_origins = origins or [""] * (connection.scope["type"] == "websocket")
-        if any(origin != f"http://{host}" for origin in claimed_origins):
-            return "this comes from another page"
-        if not _is_of_this_page(connection.headers):
-            return "this was asked for by another page"
-        if connection.scope["type"] == "http" and _PROOF_PATH.fullmatch(connection.scope["path"]):
-            return ""
-        # a path need not begin with a slash
-        given = connection.scope["path"].partition("/")[2].partition("/")[0]
-        if not hmac.compare_digest(given.encode(errors="replace"), self._token):
-            return "open the address that the viewer printed: it ends with a token"
-        return ""
 
 
 def _is_of_this_page(headers: Mapping[str, str]) -> bool:
@@ -409,37 +271,6 @@ def _is_of_this_page(headers: Mapping[str, str]) -> bool:
     return is_opened or headers.get("sec-fetch-site", "none") in ("none", "same-origin")
 
 
-def _closing(send: Send) -> Send:
-    """Return a `send` that closes the connection after one answer: none is kept for later."""
-
-    async def closing(message: MutableMapping[str, Any]) -> None:
-        if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message["headers"], (b"connection", b"close")]}
-        await send(message)
-
-    return closing
-
-
 async def _page(request: HTTPConnection) -> Response:
     name = _PAGE_FILES.get(request.path_params["file"])
     return PlainTextResponse("no such page\n", status_code=404) if name is None else FileResponse(_STATIC / name)
-
-
-async def _upgrade_required(request: HTTPConnection) -> Response:
-    return PlainTextResponse("a websocket is served here\n", status_code=426)
-
-
-def _listen(port: int) -> socket.socket:
-    """Return a listening socket on the loopback address, at `port` or, if that is in use, a free one."""
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((HOST, port))
-    except OSError as error:
-        if error.errno != errno.EADDRINUSE or port == 0:
-            listener.close()
-            raise
-        _LOG.warning("port %d is taken; using a free one", port)
-        listener.bind((HOST, 0))
-    listener.listen(BACKLOG)
-    return listener

@@ -144,7 +144,7 @@ def ellipse(covariance: Sequence[Sequence[float]]) -> tuple[float, float, float]
 def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
     """Return geometry, scale and conditions of a map, and the peaks found in it if they are of this scan."""
     grid = ra_map.grid
-    level_db, reference = _level_db(ra_map)
+    level_db, reference = map_level_db(ra_map)
     own_peaks = peaks if peaks is not None and peaks.scan_id == ra_map.scan_id else None
     return {
         "type": "map",
@@ -172,7 +172,7 @@ def map_tile(ra_map: RangeAzimuthMap) -> bytes:
 
     Code k is `floor + k STEP_DB`, rounded to the nearest; levels outside the span are clipped, a NaN is code 0.
     """
-    level_db, reference = _level_db(ra_map)
+    level_db, reference = map_level_db(ra_map)
     floor_db = 0.0 if reference == "noise" else -SPAN_DB
     for axis, factor in enumerate(_pooling(ra_map.grid.shape)):
         if factor > 1:
@@ -194,7 +194,7 @@ def _tile(kind: int, scan_id: int, shape: tuple[int, ...], floor_db: float, step
     return TILE_HEADER.pack(TILE_MAGIC, TILE_VERSION, kind, scan_id & 0xFFFF_FFFF, *shape, *level)
 
 
-def _level_db(ra_map: RangeAzimuthMap) -> tuple[np.ndarray, str]:
+def map_level_db(ra_map: RangeAzimuthMap) -> tuple[np.ndarray, str]:
     """Return each cell's power in dB over the noise, or over the map's peak if no noise is known; and which of the two.
 
     Cells that are not finite count as empty: one bad cell must not spoil the scale of all others.

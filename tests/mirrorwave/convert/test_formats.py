@@ -159,15 +159,25 @@ def test_foxglove(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.mcap"
     found = said(capsys, 0, record(tmp_path / "a.mcap"), out)
     assert found["format"] == "foxglove"
-    assert found["not_converted"] == {"diagnostics/node": 1, "radar/beam": 9, "radar/setup": 1}
-    assert found["converted"] == {"perception/hidden_objects": 3, "sim/truth": 3, "vehicle/state": 10, "log": 1}
-    assert list(found["left_out"].values()) == [1]
+    assert found["not_converted"] == {"radar/beam": 9}
+    assert found["converted"] == {
+        "perception/hidden_objects": 3,
+        "sim/truth": 3,
+        "vehicle/state": 11,
+        "log": 1,
+        "diagnostics/node": 1,
+    }
+    assert found["left_out"] == {"radar/setup: says only how long a scan lasts": 1}
     rows = json_rows(out)
     assert {topic: (len(each), each[0][0]) for topic, each in rows.items()} == {
         "/hidden_objects/scene": (3, "foxglove.SceneUpdate"),
         "/hidden_objects/visibility": (3, "foxglove.Grid"),
         "/sim/truth": (3, "foxglove.SceneUpdate"),
-        "/tf": (11, "foxglove.FrameTransform"),
+        # the mounting with each view, the pose with each valid state
+        "/tf": (13, "foxglove.FrameTransform"),
+        "/views": (3, "mirrorwave.View"),
+        "/vehicle/state": (11, "mirrorwave.Vehicle"),
+        "/nodes": (1, "mirrorwave.Node"),
         "/log": (1, "foxglove.Log"),
     }
     _, log_time_ns, scene = rows["/hidden_objects/scene"][2]
@@ -193,11 +203,27 @@ def test_foxglove_grid_transform_and_log(tmp_path: Path) -> None:
     cells = np.frombuffer(base64.b64decode(grid["data"]), np.uint8).reshape(-1, grid["row_stride"])
     np.testing.assert_array_equal(cells, frame(0).visibility)
     assert (grid["column_count"], grid["cell_size"], grid["pose"]["position"]["y"]) == (6, {"x": 1.0, "y": 1.0}, -2.0)
-    mount, first, *_, last = (body for _, _, body in rows["/tf"])
-    assert (mount["parent_frame_id"], mount["child_frame_id"]) == ("vehicle", "radar")
-    assert (first["parent_frame_id"], first["child_frame_id"]) == ("odom", "vehicle")
+    frames = {(body["parent_frame_id"], body["child_frame_id"]) for _, _, body in rows["/tf"]}
+    assert frames == {("vehicle", "radar"), ("odom", "vehicle")}
+    last = [body for _, _, body in rows["/tf"] if body["child_frame_id"] == "vehicle"][-1]
     assert last["translation"]["x"] == pytest.approx(9.0), "0.9 s at 10 m/s"
     assert rows["/log"][0][2]["level"] == 3
+
+
+def test_foxglove_file_opens_in_its_middle(tmp_path: Path) -> None:
+    """A viewer reads the index at the end and jumps; it must not have to read all that comes before."""
+    out = tmp_path / "out.mcap"
+    assert convert(record(tmp_path / "a.mcap"), out, Format.FOXGLOVE, progress_bar).loss is None
+    with out.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.chunk_indexes
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == sum(summary.statistics.channel_message_counts.values()) == 38
+        late = [message.log_time for _, _, message in reader.iter_messages(starting_at=2 * SCAN_NS)]
+        assert late == sorted(late)
+        assert late[0] >= 2 * SCAN_NS
 
 
 @needs_rosbags
