@@ -289,14 +289,14 @@ class Supervisor:
             return
         self._say("info", f"{restart.node} is restarted: asked to")
         if self._nodes[self._homes[restart.node]].child is None:
-            self._start_anew(restart)
+            self._start_again(restart)
 
     def _restart_of(self, process: str) -> Restart | None:
         """Return the restart that is under way if it is of a node of this process."""
         restart = self._restarts.current
         return restart if restart is not None and self._homes[restart.node] == process else None
 
-    def _start_anew(self, restart: Restart) -> None:
+    def _start_again(self, restart: Restart) -> None:
         restart.has_ended = True
         process = self._homes[restart.node]
         nodes = {**self._launch.nodes, restart.node: restart.entry}
@@ -316,7 +316,7 @@ class Supervisor:
                 return False
             self._say("warning", f"{name} is started as it was, as it {_how(code)} with its new parameters: {reason}")
             restart.entry, restart.error = restart.before, reason
-        self._start_anew(restart)
+        self._start_again(restart)
         return True
 
     # restarts and failures
