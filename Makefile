@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint audit stability reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint audit stability site reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -75,6 +75,10 @@ audit: setup-dev  ## known vulnerabilities of all that is installed (needs an ad
 
 stability: setup-dev  ## the hard cases with the errors of the naive form and of ours: docs/results/numerical-stability.md
 	$(BIN)/python -m pytest -q tests/stability --stability-page docs/results/numerical-stability.md
+
+site: export NO_MKDOCS_2_WARNING = 1
+site: setup-dev  ## the pages under docs/ as a site in build/site; a broken link is an error
+	$(BIN)/mkdocs build --strict --quiet
 
 reference: setup-dev  ## docs/reference, written from the types and the verbs
 	$(BIN)/python -m mirrorwave.reference docs/reference
