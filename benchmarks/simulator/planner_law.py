@@ -2,9 +2,9 @@
 
 Every scene is simulated with all effects and as planned for each purpose under each budget, same noise, at the kernel
 level. Cells are those of `sim_player.planner.cells`: range bins of every steering angle, and of every azimuth of the
-512 x 256 map. Two answers of each plan are held against its law: the paths that are left (which beats are made of), and
-the profiles that were evaluated on the way (which the kernel level returns). Purpose `samples` is asked however few
-paths a scene has.
+512 x 256 map. Two answers are held against each law: the profiles of a plan that is asked for profiles only (the kernel
+level), and the paths that are left by one that is asked for beats. Purpose `samples` is asked however few paths a scene
+has.
 `--alone N` drops each effect alone in the first N scenes: bound minus actual change, both laws. `--beats N` times the
 beats of a whole scan of the first N scenes, `--literal N` one beam at the literal level. Times are processor times of
 this process: `all` is tracing and signal of everything, `auto` planning (tracing included) and signal of what is left.
@@ -74,6 +74,8 @@ class Place:
 
     @cached_property
     def everything(self) -> tuple[float, Plan]:
+        # what the world keeps for all traces (bodies of objects) is no cost of one
+        manual_plan(self.world, self.setup)
         return timed(lambda: manual_plan(self.world, self.setup))
 
     @cached_property
@@ -125,21 +127,25 @@ def scene_rows(seed: int, index: int, preset: Preset, alone: bool) -> dict[str, 
 
 def _plan_row(place: Place, purpose: Purpose, budget_db: float) -> dict[str, Any]:
     """One scene for one purpose under one budget."""
-    plan_s, plan = timed(lambda: plan_world(place.world, place.setup, budget_db, purpose=purpose))
-    signal_s, clean = timed(lambda: clean_profiles(plan, place.setup, place.index))
-    noise = place.noise(plan)
-    left = planned_profiles(plan, place.setup, place.index) + noise
+    answer_s, answer = timed(
+        lambda: plan_world(place.world, place.setup, budget_db, purpose=purpose, profiles_only=True)
+    )
+    signal_s, clean = timed(lambda: clean_profiles(answer, place.setup, place.index))
+    select_s, plan = timed(lambda: plan_world(place.world, place.setup, budget_db, purpose=purpose))
+    left = planned_profiles(plan, place.setup, place.index) + place.noise(plan)
     moved_db, crossings = place.moved_db(left)
     return {
         "purpose": purpose.value,
         "budget_db": budget_db,
         "left_db": place.off_db(place.reference, left, purpose),
-        "evaluated_db": place.off_db(place.reference, clean + noise, purpose),
+        "evaluated_db": place.off_db(place.reference, clean + place.noise(answer), purpose),
+        "answered": answer.evaluated is not None,
         "bound_db": plan.spent_db,
         "moved_db": moved_db,
         "crossings": crossings,
-        "plan_s": plan_s - place.everything[0],
-        "auto_s": plan_s + signal_s,
+        "plan_s": answer_s - place.everything[0],
+        "select_s": select_s - answer_s,
+        "auto_s": answer_s + signal_s,
         "kept_s": signal_s,
         "kept": len(plan.echoes),
         "squints": int(plan.squints.sum()),
@@ -215,6 +221,7 @@ def _summary_of(rows: list[dict[str, Any]], position: int, purpose: Purpose, bud
         "evaluated_worst_db": max(one["evaluated_db"] for one in mine),
         "moved_worst_db": max(one["moved_db"] for one in mine),
         "crossings_median": median(one["crossings"] for one in mine),
+        "answered": sum(one["answered"] for one in mine),
         "planning_share": median(one["plan_s"] / row["all_s"] for one, row in both),
         "ratio_median": median(ratios),
         "ratio_p10_p90": np.percentile(ratios, [10, 90]).tolist(),
@@ -318,7 +325,8 @@ def report(found: dict[str, Any]) -> None:
             f"{2 * found['scenes']}, over its bound {one['over_bound']}  median {one['left_median_db']:.1f} worst "
             f"{one['left_worst_db']:.1f} (evaluated {one['evaluated_worst_db']:.1f}) dB  level over threshold moves "
             f"{one['moved_worst_db']:.2f} dB at most, {one['crossings_median']:.0f} cells cross\n"
-            f"    planning / all {one['planning_share']:.2f}  {ratios} {one['ratio_large']:.2f}; {SCANS} scans "
+            f"    {one['answered']} evaluated, "
+            f"planning / all {one['planning_share']:.2f}  {ratios} {one['ratio_large']:.2f}; {SCANS} scans "
             f"{one['ratio_recording']:.0f})  left: "
             f"paths {one['kept']:.2f}, squint {one['squints']:.2f}, overlap {one['overlaps']:.2f}"
         )

@@ -195,7 +195,7 @@ class _Scan:
 def _plan(world: World, setup: RadarSetup, choice: EffectChoice, plans: PlanRequest) -> Plan:
     """Return the plan of the effects of a scene."""
     if choice == "auto":
-        return plan_world(world, setup, plans.budget_db, purpose=plans.purpose)
+        return plan_world(world, setup, plans.budget_db, purpose=plans.purpose, profiles_only=True)
     return manual_plan(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
 
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from msgs.values.radar import RadarSetup
+from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL
 from sim_player.planner.cells import cells_of
 from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, error, evaluate
 from sim_player.planner.purposes import DETECTION, Purpose
-from sim_player.planner.selection import ANYTHING, LEAST, Selection, keep_all, select
+from sim_player.planner.selection import ANYTHING, Selection, keep_all, select
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import World
@@ -29,12 +29,15 @@ from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
 
-#: Noise is taken off what surely stands in a cell at this many rms; it stands against it by more in 2 of 10^4 cells.
-SIGMAS = 2.5
+#: Noise is taken off what surely stands in a cell at this many rms; it stands against it by more in 8 of 10^9 cells.
+SIGMAS = 4.0
 #: Noise draws reach this many rms once in 10^13 cells.
 FAR_SIGMAS = 5.5
-#: What each path's terms along the sweep may leave out, as a share of the least change that the law allows.
-TERMS_SHARE = 1e-3
+#: What the terms along the sweep of all paths of a range bin may leave out, and what the overlap of the weakest paths
+#: may, as shares of the least change that the law allows: for a map, and where single effects are bounded.
+MAP_SPARE, BOUND_SPARE = 0.04, 1e-3
+#: Range bins to either side that share what the terms of their paths may leave out: those that a window reaches.
+NEAR_BINS = 2
 #: No path is followed further below the noise than this share of it.
 LEAST_TOLERANCE = 1e-7
 #: What two steps have of each other beyond their sum: a path without squint overlaps by another pattern, some percent.
@@ -52,6 +55,31 @@ class Change:
         return Change(self.values + other.values, self.bound + other.bound)
 
 
+@dataclass(frozen=True)
+class Answer:
+    """Profiles of everything, I and Q unbalanced, complex64 [B, bins]; bound of their error over the law's reference.
+
+    Without leakage and spurs.
+    """
+
+    profiles: np.ndarray
+    off: float
+
+
+def _mirrored(echoes: np.ndarray) -> np.ndarray:
+    """Bound of what echoes at +f leave at -f by the skirts of the window alone, [B, bins]."""
+    bins = np.arange(echoes.shape[1])
+    # an echo at bin b reaches bin i over i + b bins, its skirts fall as 1 / x^3
+    away = bins[:, None] + bins[None]
+    return np.asarray(echoes @ np.where(away < 2, 1.0, 1.0 / np.maximum(away, 2.0) ** 3))
+
+
+def _crowd(radar: RadarParams, paths: Paths) -> np.ndarray:
+    """Number of paths in each path's range bin and the bins beside it, [P]."""
+    cell = (0.5 * paths.length_m / radar.range_bin_m).astype(np.int64)
+    return np.convolve(np.bincount(cell, minlength=1), np.ones(2 * NEAR_BINS + 1))[NEAR_BINS:][cell]
+
+
 def signal_effects(names: frozenset[str]) -> SignalEffects:
     """The switches of the signal for a set of effects; range migration goes with motion."""
     return SignalEffects(**{name: name in names for name in SIGNAL}, range_migration="motion" in names)
@@ -60,8 +88,16 @@ def signal_effects(names: frozenset[str]) -> SignalEffects:
 class EffectAblation:
     """State of the ablation for one scene at rest: starts with every effect and every path."""
 
-    def __init__(self, world: World, setup: RadarSetup, time_s: float, purpose: Purpose, budget: float) -> None:
-        self.world, self.setup, self.purpose, self.budget = world, setup, purpose, budget
+    def __init__(
+        self,
+        world: World,
+        setup: RadarSetup,
+        time_s: float,
+        purpose: Purpose,
+        budget: float,
+        spare: float = MAP_SPARE,
+    ) -> None:
+        self.world, self.setup, self.purpose, self.budget, self._spare = world, setup, purpose, budget, spare
         self.radar, self.front_end = setup.radar, world.scene.radar.front_end
         self.view = reachable_snapshot(world, time_s)
         self.used = set(ALL_EFFECTS)
@@ -75,13 +111,13 @@ class EffectAblation:
         self.begun = True
         self.paths = as_paths(self.view, self.echoes, frozenset(self.used))
         self.noise_rms = noise_rms(self.setup, self.flags(), self.front_end)
-        least = self.budget * float(self.noise_rms.min()) * (1.0 if self.purpose is Purpose.SAMPLES else DETECTION)
-        self.tolerance = TERMS_SHARE * max(least, LEAST_TOLERANCE * float(self.noise_rms.min()))
+        least = self.budget * (1.0 if self.purpose is Purpose.SAMPLES else DETECTION)
+        self._least = max(least, LEAST_TOLERANCE) * float(self.noise_rms.min())
         self.terms = self.terms_of(self.paths)
         self.selection = keep_all(self.terms, RANGE_BINS)
         self._head_change = self._heads(self.terms)
         every = np.ones(len(self.terms), bool)
-        self.evaluated = self.part(self.terms, np.where(every, WHOLE, NOTHING)) + Change(*self._head_change(every))
+        self.evaluated = Change(*self._change_of(np.full(len(self.terms), WHOLE), every))
         everything = self.evaluated + self._electronics()
         self._cells = cells_of(self.setup)
         floor = self._cells.floor(everything.values, self.noise_rms, everything.bound, SIGMAS, self.purpose)
@@ -95,7 +131,7 @@ class EffectAblation:
         """Drop the paths, and the squint and overlap of paths, that a share of the budget can do without."""
         limit = share * self._cells.nearest(self._allowed)
         ratio = lambda change, loose: self._ratios(Change(change, loose)).max(axis=0) / share  # noqa: E731
-        self.selection = select(self.radar, self.terms, self._head_change, limit, ratio)
+        self.selection = select(self.radar, self.terms, self._change_of, limit, ratio)
         self.spent = Change(self.selection.change, self.selection.error)
         return self.selection
 
@@ -117,10 +153,17 @@ class EffectAblation:
         """A change over what the law's reference is, the largest over all cells; for `spent`, what has been spent."""
         return self.budget * float(self._ratios(change).max())
 
-    def answer(self) -> np.ndarray | None:
-        """Return the evaluated profiles where their own error stays under the budget, complex64 [B, bins]."""
-        missing = Change(np.zeros_like(self.evaluated.values), self.evaluated.bound)
-        return self.evaluated.values if (self._ratios(missing) <= 1.0).all() else None
+    def answer(self) -> Answer | None:
+        """Return the evaluated profiles of everything, where their own error stays under the budget."""
+        wanted, image = iq_factors(self.front_end)
+        bound = np.broadcast_to(self.evaluated.bound, self.shape)
+        if image != 0.0:
+            bound = bound + abs(image) * _mirrored(np.abs(self.evaluated.values) + bound)
+        worst = float((self._cells.bounds(bound.astype(np.float32)) * self._inverse).max())
+        if worst > 1.0:
+            return None
+        factor = np.complex64(wanted if self.setup.beat_sign > 0 else np.conj(wanted))
+        return Answer(self.evaluated.values * factor, self.budget * worst)
 
     def fits(self, change: Change) -> bool:
         """Return whether a change stays under the budget together with all that was dropped."""
@@ -139,7 +182,7 @@ class EffectAblation:
         """What leakage adds, and what spurs of unknown phase and unbalanced I and Q may take off."""
         bound = self.spurs()
         if iq_factors(self.front_end)[1] != 0.0:
-            bound = bound + self.unbalanced()
+            bound = bound + self.unbalanced(self.evaluated)
         return Change(np.broadcast_to(self.leakage(), self.shape), bound)
 
     def leakage(self) -> np.ndarray:
@@ -157,23 +200,19 @@ class EffectAblation:
         profiles = [np.abs(spur_profile(self.radar, spur, 0.0, bins)) for spur in self.front_end.spurs]
         return np.asarray(sum(profiles, np.zeros(RANGE_BINS)))
 
-    def unbalanced(self) -> np.ndarray:
+    def unbalanced(self, echoes: Change) -> np.ndarray:
         """Bound of what I/Q imbalance changes, [B, bins]: the gain of all that is there, and its image's skirts."""
         wanted, image = iq_factors(self.front_end)
-        standing = self.whole(self.terms, None, self.selection.overlaps)
-        echoes = np.abs(standing.values) + standing.bound
-        bins = np.arange(RANGE_BINS)
-        # from +f at -f, by the window alone: an echo at bin b reaches bin i over i + b bins, its skirts fall as 1 / x^3
-        away = bins[:, None] + bins[None]
-        skirts = echoes @ np.where(away < 2, 1.0, 1.0 / np.maximum(away, 2.0) ** 3)
-        return np.asarray(abs(wanted - 1.0) * (echoes + FAR_SIGMAS * self.noise_rms) + abs(image) * skirts)
+        there = np.abs(echoes.values) + echoes.bound
+        return np.asarray(abs(wanted - 1.0) * (there + FAR_SIGMAS * self.noise_rms) + abs(image) * _mirrored(there))
 
     # --- evaluation
 
     def terms_of(self, paths: Paths, names: frozenset[str] | None = None) -> SweepTerms:
         """The terms of some paths under some signal effects, or those still used."""
         effects = self.flags() if names is None else signal_effects(names)
-        return sweep_terms(self.setup, paths, effects, self.front_end, self.tolerance)
+        tolerance = self._spare * self._least / _crowd(self.radar, paths)
+        return sweep_terms(self.setup, paths, effects, self.front_end, tolerance)
 
     def whole(self, terms: SweepTerms, mask: np.ndarray | None = None, overlaps: np.ndarray | None = None) -> Change:
         """Evaluate all of some echoes, bool [P]; of some of them with overlap."""
@@ -186,6 +225,11 @@ class EffectAblation:
         """Evaluate parts of echoes without overlap."""
         return Change(evaluate(self.radar, terms, part, RANGE_BINS), error(self.radar, terms, part, RANGE_BINS))
 
+    def _change_of(self, part: np.ndarray, overlaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate parts of the echoes and the overlap of some, complex64 [B, bins]; a bound of the error [bins]."""
+        change = self.part(self.terms, part) + Change(*self._head_change(overlaps))
+        return change.values, change.bound
+
     def squint(self) -> Change:
         """Evaluate what squint changes."""
         return self.part(self.terms, np.full(len(self.terms), SQUINT))
@@ -195,7 +239,7 @@ class EffectAblation:
         return Change(*self._heads(terms)(mask))
 
     def _heads(self, terms: SweepTerms) -> HeadChange:
-        return HeadChange(self.radar, terms, RANGE_BINS, LEAST * self.tolerance / TERMS_SHARE)
+        return HeadChange(self.radar, terms, RANGE_BINS, self._spare * self._least)
 
     # --- state
 

@@ -127,7 +127,8 @@ def _adc(ablation: EffectAblation) -> Change:
 
 def _iq_imbalance(ablation: EffectAblation) -> Change:
     """Bound the change of gain on all that is there, and the image."""
-    return _bounded(ablation, ablation.unbalanced())
+    standing = ablation.whole(ablation.terms, None, ablation.selection.overlaps)
+    return _bounded(ablation, ablation.unbalanced(standing))
 
 
 def _spurs(ablation: EffectAblation) -> Change:

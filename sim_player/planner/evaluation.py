@@ -20,14 +20,20 @@ from sim_player.signal.switches import sampled
 
 #: Steps of the grid in a range bin; width of the gridding kernel in steps and its shape.
 OVERSAMPLING, WIDTH, SHAPE = 2, 8, 18.4
-#: Rounding in single precision: of a transform by the root of all that is in it squared, of an echo by its own size.
-ROUNDING = 1e-6
+#: Rounding in single precision: of an echo where it stands, by its size; of a transform in all bins, by the root of all
+#: that is in it squared. Measured are 6e-7, and 6e-10 in the median bin.
+ROUNDING, SPREAD = 1e-6, 2e-8
 #: The grid reaches so many bins beyond the range bins at most: echoes farther off fall under the window's skirts.
 BEYOND_BINS = 128
 #: Bins between two at which the overlapped start is evaluated, those beyond either end, taps to either side.
 COARSE, GUARD, TAPS = 8, 80, 10
-#: Bound of the overlap's closed form, relative: interpolation; an integral for a sum, by the tone's distance squared.
-CLOSED_FORM, MIDPOINT = 1e-3, 1.2 / 24.0
+#: Shape of the window of that interpolation, which leaves exp(-shape).
+COARSE_SHAPE = 15.0
+#: Bound of the overlap's closed form, relative: interpolation and rounding; an integral for a sum, by the tone's
+#: distance squared.
+CLOSED_FORM, MIDPOINT = 2e-5, 1.2 / 24.0
+#: Bins to either side of a pole of the closed form where it is taken at twice the distance.
+BESIDE_POLE = 1e-3
 
 #: What of an echo is evaluated.
 NOTHING, WHOLE, SQUINT = 0, 1, 2
@@ -40,9 +46,9 @@ def evaluate(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bin
     """
     beams = echoes.middle.shape[1]
     part = np.where(echoes.tone < range_bins + BEYOND_BINS, part, NOTHING)
-    if not part.any():
+    most = int(echoes.count[part != NOTHING].max(initial=0))
+    if most == 0:
         return np.zeros((beams, range_bins), np.complex64)
-    most = int(echoes.count[part != NOTHING].max())
     margin = WIDTH // 2
     size = OVERSAMPLING * (range_bins + BEYOND_BINS) + 2 * margin
     kernels = _kernels(radar.samples_per_chirp, range_bins, size)
@@ -68,13 +74,13 @@ def error(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bins: 
     """Return a bound of what `evaluate` misses in any beam, float64 [bins]: terms left out, rounding, far echoes."""
     strength = np.where(part == WHOLE, echoes.strength, np.where(part == SQUINT, echoes.squint_strength, 0.0))
     near = echoes.tone < range_bins + BEYOND_BINS
-    left = echoes.remainder * (part != NOTHING)
+    left = echoes.remainder * (part != NOTHING) + ROUNDING * strength
     cell = np.minimum(echoes.tone.astype(np.int64), range_bins + BEYOND_BINS - 1)
     gathered = np.bincount(cell, left * near, range_bins + BEYOND_BINS)
     # echoes of one bin may add up, those of different bins are different samples of the transform
-    rounded = float(np.linalg.norm(np.bincount(cell, strength * near)))
+    spread = SPREAD * float(np.linalg.norm(np.bincount(cell, strength * near)))
     far = float((strength + echoes.remainder)[~near].sum()) * float(skirt(radar, 0)[0])
-    return np.asarray(gathered @ _skirts(radar, range_bins) + ROUNDING * rounded + far)
+    return np.asarray(gathered @ _skirts(radar, range_bins) + spread + far)
 
 
 @lru_cache(maxsize=8)
@@ -87,50 +93,70 @@ def _skirts(radar: RadarParams, range_bins: int) -> np.ndarray:
 
 
 class HeadChange:
-    """Evaluates what overlapping chirps change, of any of some echoes; one that changes under `least` is bounded only.
+    """Evaluates what overlapping chirps change, of any of some echoes; the weakest are bounded only, `spare` in all.
 
     Own echoes are cut off at the start of the chirp; the last chirp's take their place, a band away.
     """
 
-    def __init__(self, radar: RadarParams, echoes: SweepTerms, range_bins: int, least: float) -> None:
+    def __init__(self, radar: RadarParams, echoes: SweepTerms, range_bins: int, spare: float) -> None:
         strength = echoes.strength + echoes.remainder
-        self._most = strength * head_area(echoes.head)
-        self._mine = np.flatnonzero(self._most > least)
-        mine, bins = self._mine, np.arange(range_bins)
-        tone, head = echoes.tone[mine], echoes.head[mine]
-        longest = float(head.max(initial=1e-3))
-        step = max(min(COARSE, int(0.5 / longest)), 1)
-        at = np.arange(-GUARD, range_bins + GUARD + step, step, dtype=np.float64)
-        # at the end of the overlapped start: what is cut off farther than a few bins away depends on that alone
-        table = np.polynomial.chebyshev.chebvander(2.0 * head - 1.0, echoes.terms.shape[1] - 1)
-        self._field = _fields(echoes.terms, mine, table.astype(np.float32))
-        strong = strength[mine].astype(np.float64)
-        # a sum of samples is the integral from half a sample before the first to half a sample before the end
-        cut = np.maximum(head - 0.5 / radar.samples_per_chirp, 0.0)
-        self._closed, self._loose = _head_forms(
-            tone, cut, at, strong, echoes.swing_rad[mine], 2.0 * np.pi / radar.samples_per_chirp
-        )
-        turn = np.exp(1j * np.pi * longest * (at - at[0]))
-        self._closed *= turn.astype(np.complex64)
-        self._matrix = _interpolation(range_bins, step)
-        self._back = np.exp(-1j * np.pi * longest * (bins - at[0])).astype(np.complex64)
-        last = _last_chirp(radar, tone, head, at)
-        self._last_field = echoes.terms[mine].sum(axis=1) * _last_turn(radar, tone)[:, None]
-        self._last = last * turn.astype(np.complex64)
-        # its pattern is taken at the end of the sweep, up to half a start too early
-        self._loose += (strong * np.minimum(4.0 * echoes.swing_rad[mine] * head + 0.02, 2.0))[:, None] * np.abs(last)
-        self._nearest = np.clip(np.rint((bins - at[0]) / step).astype(int), 1, len(at) - 2)
+        # what is cut off, and what takes its place
+        area = 2.0 * head_area(echoes.head)
+        self._most = strength * area
+        asked = ~_weakest_within(self._most, spare) & (echoes.count > 0)
+        # of these the terms alone leave something out, of their slope up to the square of their number as much
+        self._most[asked] = (echoes.remainder * area * (1.0 + np.square(echoes.count) * echoes.head))[asked]
+        steps = np.clip(2.0 ** np.floor(np.log2(0.5 / np.maximum(echoes.head, 1e-3))), 1, COARSE).astype(int)
+        self._shape = (echoes.middle.shape[1], range_bins)
+        self._groups = [
+            _HeadGroup(radar, echoes, np.flatnonzero(asked & (steps == step)), int(step), range_bins)
+            for step in np.unique(steps[asked])
+        ]
 
     def __call__(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the change by some of the echoes, bool [P], complex64 [B, bins], and a bound of its error [bins]."""
+        change, loose = np.zeros(self._shape, np.complex64), np.full(self._shape[1], self._most[mask].sum())
+        for group in self._groups:
+            more, error = group.change(mask)
+            change, loose = change + more, loose + error
+        return change, loose
+
+
+class _HeadGroup:
+    """Echoes whose overlapped starts are short enough to be evaluated at every so many bins."""
+
+    def __init__(self, radar: RadarParams, echoes: SweepTerms, mine: np.ndarray, step: int, range_bins: int) -> None:
+        self._mine, bins = mine, np.arange(range_bins)
+        strong = (echoes.strength[mine] + echoes.remainder[mine]).astype(np.float64)
+        tone, head = echoes.tone[mine], echoes.head[mine]
+        longest = float(head.max())
+        at = np.arange(-GUARD, range_bins + GUARD + step, step, dtype=np.float64)
+        # a sum of samples is the integral from half a sample before the first to half a sample before the end
+        cut = np.maximum(head - 0.5 / radar.samples_per_chirp, 0.0)
+        # value and slope at that end: what is cut off farther than a few bins away depends on the value alone
+        values, slopes = _end_tables(cut, echoes.terms.shape[1])
+        self._field, self._slope_field = (_fields(echoes.terms, mine, table) for table in (values, slopes))
+        turn_rad = np.pi * longest * step
+        self._closed, self._slope, self._loose = _head_forms(
+            tone, cut, at, turn_rad, strong, echoes.swing_rad[mine], 2.0 * np.pi / radar.samples_per_chirp
+        )
+        self._matrix = _interpolation(range_bins, step)
+        self._back = np.exp(-1j * np.pi * longest * (bins - at[0])).astype(np.complex64)
+        self._last_field = echoes.terms[mine].sum(axis=1) * _last_turn(radar, tone)[:, None]
+        # its pattern is taken at the end of the sweep, up to half a start too early
+        early = strong * np.minimum(4.0 * echoes.swing_rad[mine] * head + 0.02, 2.0)
+        back = radar.bandwidth_hz * radar.chirp_period_s
+        self._last = _last_forms(tone - back, head, at, turn_rad, radar.samples_per_chirp, early, self._loose)
+        self._nearest = np.clip(np.rint((bins - at[0]) / step).astype(int), 1, len(at) - 2)
+
+    def change(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `HeadChange` of those of this group."""
         inside = mask[self._mine]
-        coarse = self._last_field[inside].T @ self._last[inside] - self._field[inside].T @ self._closed[inside]
-        change = (coarse @ self._matrix) * self._back
+        cut_off = self._field[inside].T @ self._closed[inside] + self._slope_field[inside].T @ self._slope[inside]
+        coarse = self._last_field[inside].T @ self._last[inside] - cut_off
         loose = inside.astype(np.float32) @ self._loose
         near = np.maximum.reduce([loose[self._nearest + side] for side in (-1, 0, 1)])
-        most = np.where(mask, self._most, 0.0)
-        most[self._mine] = 0.0
-        return change, near + most.sum()
+        return (coarse @ self._matrix) * self._back, near
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -165,57 +191,108 @@ def _last_turn(radar: RadarParams, tone: np.ndarray) -> np.ndarray:
     return (np.exp(2j * np.pi * (turns % 1.0)) * passes).astype(np.complex64)
 
 
-def _last_chirp(radar: RadarParams, tone: np.ndarray, head: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return what the last chirp's unit echo, a band away, leaves in some bins, complex64 [P, bins]: where it is cut.
-
-    Summed by parts, a window that rises from zero leaves h(X) exp(2 pi j d X) / (2 j N sin(pi d / N)).
-    """
-    count = radar.samples_per_chirp
-    off = tone[:, None] - radar.bandwidth_hz * radar.chirp_period_s - at
-    phase = 2.0 * np.pi * ((off * (head - 0.5 / count)[:, None]) % 1.0)
-    height = head_height(head)[:, None]
-    return np.asarray(height * np.exp(1j * phase) / (2j * count * np.sin(np.pi * off / count)), np.complex64)
+@njit(cache=True, nogil=True)
+def _weakest_within(most, spare):  # type: ignore[no-untyped-def]
+    """Mask of the weakest whose sum stays within `spare`, bool [P]."""
+    mask, left = np.zeros(len(most), np.bool_), spare
+    for path in np.argsort(most):
+        left -= most[path]
+        if left < 0.0:
+            break
+        mask[path] = True
+    return mask
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _head_forms(tone, head, at, strength, swing, turn_rad):  # type: ignore[no-untyped-def]
-    """Integrals of (1 - cos 2 pi x) exp(2 pi j d x) over [0, X], d = tone - bin, complex64 [P, bins], and bounds of
-    the errors of a signal of this strength, float32 [P, bins].
+def _last_forms(off, head, at, turn_rad, count, early, loose):  # type: ignore[no-untyped-def]
+    """What the last chirp's unit echo leaves in the bins `at`, `off` from 0, where it is cut; complex64 [P, bins].
 
-    The pattern p is taken at X. It turns by 2 s at most over the sweep: integrating (1 - cos)(p(x) - p(X)) by parts
-    twice leaves 4 s X^2 / d^2 at most, and never more than 10 / 3 s X^4.
+    Each next bin is turned by `turn_rad` more. Summed by parts, a window that rises from zero leaves
+    h(X) exp(2 pi j d X) / (2 j N sin(pi d / N)). Adds `early` times its magnitude to `loose`.
+    """
+    out = np.empty((len(off), len(at)), np.complex64)
+    step = at[1] - at[0]
+    for path in range(len(off)):
+        share = head[path] - 0.5 / count
+        height = (1.0 - np.cos(2.0 * np.pi * head[path])) / (2.0 * count)
+        phase = 2.0 * np.pi * (((off[path] - at[0]) * share) % 1.0) - 0.5 * np.pi
+        re, im = height * np.cos(phase), height * np.sin(phase)
+        turn = turn_rad - 2.0 * np.pi * step * share
+        turn_re, turn_im = np.cos(turn), np.sin(turn)
+        for index in range(len(at)):
+            inverse = 1.0 / np.sin(np.pi * (off[path] - at[index]) / count)
+            out[path, index] = np.complex64(complex(re * inverse, im * inverse))
+            loose[path, index] += early[path] * height * abs(inverse)
+            re, im = re * turn_re - im * turn_im, re * turn_im + im * turn_re
+    return out
+
+
+def _end_tables(share: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return T_m and its slope over the chirp where a share of the chirp ends, float32 [P, terms] each."""
+    at = 2.0 * share - 1.0
+    values = np.polynomial.chebyshev.chebvander(at, terms - 1)
+    # T_m' = m U_(m-1), U_m = 2 T_m + U_(m-2)
+    second = np.zeros((terms + 1, len(at)))
+    for order in range(terms - 1):
+        second[order + 2] = (1.0 if order == 0 else 2.0) * values[:, order] + second[order]
+    slopes = 2.0 * np.arange(terms) * second[1:].T
+    return values.astype(np.float32), slopes.astype(np.float32)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _head_forms(tone, head, at, turn_rad, strength, swing, sample_rad):  # type: ignore[no-untyped-def]
+    """Integrals over [0, X] of (1 - cos 2 pi x) exp(2 pi j d x) and of the same times x - X, d = tone - bin, complex64
+    [P, bins] each, every next bin turned by `turn_rad` more; bounds of the errors of a signal of this strength,
+    float32 [P, bins].
+
+    The pattern p is taken as p(X) + p'(X) (x - X). It turns by 2 s at most over the sweep: what is left is at most
+    2 s^2 (X - x)^2; integrated by parts twice, 3 s^2 X^3 / d^2 at most, and never more than 1.5 s^2 X^5.
     """
     out = np.empty((len(tone), len(at)), np.complex64)
+    slope = np.empty((len(tone), len(at)), np.complex64)
     error = np.empty((len(tone), len(at)), np.float32)
     step = at[1] - at[0]
     for path in range(len(tone)):
         share = head[path]
         first = 2.0 * np.pi * (tone[path] - at[0]) * share
         re, im = np.cos(first), np.sin(first)
-        turn_re, turn_im = np.cos(2.0 * np.pi * step * share), -np.sin(2.0 * np.pi * step * share)
+        back_re, back_im = np.cos(2.0 * np.pi * step * share), -np.sin(2.0 * np.pi * step * share)
         side_re, side_im = np.cos(2.0 * np.pi * share), np.sin(2.0 * np.pi * share)
-        turns = 4.4 * swing[path] * share * share
-        most = 3.7 * swing[path] * share**4
+        turn_re, turn_im, more_re, more_im = 1.0, 0.0, np.cos(turn_rad), np.sin(turn_rad)
+        squared = swing[path] * swing[path] * share**3
         for index in range(len(at)):
             off = tone[path] - at[index]
-            if min(abs(off), abs(off - 1.0), abs(off + 1.0)) < 1e-3:
-                # beside the poles, where the integral is smooth
-                off += 2e-3
-            here = 1.0 / (2.0 * np.pi * off)
-            up, down = 0.5 / (2.0 * np.pi * (off + 1.0)), 0.5 / (2.0 * np.pi * (off - 1.0))
-            shift = 2.0 * np.pi * (off - (tone[path] - at[index])) * share
-            now_re, now_im = re - shift * im, im + shift * re
-            # (exp(j a) - 1) / j = sin a - j (cos a - 1)
-            up_re, up_im = now_re * side_re - now_im * side_im, now_im * side_re + now_re * side_im
-            down_re, down_im = now_re * side_re + now_im * side_im, now_im * side_re - now_re * side_im
-            sum_re = here * now_im - up * up_im - down * down_im
-            sum_im = -here * (now_re - 1.0) + up * (up_re - 1.0) + down * (down_re - 1.0)
-            out[path, index] = np.complex64(complex(sum_re, sum_im))
-            inexact = CLOSED_FORM + MIDPOINT * (off * turn_rad) ** 2
-            loose = min(turns / (off * off), most) + inexact * np.sqrt(sum_re * sum_re + sum_im * sum_im)
-            error[path, index] = strength[path] * loose
-            re, im = re * turn_re - im * turn_im, re * turn_im + im * turn_re
-    return out, error
+            inexact = CLOSED_FORM + MIDPOINT * (off * sample_rad) ** 2
+            now_re, now_im = re, im
+            if min(abs(off), abs(off - 1.0), abs(off + 1.0)) < BESIDE_POLE:
+                # where the integral is smooth
+                off += 2.0 * BESIDE_POLE
+                shift = 4.0 * np.pi * share * BESIDE_POLE
+                now_re, now_im = re - shift * im, im + shift * re
+                inexact += shift
+            sum_re, sum_im, slope_re, slope_im = 0.0, 0.0, 0.0, 0.0
+            for side in range(-1, 2):
+                # (exp(2 pi j d X) - 1) / (2 pi j d) = e, and (X - e) / (2 pi j d)
+                angle_re = now_re if side == 0 else now_re * side_re - side * now_im * side_im
+                angle_im = now_im if side == 0 else now_im * side_re + side * now_re * side_im
+                here = 1.0 / (2.0 * np.pi * (off + side))
+                part_re, part_im = here * angle_im, here * (1.0 - angle_re)
+                factor = 1.0 if side == 0 else -0.5
+                sum_re += factor * part_re
+                sum_im += factor * part_im
+                slope_re -= factor * here * part_im
+                slope_im -= factor * here * (share - part_re)
+            out[path, index] = np.complex64(
+                complex(sum_re * turn_re - sum_im * turn_im, sum_re * turn_im + sum_im * turn_re)
+            )
+            slope[path, index] = np.complex64(
+                complex(slope_re * turn_re - slope_im * turn_im, slope_re * turn_im + slope_im * turn_re)
+            )
+            loose = min(3.0 * squared / (off * off), 1.5 * squared * share * share)
+            error[path, index] = strength[path] * (loose + inexact * np.sqrt(sum_re * sum_re + sum_im * sum_im))
+            re, im = re * back_re - im * back_im, re * back_im + im * back_re
+            turn_re, turn_im = turn_re * more_re - turn_im * more_im, turn_re * more_im + turn_im * more_re
+    return out, slope, error
 
 
 @lru_cache(maxsize=8)
@@ -224,7 +301,9 @@ def _interpolation(range_bins: int, step: int) -> np.ndarray:
     at = np.arange(-GUARD, range_bins + GUARD + step, step, dtype=np.float64)
     off = (np.arange(range_bins)[None] - at[:, None]) / step
     inside = np.sqrt(np.maximum(1.0 - np.square(off / TAPS), 0.0))
-    return np.asarray(np.sinc(off) * np.i0(10.0 * inside) / np.i0(10.0) * (np.abs(off) < TAPS), np.float32)
+    return np.asarray(
+        np.sinc(off) * np.i0(COARSE_SHAPE * inside) / np.i0(COARSE_SHAPE) * (np.abs(off) < TAPS), np.float32
+    )
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -28,13 +28,12 @@ import numpy as np
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
-from sim_player.planner.ablation import EffectAblation, signal_effects
+from sim_player.planner.ablation import BOUND_SPARE, MAP_SPARE, Answer, EffectAblation, signal_effects
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.levels import kernel_profiles, noise_profiles
-from sim_player.signal.receiver import iq_factors
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes
@@ -81,8 +80,8 @@ class Plan:
     #: Bound of the whole difference in any cell, in dB; None: no difference.
     spent_db: float | None
     timing_s: dict[str, float]
-    #: The answer at the kernel level where one was asked for, found on the way to the plan: profiles of all echoes, all
-    #: effects, None where their error is over the budget; complex64 [beams, bins], without what the electronics add.
+    #: The answer at the kernel level, found on the way to the plan: profiles of all echoes with all effects but leakage
+    #: and spurs; None where nothing was evaluated or the error is over the budget; complex64 [beams, bins].
     evaluated: np.ndarray | None = None
 
     @cached_property
@@ -119,15 +118,19 @@ def plan_world(
     time_s: float = 0.0,
     thorough: bool = False,
     purpose: Purpose = Purpose.SAMPLES,
+    profiles_only: bool = False,
 ) -> Plan:
     """Return the plan of a prepared scene for a purpose; a thorough one asks what each effect alone would change.
 
-    Raises ValueError for a budget that is not negative.
+    Where only profiles are wanted, no beats, paths are selected only if the evaluated profiles miss the budget. Raises
+    ValueError for a budget that is not negative.
     """
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
     start = time.perf_counter()
-    planner = _Planner(EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0)), thorough)
+    spare = BOUND_SPARE if thorough else MAP_SPARE
+    ablation = EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0), spare)
+    planner = _Planner(ablation, thorough, profiles_only)
     planner.timing_s["trace"] = time.perf_counter() - start
     planner.run()
     return planner.plan(budget_db)
@@ -192,8 +195,7 @@ def noisy_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
 def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
     """Return the same without the noise: in single precision what the plan has evaluated, wherever it has."""
     front_end = plan.view.world.scene.radar.front_end
-    unbalanced = plan.signal.iq_imbalance and iq_factors(front_end)[1] != 0.0
-    if plan.evaluated is None or unbalanced or precision != "float32":
+    if plan.evaluated is None or precision != "float32":
         return planned_profiles(plan, setup, seed, precision)
     faults = (plan.signal.leakage and front_end.leakage_dbm is not None) or (plan.signal.spurs and front_end.spurs)
     if not faults:
@@ -217,8 +219,10 @@ def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: st
 class _Planner:
     """Takes the steps of the ablation, books each one, and states why."""
 
-    def __init__(self, ablation: EffectAblation, thorough: bool) -> None:
-        self.ablation, self.thorough = ablation, thorough
+    def __init__(self, ablation: EffectAblation, thorough: bool, profiles_only: bool) -> None:
+        self.ablation, self.thorough, self.profiles_only = ablation, thorough, profiles_only
+        self.answer: Answer | None = None
+        self.spent = 0.0
         self.found: dict[str, EffectPlan] = {}
         self.traced = len(ablation.echoes)
         self.timing_s: dict[str, float] = {}
@@ -235,11 +239,16 @@ class _Planner:
             why = MOVES if moves else f"not asked, {self.traced} paths are few"
             self._take_all(why)
             return
-        self._timed("floor", self.ablation.begin)
+        self._timed("floor", self._evaluate)
+        if self.answer is not None and self.profiles_only:
+            self._take_all("evaluated with all others, under the budget")
+            self.spent = self.answer.off
+            return
         # what each effect alone would change is asked before anything is left out
         self._timed("alone", self._alone)
         self._timed("select", self._select)
         self._timed("free", self._free)
+        self.spent = self.ablation.ratio(self.ablation.spent)
 
     def plan(self, budget_db: float) -> Plan:
         """Return the decisions, in the order of the effects."""
@@ -254,15 +263,20 @@ class _Planner:
             squints=ablation.selection.squints if ablation.begun else every & ("squint" in ablation.used),
             overlaps=ablation.selection.overlaps if ablation.begun else every & ("chirp_overlap" in ablation.used),
             traced=self.traced,
-            spent_db=_decibel(ablation.ratio(ablation.spent)) if ablation.begun else None,
+            spent_db=_decibel(self.spent),
             timing_s=self.timing_s,
-            evaluated=ablation.answer() if ablation.begun else None,
+            evaluated=None if self.answer is None else self.answer.profiles,
         )
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:
         start = time.perf_counter()
         step()
         self.timing_s[name] = time.perf_counter() - start
+
+    def _evaluate(self) -> None:
+        """Evaluate everything, and see whether that is an answer."""
+        self.ablation.begin()
+        self.answer = self.ablation.answer()
 
     def _take_all(self, why: str) -> None:
         """Use everything that the scene has."""

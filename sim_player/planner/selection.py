@@ -20,9 +20,6 @@ from sim_player.planner.evaluation import (
     NOTHING,
     SQUINT,
     WHOLE,
-    HeadChange,
-    error,
-    evaluate,
     hann_skirt,
     head_area,
     head_height,
@@ -38,10 +35,11 @@ AROUND, REACH = 3, 32
 ROUNDS = 4
 #: Range bins that share a look at the overlap, which changes slowly from bin to bin.
 BLOCK = 16
-#: Changes of the overlap under this share of the least allowed change are bounded, not evaluated.
-LEAST = 2e-5
 #: What is allowed where the law asks nothing, sqrt(mW).
 ANYTHING = 1e30
+
+#: Change by parts of the echoes (int [P]) and by the overlap of some (bool [P]), and a bound of its error [bins].
+Evaluated = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -68,17 +66,18 @@ def keep_all(echoes: SweepTerms, range_bins: int) -> Selection:
 def select(
     radar: RadarParams,
     echoes: SweepTerms,
-    head_change: HeadChange,
+    change_of: Evaluated,
     allowed: np.ndarray,
     ratio: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> Selection:
     """Return a selection whose change fits everywhere.
 
-    `allowed` [B, bins] is the largest change in the cells of the beams; `ratio` gives a change and its error [bins]
-    over what is allowed, the largest of every range bin. Falls back on `keep_all`.
+    `change_of` evaluates parts of the echoes and the overlap of some; `allowed` [B, bins] is the largest change in the
+    cells of the beams; `ratio` gives a change and its error [bins] over what is allowed, the largest of every range
+    bin. Falls back on `keep_all`.
     """
     bins = allowed.shape[1]
-    candidates = _Candidates(radar, echoes, head_change, allowed)
+    candidates = _Candidates(radar, echoes, change_of, allowed)
     share, head_share = np.full(bins, FIRST_SHARE), HEAD_SHARE
     for last in (*(False,) * ROUNDS, True):
         selection = candidates.within(share, head_share)
@@ -97,9 +96,8 @@ def select(
 class _Candidates:
     """Paths with the largest ratio of each one's change to what is allowed."""
 
-    def __init__(self, radar: RadarParams, echoes: SweepTerms, head_change: HeadChange, allowed: np.ndarray) -> None:
-        self._radar, self._echoes, self._bins = radar, echoes, allowed.shape[1]
-        self._head_change = head_change
+    def __init__(self, radar: RadarParams, echoes: SweepTerms, change_of: Evaluated, allowed: np.ndarray) -> None:
+        self._echoes, self._bins, self._change_of = echoes, allowed.shape[1], change_of
         inverse = (1.0 / allowed).astype(np.float32)
         per_bin = _tightest(inverse, hann_skirt(radar, REACH), self._bins + BEYOND_BINS)
         cell = np.minimum(np.rint(echoes.tone).astype(np.int64), self._bins + BEYOND_BINS - 1)
@@ -110,24 +108,18 @@ class _Candidates:
 
     def within(self, share: np.ndarray, head_share: float) -> Selection:
         """Return the selection of the weakest, their rms within a share [bins] of what is allowed, and its change."""
-        echoes, radar, bins = self._echoes, self._radar, self._bins
         overlaps = ~_weakest_heads(self._head, np.argsort(self._head.max(axis=1)), head_share)
         # a path goes as a whole only where its overlap may go
         whole = np.where(overlaps, np.float32(np.inf), self._whole)
         ratios = np.concatenate([self._squint, whole])
-        squints, kept = _weakest(ratios, self._cell, np.argsort(ratios), share)
+        # of the same ratio, as those without terms have, squint goes first
+        squints, kept = _weakest(ratios, self._cell, np.argsort(ratios, kind="stable"), share)
         # a third kind of path would cost a signal of its own: what overlaps squints, and then the other way round
         swept = (squints | overlaps) & kept
         overlaps = swept & bool((overlaps & kept).any())
         part = np.where(kept, np.where(swept, NOTHING, SQUINT), WHOLE)
-        head, head_error = self._head_change(~overlaps)
-        return Selection(
-            dropped=~kept,
-            squints=swept,
-            overlaps=overlaps,
-            change=-(evaluate(radar, echoes, part, bins) + head),
-            error=error(radar, echoes, part, bins) + head_error,
-        )
+        change, error = self._change_of(part, ~overlaps)
+        return Selection(dropped=~kept, squints=swept, overlaps=overlaps, change=-change, error=error)
 
 
 def _head_ratios(echoes: SweepTerms, allowed: np.ndarray) -> np.ndarray:

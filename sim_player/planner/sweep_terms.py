@@ -2,7 +2,7 @@
 
 An echo's factor along the chirp (squint) is a band-limited function of the sweep: c_0 + c_1 T_1 + ... in Chebyshev
 polynomials. A phase that swings by +-alpha is interpolated at K points to 4 (J_K(alpha) + J_K+1(alpha) + ...) of the
-array's peak. Weak paths need one term, the strongest seven.
+array's peak. The weakest paths need no term, weak ones need one, the strongest seven.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class SweepTerms:
     #: Complex64 [P, most terms, B] and [P, B].
     terms: np.ndarray
     middle: np.ndarray
-    #: Number of terms, and what they leave out at most in any beam, [P].
+    #: Number of terms, and what they leave out at most in any beam, [P]: all of an echo without terms.
     count: np.ndarray
     remainder: np.ndarray
     #: Tone in range bins, share of the chirp that still belongs to the last one, half the phase swing, [P].
@@ -74,15 +74,15 @@ class SweepTerms:
         return replace(
             self,
             terms=terms,
-            count=np.where(mask, 1, self.count),
-            remainder=np.where(mask, np.float32(0.0), self.remainder),
+            count=np.where(mask, np.minimum(self.count, 1), self.count),
+            remainder=np.where(mask & (self.count > 0), np.float32(0.0), self.remainder),
         )
 
 
 def sweep_terms(
-    setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, tolerance: float
+    setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, tolerance: float | np.ndarray
 ) -> SweepTerms:
-    """Return the echoes with their pattern along the sweep to a tolerance in sqrt(mW)."""
+    """Return the echoes with their pattern along the sweep to a tolerance in sqrt(mW), one for all or [P]."""
     radar, array = setup.radar, setup.array
     wavelength_m = radar.wavelength_m
     directions = (
@@ -96,7 +96,8 @@ def sweep_terms(
     both = array.steered_ways != 1
     swing_rad = np.pi * radar.bandwidth_hz / SPEED_OF_LIGHT_MPS * _reach_m(setup, across, up, both)
     full = gain * np.abs(paths.amplitude) * float(array.columns * array.rows) ** (1.0 if both else 0.5)
-    count, remainder = _needed(full, swing_rad if effects.squint else np.zeros(len(paths)), tolerance)
+    swept_rad = swing_rad if effects.squint else np.zeros(len(paths))
+    count, remainder = _needed(full, swept_rad, np.broadcast_to(tolerance, len(paths)))
     weights = column_weights(setup, effects, front_end)
     recorded = np.conj(paths.amplitude) * np.exp(1j * beat_phase_rad(radar, paths.length_m)) * gain
     delay_s = paths.length_m / SPEED_OF_LIGHT_MPS
@@ -135,10 +136,12 @@ def _reach_m(setup: RadarSetup, across: np.ndarray, up: np.ndarray, both: bool) 
 def _needed(full, swing_rad, tolerance):  # type: ignore[no-untyped-def]
     """Return the fewest terms that each path needs, int64 [P], and what they leave out at most, float32 [P].
 
-    K terms leave out 4 (J_K + ...) of exp(j swing x), and J_k(a) < (a / 2)^k / k!.
+    K terms leave out 4 (J_K + ...) of exp(j swing x), and J_k(a) < (a / 2)^k / k!; none leaves out all.
     """
-    count, remainder = np.empty(len(full), np.int64), np.empty(len(full), np.float32)
+    count, remainder = np.zeros(len(full), np.int64), full.astype(np.float32)
     for path in range(len(full)):
+        if full[path] <= tolerance[path]:
+            continue
         half, first = 0.5 * swing_rad[path], 1.0
         for terms in range(1, MAX_TERMS + 1):
             first *= half / terms
@@ -146,7 +149,7 @@ def _needed(full, swing_rad, tolerance):  # type: ignore[no-untyped-def]
             if half >= 0.75 * (terms + 1):
                 left = 2.0
             count[path], remainder[path] = terms, min(left, 2.0) * full[path]
-            if remainder[path] <= tolerance:
+            if remainder[path] <= tolerance[path]:
                 break
     return count, remainder
 
@@ -184,12 +187,14 @@ def _fill_terms(  # type: ignore[no-untyped-def]
     for path in range(paths):
         most = max(most, count[path])
     terms = np.zeros((paths, most, beams), np.complex64)
-    middle = np.empty((paths, beams), np.complex64)
+    middle = np.zeros((paths, beams), np.complex64)
     # the last one is the middle of the sweep
     values_re, values_im = np.empty((most + 1, beams), np.float32), np.empty((most + 1, beams), np.float32)
     re, im = np.empty(beams, np.float32), np.empty(beams, np.float32)
     sum_re, sum_im = np.empty(beams, np.float32), np.empty(beams, np.float32)
     for path in range(paths):
+        if count[path] == 0:
+            continue
         alike = across[0, path] == across[1, path] and up[0, path] == up[1, path]
         factor_re, factor_im = np.float32(recorded[path].real), np.float32(recorded[path].imag)
         for node in range(count[path] + 1):
@@ -259,7 +264,7 @@ def _squint_magnitude(terms, middle, count):  # type: ignore[no-untyped-def]
     out = np.empty((paths, beams), np.float32)
     for path in range(paths):
         for beam in range(beams):
-            off = terms[path, 0, beam] - middle[path, beam]
+            off = terms[path, 0, beam] - middle[path, beam]  # both 0 without terms
             out[path, beam] = np.sqrt(off.real * off.real + off.imag * off.imag)
         for term in range(1, count[path]):
             for beam in range(beams):

@@ -38,8 +38,11 @@ from sim_player.dataset.writer import write_dataset
 from sim_player.effects.names import bit
 from sim_player.generate.places import draw_place, random_place
 from sim_player.generate.streets import random_street
+from sim_player.planner.cells import cells_of
+from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, scene_from_yaml
 from sim_player.scene.world import prepare
+from sim_player.signal.levels import noise_rms
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import labelled, scene_truth
@@ -369,8 +372,8 @@ def test_faulty_shard_is_made_again(tmp_path: Path, streets: Path, fault: str) -
     assert files(tmp_path) == files(streets)
 
 
-def test_places_planned_for_a_purpose_keep_what_it_needs(tmp_path: Path) -> None:
-    """A series for peaks has the same places, the plan of peaks and no path beyond it; for samples nothing changes."""
+def test_places_planned_for_a_purpose_are_evaluated_to_what_it_needs(tmp_path: Path) -> None:
+    """A series for peaks has the same places and labels, and maps within its law; for samples nothing changes."""
     for_peaks = msgspec.structs.replace(PLACES, purpose="peaks")
     ours, theirs = (
         write_dataset(tmp_path / name, 2, 3, recipe).parent
@@ -381,8 +384,12 @@ def test_places_planned_for_a_purpose_keep_what_it_needs(tmp_path: Path) -> None
     lines = [[msgspec.json.decode(bytes(line)) for line in shard["plan"]] for shard in (samples, peaks)]
     assert all("purpose" not in line for line in lines[0])
     assert all(line["purpose"] == "peaks" for line in lines[1])
-    assert sum(line["paths"] for line in lines[1]) < sum(line["paths"] for line in lines[0])
+    assert [line["paths"] for line in lines[1]] == [line["paths"] for line in lines[0]]
     assert not np.array_equal(samples["profiles"], peaks["profiles"])
+    for before, after in zip(samples["profiles"], peaks["profiles"], strict=True):
+        setup = RadarSetup()
+        ratio = cells_of(setup).off(before, after, noise_rms(setup), Purpose.PEAKS)
+        assert 0.0 < ratio.max() <= 0.1
     for index in range(2):
         scene, gain_db = scene_from_yaml(str(peaks["scene_yaml"][index]), Path()), float(peaks["gain_db"][index])
         scan = labelled_scan(scene, shards.scene_seed(3, index), "auto", -20.0, gain_db, "peaks")

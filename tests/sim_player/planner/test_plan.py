@@ -97,6 +97,41 @@ def test_the_laws_on_random_places(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("purpose", Purpose)
+def test_profiles_are_an_answer_without_a_selection(purpose: Purpose, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asked for profiles only, a plan keeps every path and evaluates them within its law and its own bound.
+
+    Unbalanced I and Q, leakage and spurs are in them.
+    """
+    monkeypatch.setattr(planner, "MIN_PATHS_TO_PLAN", 0)
+    place = random_place(21, 0)
+    faults = FrontEnd(
+        iq_gain_db=0.5, iq_phase_deg=3.0, leakage_dbm=-45.0, spurs=(Spur(frequency_hz=2e7, power_dbm=-95.0),)
+    )
+    radar = msgspec.structs.replace(place.radar, front_end=faults)
+    for asked in (place, msgspec.structs.replace(place, radar=radar)):
+        plan = plan_world(prepare(asked, 0), asked.setup, purpose=purpose, profiles_only=True)
+        assert plan.evaluated is not None
+        assert len(plan.echoes) == plan.traced
+        assert plan.spent_db is not None
+        ratio = off(asked, plan, 0, clean_profiles)
+        assert 0.0 < ratio <= 10.0 ** (plan.spent_db / 20.0) <= 0.1
+
+
+@pytest.mark.slow
+def test_profiles_that_miss_the_budget_are_made_of_selected_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At -60 dB single precision is not enough: paths are selected as for beats."""
+    monkeypatch.setattr(planner, "MIN_PATHS_TO_PLAN", 0)
+    asked = random_place(21, 0)
+    world = prepare(asked, 0)
+    one, other = (
+        plan_world(world, asked.setup, -60.0, purpose=Purpose.OBJECTS, profiles_only=only) for only in (True, False)
+    )
+    assert one.evaluated is None
+    assert len(one.echoes) == len(other.echoes) < one.traced
+
+
+@pytest.mark.slow
 def test_a_wider_budget_never_needs_more_paths() -> None:
     asked = random_place(21, 0)
     world = prepare(asked, 0)

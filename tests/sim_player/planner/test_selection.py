@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_player.planner.evaluation import HeadChange
+from sim_player.planner.evaluation import HeadChange, error, evaluate
 from sim_player.planner.selection import ANYTHING, Selection, select
 from tests.sim_player.planner.test_evaluation import BINS, RMS, SETUP, place
 
@@ -12,13 +12,17 @@ from tests.sim_player.planner.test_evaluation import BINS, RMS, SETUP, place
 def chosen(allowed: np.ndarray, worst: float) -> tuple[Selection, int]:
     """A selection where the evaluated change is called `worst` times what is allowed at least; number of questions."""
     _, terms = place(0)
-    heads, asked = HeadChange(SETUP.radar, terms, BINS, 1e-6 * float(RMS.min())), [0]
+    heads, asked = HeadChange(SETUP.radar, terms, BINS, 1e-3 * float(RMS.min())), [0]
 
     def ratio(change: np.ndarray, loose: np.ndarray) -> np.ndarray:
         asked[0] += 1
         return np.maximum(((np.abs(change) + loose) / allowed).max(axis=0), worst)
 
-    return select(SETUP.radar, terms, heads, allowed, ratio), asked[0]
+    def change_of(part: np.ndarray, overlaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        change, loose = heads(overlaps)
+        return evaluate(SETUP.radar, terms, part, BINS) + change, error(SETUP.radar, terms, part, BINS) + loose
+
+    return select(SETUP.radar, terms, change_of, allowed, ratio), asked[0]
 
 
 def test_much_goes_where_much_is_allowed() -> None:

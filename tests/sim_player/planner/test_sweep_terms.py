@@ -49,7 +49,7 @@ def test_weak_paths_need_fewer_terms() -> None:
 
 def test_without_squint_one_term_says_all() -> None:
     paths = trace(prepare(random_place(11, 0), 0), 0.0, ALL_EFFECTS)
-    found = sweep_terms(RadarSetup(), paths, NO_SWEEP, NO_FAULTS, 1e-9)
+    found = sweep_terms(RadarSetup(), paths, NO_SWEEP, NO_FAULTS, 0.0)
     assert (found.count == 1).all()
     assert not found.remainder.any()
     np.testing.assert_array_equal(found.terms[:, 0], found.middle)

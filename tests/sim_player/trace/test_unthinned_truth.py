@@ -35,8 +35,9 @@ def test_labels_come_back_and_lie_among_all_echoes(recipe: Recipe, tmp_path: Pat
 
 
 def test_a_series_planned_for_a_purpose_is_traced_again_for_it(tmp_path: Path) -> None:
-    """The shard says how many paths its plan kept: those of peaks, fewer than those of samples."""
-    folder = write_dataset(tmp_path / "data", 1, 3, Recipe(effects="auto", purpose="peaks")).parent
+    """A place whose map misses a budget of -60 dB is planned path by path: as many are kept as its shard says."""
+    recipe = Recipe(effects="auto", purpose="objects", budget_db=-60.0)
+    folder = write_dataset(tmp_path / "data", 1, 3, recipe).parent
     shard, series = read_shard(folder / "shard-00000.npz"), json.loads((folder / "series.json").read_text())
     drawn = DrawnScene(scene_yaml=str(shard["scene_yaml"][0]), index=0, gain_db=shard["gain_db"][0], series=series)
     kept = json.loads(bytes(shard["plan"][0]))["paths"]
