@@ -80,7 +80,8 @@ def apply(tracing: TraceContext) -> Echoes:
 def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Routes antenna -> edge -> points [N, 3] whose legs are free and on the edge's open side."""
     edges = edges_of(view)
-    scene = view.walls, view.world.builds, view.blockers.pieces, view.world.radar.wavelength_m
+    world = view.world
+    scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
     routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
     return routes.with_columns(edge=edges.number[routes.edge])
 
@@ -128,7 +129,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
 @njit(cache=True, nogil=True, error_model="numpy")
 def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
     """Return the uniform field of a bend over that of a free ray as long, with whole walls and their front faces."""
-    _, builds, (_, passing), wavelength_m = scene
+    builds, (transmission, wall_build), _, wavelength_m = scene
     first, last, n = int(edge[2]), int(edge[3]), edge[6]
     (to_source, to_target), (source_m, target_m) = angles, lengths
     skew = source_plan / source_m
@@ -139,7 +140,7 @@ def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untype
         min(abs(math.sin(to_source)), abs(math.sin(to_target))) * skew,
         min(abs(math.sin(n * np.pi - to_source)), abs(math.sin(n * np.pi - to_target))) * skew,
     )
-    passed = crossing_factor(passing, first, cosines[0]) if first == last else 0.0j
+    passed = crossing_factor(transmission, wall_build[first], cosines[0]) if first == last else 0.0j
     built = front = (1.0 - passed) * terms[0]
     for face in range(2):
         of_wall, of_front, _ = bounce(builds, last if face else first, cosines[face])

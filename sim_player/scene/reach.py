@@ -25,7 +25,6 @@ from sim_player.scene.world import (
     RadarState,
     Snapshot,
     World,
-    join_blockers,
     scene_radar,
     snapshot,
     wall_blockers,
@@ -33,7 +32,7 @@ from sim_player.scene.world import (
 )
 from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.routes import dot, norm
-from sim_player.trace.segments import Blockers
+from sim_player.trace.segments import Blockers, join_blockers
 
 #: Worlds of so many pieces of wall or fewer are traced whole.
 WHOLE_WALLS = 64
@@ -66,9 +65,8 @@ def reachable_snapshot(world: World, time_s: float = 0.0, radar: RadarState | No
     direct, lit = _lit(near, around, origin)
     visible = np.flatnonzero(_any(lit))
     view = snapshot(_with_walls(around, visible, _lit_specks(near, direct, lit)), time_s, radar)
-    hidden = np.flatnonzero(~_any(lit))
-    in_the_way = Blockers(**{field.name: getattr(near.blockers, field.name)[hidden] for field in fields(Blockers)})
-    return replace(view, blockers=join_blockers(view.blockers, in_the_way), lit=direct[visible])
+    blockers = join_blockers(view.blockers, near.blockers.take(~_any(lit)))
+    return replace(view, blockers=replace(blockers, tree=True), lit=direct[visible])
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def _surroundings_of(world: World, walls: np.ndarray) -> _Surroundings:
         blockers=wall_blockers(part),
         plan=split_walls(part.wall_a[straight], part.wall_b[straight], straight),
         beside=passed.astype(np.float64),
-        through=np.where(passed, 1.0, np.abs(part.transmission).max(axis=1)),
+        through=np.where(passed, 1.0, part.most_through),
         speck_share=np.where(part.is_curved[wall], 0.5, share),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -48,6 +48,10 @@ class World:
     #: Index into `stacks` of each piece of wall; a volume (foliage) has none: -1.
     wall_stack: np.ndarray
     stacks: tuple[Layers, ...]
+    #: Field factor of one crossing of each build over the cosine, complex128 [builds, TABLE_STEPS + 1]: of `stacks`,
+    #: of all foliage, and of bodies, 0. Row of each piece of wall, int32 [W].
+    transmission: np.ndarray
+    wall_build: np.ndarray
     #: Scattering centres of all objects at start: [K, 3], normals [K, 2, 3], the rest [K].
     centre_m: np.ndarray
     centre_normals: np.ndarray
@@ -127,15 +131,9 @@ class World:
         return walls.astype(np.int32), self.centre_id.astype(np.int32), self.object_id.astype(np.int32)
 
     @cached_property
-    def transmission(self) -> np.ndarray:
-        """Field factor of one crossing of each piece of wall over the cosine, complex128 [W, steps + 1]."""
-        cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
-        radar, table = self.radar, np.zeros((len(self.wall_a), TABLE_STEPS + 1), np.complex128)
-        for stack, layers in enumerate(self.stacks):
-            table[self.wall_stack == stack] = _transmission(layers, cosine, radar.wavelength_m)
-        for wall in np.flatnonzero(~self.is_mirror):
-            table[wall] = _foliage(self.scene.surfaces[self.wall_surface[wall]], cosine, radar.carrier_hz)
-        return table
+    def most_through(self) -> np.ndarray:
+        """Field factor of each piece of wall at its most transparent incidence, [W]."""
+        return np.asarray(np.abs(self.transmission).max(axis=1)[self.wall_build])
 
     def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return one bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by
@@ -179,11 +177,6 @@ class World:
         return specks, np.column_stack([self.speck_m[specks], np.full(len(specks), self.radar_height_m)])
 
     @cached_property
-    def blocker_transmission(self) -> np.ndarray:
-        """The same as `transmission` for all pieces that may block: walls, then faces, which let nothing pass."""
-        return np.concatenate([self.transmission, np.zeros((len(self.face_a), TABLE_STEPS + 1))])
-
-    @cached_property
     def centres(self) -> tuple[np.ndarray, ...]:
         """RCS, normals, exponent, floor, object and unit phasor of all centres as compiled code takes them."""
         numbers = self.centre_rcs_m2, self.centre_normals, self.centre_exponent, self.centre_floor
@@ -191,15 +184,16 @@ class World:
         return *plain, self.centre_object.astype(np.int32), np.exp(1j * self.centre_phase_rad)
 
     @cached_property
-    def blocker_kinds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Kind int8 and owner int32 of all pieces that may block: walls, then faces."""
+    def blocker_kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Kind int8, owner int32 and build int32 of all pieces that may block: walls, then faces, the last build."""
         faces, walls = len(self.face_a), len(self.wall_a)
         meshes = np.array([scene_object.class_ is None for scene_object in self.scene.objects], bool)
         object_index = np.repeat(np.arange(len(meshes)), 4)
         kind = np.concatenate([np.where(self.is_mirror, WALL, VOLUME), np.full(faces, BODY)])
         # the patches of a mesh lie inside its box
         owner = np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)])
-        return kind.astype(np.int8), owner.astype(np.int32)
+        build = np.concatenate([self.wall_build, np.full(faces, len(self.transmission) - 1)])
+        return kind.astype(np.int8), owner.astype(np.int32), build.astype(np.int32)
 
 
 def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:
@@ -220,6 +214,7 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
     curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
+    transmission, wall_build = _builds(scene, setup.radar, stacks, wall_stack, owner)
     objects = _object_arrays(scene, setup.radar.wavelength_m, seed)
     specks = _wall_specks(wall_a, wall_b, curvature, seed)
     return World(
@@ -235,6 +230,8 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         wall_surface=owner,
         wall_stack=wall_stack,
         stacks=stacks,
+        transmission=transmission,
+        wall_build=wall_build,
         **objects,
         **specks,
         wall_id=np.arange(len(wall_a)),
@@ -302,7 +299,7 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
-    kind, owner = world.blocker_kinds
+    kind, owner, build = world.blocker_kinds
     return Snapshot(
         world=world,
         pose=pose,
@@ -317,7 +314,8 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
             curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(len(face_shift))]),
             kind=kind,
             owner=owner,
-            transmission=world.blocker_transmission,
+            build=build,
+            transmission=world.transmission,
         ),
         normal=normal,
         offset=offset,
@@ -334,14 +332,8 @@ def wall_blockers(world: World) -> Blockers:
         curvature_per_m=world.wall_curvature_per_m,
         kind=np.where(world.is_mirror, WALL, VOLUME).astype(np.int8),
         owner=np.full(len(world.wall_a), -1, np.int32),
+        build=world.wall_build,
         transmission=world.transmission,
-    )
-
-
-def join_blockers(*parts: Blockers) -> Blockers:
-    """Return all blockers of several sets, in order."""
-    return Blockers(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blockers)}
     )
 
 
@@ -367,6 +359,19 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
         layers = wall_layers(surface.material, thickness_m, carrier_hz)
         index.append(stack_index.setdefault(layers, len(stack_index)))
     return tuple(stack_index), np.array(index, np.int32)
+
+
+def _builds(
+    scene: Scene, radar: RadarParams, stacks: tuple[Layers, ...], wall_stack: np.ndarray, wall_surface: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of `World.transmission`, and which of them each piece of wall has, int32 [W]."""
+    cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
+    volumes, place = np.unique(wall_surface[wall_stack < 0], return_inverse=True)
+    wall_build = wall_stack.astype(np.int32)
+    wall_build[wall_stack < 0] = len(stacks) + place
+    rows = [_transmission(layers, cosine, radar.wavelength_m) for layers in stacks]
+    rows += [_foliage(scene.surfaces[surface], cosine, radar.carrier_hz).astype(np.complex128) for surface in volumes]
+    return np.stack([*rows, np.zeros(TABLE_STEPS + 1, np.complex128)]), wall_build
 
 
 def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:

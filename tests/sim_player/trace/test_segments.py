@@ -30,6 +30,7 @@ def blockers(a: np.ndarray, b: np.ndarray, **more: object) -> Blockers:
         "curvature_per_m": np.zeros(count),
         "kind": np.full(count, WALL, np.int8),
         "owner": np.full(count, -1, np.int32),
+        "build": np.arange(count, dtype=np.int32),
         "transmission": np.full((count, TABLE_STEPS + 1), 0.5 + 0j),
     }
     return Blockers(a, b, **{**values, **more})  # type: ignore[arg-type]
