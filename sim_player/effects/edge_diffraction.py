@@ -91,14 +91,17 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     pieces = scene[2]
     rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
-    top = start[2]
+    top = low = start[2]
     for n in range(len(point)):
-        top = max(top, point[n, 2])
+        top, low = max(top, point[n, 2]), min(low, point[n, 2])
     for e in range(len(edges)):
         x, y, _, _, face_rad, sense, n_half, height = edges[e]
         # seen at the greatest height at which a ray to any point may meet it
         if not passage(start, (x, y, top), -1, pieces, True)[0]:
             continue
+        # where the lowest ray meets nothing on its way, none does
+        free, _, foliage = passage(start, (x, y, low), -1, pieces, True)
+        is_open = free and foliage == 1.0
         source_plan = math.hypot(x - start[0], y - start[1])
         to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
         for n in range(len(point)):
@@ -111,9 +114,11 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
             to_target = _turn(end[0] - x, end[1] - y, face_rad, sense)
             if to_target >= n_half * np.pi or bend[2] >= height:
                 continue
-            leaves = clear_series((start, bend, end), owner[n], pieces)
-            if leaves < 0.0:
+            before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
+            behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
+            if behind < 0.0:
                 continue
+            leaves = before * behind
             if count == len(rows):
                 rows = grown(rows)
             row = rows[count]
@@ -167,7 +172,7 @@ def edges_of(view: Snapshot) -> Edges:
     corner = np.flatnonzero(turn > np.pi + LEAST_TURN_RAD)
     first, last = np.concatenate([alone, end_1[corner]]), np.concatenate([alone, end_2[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
-    return Edges(
+    edges = Edges(
         point=ends.position[first],
         first=wall_1,
         last=wall_2,
@@ -177,3 +182,4 @@ def edges_of(view: Snapshot) -> Edges:
         height_m=np.minimum(world.wall_height_m[wall_1], world.wall_height_m[wall_2]),
         number=2 * world.wall_id[wall_1] + (first >= len(ends.wall) // 2),
     )
+    return edges.take(view.is_ahead(edges.point - view.origin)) if view.ahead_only else edges

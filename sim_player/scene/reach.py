@@ -17,11 +17,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from models.physics.antenna import element_field
-from models.physics.mirror import reflect
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
-from sim_player.scene.visibility import PlanWalls, lit_walls, split_walls
+from sim_player.scene.visibility import PlanWalls, lit_in_mirrors, lit_walls, split_walls
 from sim_player.scene.world import (
+    BEHIND,
     RadarState,
     Snapshot,
     World,
@@ -44,6 +44,7 @@ SQUARE_M = 16.0
 ROUNDING = 1e-7
 #: Level under the noise, in any bin, of all that the walls within reach hide together.
 HIDDEN_DB = -40.0
+_NO_SPECKS = np.zeros(0, int), np.zeros(0, int)
 
 
 def reach_m(setup: RadarSetup) -> float:
@@ -51,29 +52,40 @@ def reach_m(setup: RadarSetup) -> float:
     return REACH_SHARE * RangeAzimuthGrid().range_bins * setup.radar.range_bin_m
 
 
-def reachable_snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None) -> Snapshot:
+def reachable_snapshot(
+    world: World, time_s: float = 0.0, radar: RadarState | None = None, ahead_only: bool = False
+) -> Snapshot:
     """Return what a radar's echoes can reach of a world at a time; a small world whole.
 
-    `radar`: its state where it does not move as the scene says.
+    `radar`: its state where it does not move as the scene says. `ahead_only`: without the echoes that leave or arrive
+    behind the antenna, where its elements are blind; in a small world they stay.
     """
     radar = scene_radar(world.scene, time_s) if radar is None else radar
     if len(world.wall_a) <= WHOLE_WALLS:
         return snapshot(world, time_s, radar)
     origin = np.array([radar.pose.x_m, radar.pose.y_m])
     near = _surroundings(world, origin)
-    around = _with_objects(near.world, _objects_within(near.world, origin, time_s))
-    direct, lit = _lit(near, around, origin)
+    around = _with_objects(world, _objects_within(world, origin, time_s))
+    ahead = np.array([math.cos(radar.pose.yaw_rad), math.sin(radar.pose.yaw_rad)]) if ahead_only else None
+    direct, mirrors, by_mirror = _lit(near, around, origin, ahead)
+    lit = _hull(direct, *by_mirror)
     visible = np.flatnonzero(_any(lit))
-    view = snapshot(_with_walls(around, visible, _lit_specks(near, direct, lit)), time_s, radar)
+    part = _with_walls(around, near.walls[visible], _specks_of(world, near.walls[visible]))
+    part = _with_specks(part, _lit_specks(part, direct[visible], lit[visible]))
+    view = snapshot(replace(part, reach_m=reach_m(world.setup)), time_s, radar)
     blockers = join_blockers(view.blockers, near.blockers.take(~_any(lit)))
-    return replace(view, blockers=replace(blockers, tree=True), lit=direct[visible])
+    seen = np.tile([np.inf, -np.inf], (len(visible), len(visible), 1))
+    seen[np.searchsorted(visible, mirrors)] = by_mirror[:, visible]
+    return replace(view, blockers=replace(blockers, tree=True), lit=direct[visible], seen=seen, ahead_only=ahead_only)
 
 
 @dataclass(frozen=True)
 class _Surroundings:
-    """All walls around a square within which the radar stands."""
+    """All walls around a square within which the radar stands, without their scatterers."""
 
     world: World
+    #: Their numbers, and how they stand in the way.
+    walls: np.ndarray
     blockers: Blockers
     #: Its straight walls for `lit_walls`.
     plan: PlanWalls
@@ -81,8 +93,6 @@ class _Surroundings:
     #: most transparent incidence lets through.
     beside: np.ndarray
     through: np.ndarray
-    #: Where on its wall each scatterer lies, 0..1, [Q].
-    speck_share: np.ndarray
 
 
 def _surroundings(world: World, origin: np.ndarray) -> _Surroundings:
@@ -111,20 +121,18 @@ def _walls_within(world: World, middle: np.ndarray, far_m: float) -> np.ndarray:
 
 def _surroundings_of(world: World, walls: np.ndarray) -> _Surroundings:
     """Return pieces of wall with what stays while the radar moves among them."""
-    part = replace(_with_walls(world, walls), reach_m=reach_m(world.setup))
-    straight, wall = np.flatnonzero(~part.is_curved), part.speck_wall
-    along = part.wall_b[wall] - part.wall_a[wall]
-    share = dot(part.speck_m - part.wall_a[wall], along) / dot(along, along)
+    part = _with_walls(world, walls)
+    straight = np.flatnonzero(~part.is_curved)
     # rays rise no higher than the antenna and the scattering centres
     top_m = max(world.radar_height_m, float(world.centre_m[:, 2].max(initial=0.0)))
     passed = ~part.is_mirror | part.is_curved | (part.wall_height_m < top_m)
     return _Surroundings(
         world=part,
+        walls=walls,
         blockers=wall_blockers(part),
         plan=split_walls(part.wall_a[straight], part.wall_b[straight], straight),
         beside=passed.astype(np.float64),
         through=np.where(passed, 1.0, part.most_through),
-        speck_share=np.where(part.is_curved[wall], 0.5, share),
     )
 
 
@@ -132,82 +140,107 @@ def _objects_within(world: World, origin: np.ndarray, time_s: float) -> np.ndarr
     """Return the objects of which some part may lie within reach at a time."""
     corners = (world.face_a + np.repeat(world.velocity_mps * time_s, 4, axis=0) - origin).reshape(-1, 4, 2)
     size_m = norm(corners[:, 0] - corners[:, 2])
-    return np.flatnonzero(norm(corners).min(axis=1) <= world.reach_m + size_m)
+    return np.flatnonzero(norm(corners).min(axis=1) <= reach_m(world.setup) + size_m)
 
 
-def _lit(near: _Surroundings, around: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of each piece of wall that the radar sees, also through walls, and the share that it sees so or
-    in a wall that it sees, [W, 2] each; (inf, -inf) for none.
+def _lit(
+    near: _Surroundings, around: World, origin: np.ndarray, ahead: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the share of each piece of wall that the radar sees, also through walls, [W, 2]; (inf, -inf) for none.
+
+    Only that `ahead` of it, a unit vector, if there is one. And the M flat pieces that it sees, none between, with the share of each piece that it sees in them, [M, W, 2].
     """
     world = near.world
-    direct = lit_walls(origin, near.plan, near.beside)
-    mirrors = np.flatnonzero((direct[:, 1] > direct[:, 0]) & world.is_flat)
-    lit, clear = direct, direct
+    direct = clear = _ahead(world, origin, ahead, lit_walls(origin, near.plan, near.beside))
+    mirrors = np.flatnonzero((clear[:, 1] > clear[:, 0]) & world.is_flat)
     if (near.through > near.beside).any():
-        direct = _hull(direct, lit_walls(origin, near.plan, near.through, _least_through(around, origin)))
-    direct = _hull(direct, np.where(world.is_curved[:, None], [0.0, 1.0], [np.inf, -np.inf]))
-    lit = direct
+        through = lit_walls(origin, near.plan, near.through, _least_through(around, origin, len(direct)))
+        direct = _hull(direct, _ahead(world, origin, ahead, through))
+    # of arcs everything is taken for seen, also in mirrors
+    direct[world.is_curved] = [0.0, 1.0]
     normal, offset = wall_lines(world, origin)
-    for mirror in mirrors:
-        image = reflect(origin, normal[mirror], offset[mirror])
-        start, end = (world.wall_a[mirror] + share * (world.wall_b - world.wall_a)[mirror] for share in clear[mirror])
-        lit = _hull(lit, lit_walls(image, near.plan, near.beside, window=(start, end)))
-    return direct, lit
+    start, along = world.wall_a[mirrors, None], (world.wall_b - world.wall_a)[mirrors, None]
+    window = start + clear[mirrors][:, :, None] * along
+    by_mirror = lit_in_mirrors(origin, near.plan, near.beside, (normal[mirrors], offset[mirrors], window))
+    by_mirror[:, world.is_curved] = [0.0, 1.0]
+    return direct, mirrors, by_mirror
 
 
-def _hull(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the least share of each wall that holds two, [W, 2]."""
-    return np.column_stack([np.minimum(first[:, 0], second[:, 0]), np.maximum(first[:, 1], second[:, 1])])
+def _ahead(world: World, origin: np.ndarray, ahead: np.ndarray | None, lit: np.ndarray) -> np.ndarray:
+    """Return what of the share of each piece of wall [W, 2] is ahead of a point."""
+    if ahead is None:
+        return lit
+    start, end = (world.wall_a - origin) @ ahead + BEHIND, (world.wall_b - origin) @ ahead + BEHIND
+    crosses = (start < 0.0) != (end < 0.0)
+    at = start / np.where(crosses, start - end, 1.0)
+    low = np.where(crosses & (start < 0.0), np.maximum(lit[:, 0], at), lit[:, 0])
+    high = np.where(crosses & (end < 0.0), np.minimum(lit[:, 1], at), lit[:, 1])
+    dark = (low > high) | ((start < 0.0) & (end < 0.0))
+    return np.where(dark[:, None], [np.inf, -np.inf], np.column_stack([low, high]))
+
+
+def _hull(*shares: np.ndarray) -> np.ndarray:
+    """Return the least share of each wall that holds several, [W, 2]."""
+    every = np.stack(shares)
+    return np.column_stack([every[..., 0].min(axis=0), every[..., 1].max(axis=0)])
 
 
 def _any(lit: np.ndarray) -> np.ndarray:
     return np.asarray(lit[:, 1] >= lit[:, 0])
 
 
-def _lit_specks(near: _Surroundings, direct: np.ndarray, lit: np.ndarray) -> np.ndarray:
+def _specks_of(world: World, walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scatterers of some pieces of wall, and how many each piece has."""
+    if "first_speck" not in world.kept:
+        world.kept["first_speck"] = np.searchsorted(world.speck_wall, np.arange(len(world.wall_a) + 1))
+    return _runs(world.kept["first_speck"], walls)
+
+
+def _lit_specks(world: World, direct: np.ndarray, lit: np.ndarray) -> np.ndarray:
     """Return which wall scatterers the radar may see: patches directly, structure in a wall too; bool [Q]."""
-    world, wall = near.world, near.world.speck_wall
+    wall, along = world.speck_wall, world.wall_b - world.wall_a
+    share = dot(world.speck_m - world.wall_a[wall], along[wall]) / dot(along, along)[wall]
+    share[world.is_curved[wall]] = 0.5
     low, high = np.where((world.speck_length_m > 0.0)[:, None], direct[wall], lit[wall]).T
-    return np.asarray((near.speck_share >= low - ROUNDING) & (near.speck_share <= high + ROUNDING))
+    return np.asarray((share >= low - ROUNDING) & (share <= high + ROUNDING))
 
 
-def _least_through(world: World, origin: np.ndarray) -> float:
+def _least_through(world: World, origin: np.ndarray, walls: int) -> float:
     """Return the field factor of walls, one way, behind which all objects together stay `HIDDEN_DB` under the noise.
 
-    Bound: every centre as bright as it can be, at its distance, straight and in every wall, in the array's full gain.
+    Bound: every centre as bright as it can be, at its distance, straight and in each of so many walls, in the array's
+    full gain.
     """
     setup, radar = world.setup, world.setup.radar
     distance_m = np.maximum(norm(world.centre_m[:, :2] - origin), 1.0)
-    largest = float(echo_amplitude(radar, world.centre_rcs_m2, distance_m).sum()) * (1 + len(world.wall_a))
+    largest = float(echo_amplitude(radar, world.centre_rcs_m2, distance_m).sum()) * (1 + walls)
     broadside = float(element_field(setup.element, np.zeros(1), np.zeros(1))[0])
     gain = (setup.array.columns * setup.array.rows * max(broadside, 1.0)) ** 2
     noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
     return math.sqrt(min(math.sqrt(noise_mw * ratio_from_db(HIDDEN_DB)) / max(gain * largest, 1e-300), 1.0))
 
 
-def _with_walls(world: World, walls: np.ndarray, wanted: np.ndarray | None = None) -> World:
-    """Return the part of a world that has these pieces of wall, in order, with their scatterers, or the wanted of
-    these, bool [Q].
-    """
-    specks, count = _runs(world.speck_wall, len(world.wall_a), walls)
-    owner = np.repeat(np.arange(len(walls)), count)
-    if wanted is not None:
-        specks, owner = specks[wanted[specks]], owner[wanted[specks]]
-    fields_of_walls = [name for name in _names(world) if name.startswith("wall_")]
-    fields_of_specks = [name for name in _names(world) if name.startswith("speck_") and name != "speck_wall"]
+def _with_walls(world: World, walls: np.ndarray, specks: tuple[np.ndarray, np.ndarray] = _NO_SPECKS) -> World:
+    """Return the part of a world that has these pieces of wall, in order, with these scatterers, so many a piece."""
+    part = _with_specks(world, specks[0])
     return replace(
-        world,
-        **{name: getattr(world, name)[walls] for name in fields_of_walls},
-        **{name: getattr(world, name)[specks] for name in fields_of_specks},
-        speck_wall=owner,
+        part,
+        **{name: getattr(world, name)[walls] for name in _names(world) if name.startswith("wall_")},
+        speck_wall=np.repeat(np.arange(len(walls)), specks[1]) if len(specks[0]) else specks[0],
     )
+
+
+def _with_specks(world: World, specks: np.ndarray) -> World:
+    """Return the part of a world that has these wall scatterers, by index or mask."""
+    return replace(world, **{name: getattr(world, name)[specks] for name in _names(world) if name.startswith("speck_")})
 
 
 def _with_objects(world: World, objects: np.ndarray) -> World:
     """Return the part of a world that has these objects, in order."""
     if len(objects) == len(world.object_id):
         return world
-    centres, count = _runs(world.centre_object, len(world.object_id), objects)
+    first = np.searchsorted(world.centre_object, np.arange(len(world.object_id) + 1))
+    centres, count = _runs(first, objects)
     faces = (4 * objects[:, None] + np.arange(4)).ravel()
     names = [name for name in _names(world) if name.startswith("centre_") and name != "centre_object"]
     kept = tuple(world.scene.objects[index] for index in objects)
@@ -226,9 +259,8 @@ def _names(world: World) -> list[str]:
     return [field.name for field in fields(world)]
 
 
-def _runs(owner: np.ndarray, owners: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places of wanted owners in their ascending list, and how many each has."""
-    start = np.searchsorted(owner, np.arange(owners + 1))
-    count = np.diff(start)[wanted]
+def _runs(start: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places of wanted owners in an ascending list, and how many each has; `start` where each begins."""
+    count = start[wanted + 1] - start[wanted]
     place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     return np.repeat(start[wanted], count) + place, count

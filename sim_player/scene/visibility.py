@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from models.physics.mirror import mirrored
+
 #: Ends nearer than this to a ray stop it no more than they are met by it.
 GRAZE_M = 2e-6
 #: The same in angle, for far ends.
@@ -59,6 +61,27 @@ def lit_walls(
         through,
         window is not None,
     )
+    return lit
+
+
+def lit_in_mirrors(
+    source: np.ndarray, walls: PlanWalls, passing: np.ndarray, mirrors: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Return which share of each piece of wall rays from a point may meet by way of each of K mirrors, [K, W, 2].
+
+    `mirrors`: normals [K, 2] and offsets [K] of their lines, and the ends [K, 2, 2] between which rays meet them.
+    """
+    plan = walls.a, walls.b, walls.begin, walls.end, walls.wall
+    lit: np.ndarray = _mirrored_sweeps(np.asarray(source, np.float64), plan, passing, *mirrors)
+    return lit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mirrored_sweeps(source, walls, passing, normal, offset, window):  # type: ignore[no-untyped-def]
+    lit, image = np.empty((len(normal), len(passing), 2)), np.empty(2)
+    for k in range(len(normal)):
+        image[0], image[1] = mirrored(source[0], source[1], normal[k, 0], normal[k, 1], offset[k])
+        lit[k] = _sweep(image, walls, passing, 0.0, window[k], True)
     return lit
 
 
@@ -111,7 +134,7 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
         first = math.atan2(window[0, 1] - source[1], window[0, 0] - source[0])
         turn = _wrapped(math.atan2(window[1, 1] - source[1], window[1, 0] - source[0]) - first)
         middle, half = first + 0.5 * turn, 0.5 * abs(turn) + GRAZE_RAD
-    low, high, piece = _spans(source, a, b, middle, half)
+    low, high, piece = _spans(source, a, b, middle, half, window)
     order = np.argsort(np.concatenate((low, high)))
     inside = np.empty(len(piece), np.int64)
     count = 0
@@ -144,11 +167,23 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _spans(source, a, b, middle, half):  # type: ignore[no-untyped-def]
+def _spans(source, a, b, middle, half, window):  # type: ignore[no-untyped-def]
     """Directions from the middle between which each wall stands, within half a window; wall of each span."""
     low, high, piece = np.empty(2 * len(a)), np.empty(2 * len(a)), np.empty(2 * len(a), np.int64)
     count = 0
+    # lines that rays through a narrow window stay on one side of: both its edges, and the window's own
+    lines, cuts = np.empty((3, 3)), half < 0.5 * math.pi
+    if cuts:
+        wx, wy = window[1, 0] - window[0, 0], window[1, 1] - window[0, 1]
+        long = max(math.hypot(wx, wy), GRAZE_M)
+        front = math.copysign(1.0 / long, wx * (source[1] - window[0, 1]) - wy * (source[0] - window[0, 0]))
+        lines[0] = math.sin(middle + half), -math.cos(middle + half), 0.0
+        lines[1] = -math.sin(middle - half), math.cos(middle - half), 0.0
+        lines[2, 0], lines[2, 1] = front * wy, -front * wx
+        lines[2, 2] = lines[2, 0] * (source[0] - window[0, 0]) + lines[2, 1] * (source[1] - window[0, 1])
     for m in range(len(a)):
+        if cuts and _stands_aside(source, a[m], b[m], lines):
+            continue
         first = _wrapped(math.atan2(a[m, 1] - source[1], a[m, 0] - source[0]) - middle)
         turn = _wrapped(math.atan2(b[m, 1] - source[1], b[m, 0] - source[0]) - middle - first)
         start, stop = min(first, first + turn), max(first, first + turn)
@@ -160,15 +195,28 @@ def _spans(source, a, b, middle, half):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _stands_aside(source, a, b, lines):  # type: ignore[no-untyped-def]
+    """Return whether a wall stands behind one of three lines, well beyond rounding; lines by vectors from a source."""
+    ax, ay, bx, by = a[0] - source[0], a[1] - source[1], b[0] - source[0], b[1] - source[1]
+    margin = 2.0 * GRAZE_M + 2.0 * GRAZE_RAD * (abs(ax) + abs(ay) + abs(bx) + abs(by))
+    for line in range(3):
+        nx, ny, offset = lines[line, 0], lines[line, 1], lines[line, 2]
+        if nx * ax + ny * ay + offset < -margin and nx * bx + ny * by + offset < -margin:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _meet(source, walls, passing, least, window, narrow, between, piece, inside, lit):  # type: ignore[no-untyped-def]
     """Light the walls that the rays between two directions meet, nearest first."""
     a, b, begin, end, wall = walls
-    along = 0.5 * (between[0] + between[1])
-    after, left = _start(source, window, narrow, along), 1.0
+    ray = _ray(0.5 * (between[0] + between[1]))
+    rays = _ray(between[0]), _ray(between[1])
+    after, left = _start(source, window, narrow, ray), 1.0
     while left > least:
         distance = np.inf
         for span in inside:
-            here = _distance(source, along, a[piece[span]], b[piece[span]])
+            here = _distance(source, ray, a[piece[span]], b[piece[span]])
             if after < here < distance:
                 distance = here
         if distance == np.inf:
@@ -176,10 +224,10 @@ def _meet(source, walls, passing, least, window, narrow, between, piece, inside,
         # walls that stand in one another are met together
         for span in inside:
             m = piece[span]
-            if not after < _distance(source, along, a[m], b[m]) <= distance + GRAZE_M:
+            if not after < _distance(source, ray, a[m], b[m]) <= distance + GRAZE_M:
                 continue
-            for angle in between:
-                place = begin[m] + _share(source, angle, a[m], b[m]) * (end[m] - begin[m])
+            for bound in rays:
+                place = begin[m] + _share(source, bound, a[m], b[m]) * (end[m] - begin[m])
                 lit[wall[m], 0] = min(lit[wall[m], 0], place)
                 lit[wall[m], 1] = max(lit[wall[m], 1], place)
             left *= passing[wall[m]]
@@ -198,12 +246,13 @@ def _look(source, walls, passing, least, window, narrow, along, angle, span, spa
     edge_on = high[span] - low[span] < GRAZE_RAD
     reach = min(at_a, at_b) if edge_on else at_a if turn_a < turn_b else at_b
     graze = GRAZE_RAD + GRAZE_M / max(reach, GRAZE_M)
-    left, start = 1.0, _start(source, window, narrow, along)
+    ray = _ray(along)
+    left, start = 1.0, _start(source, window, narrow, ray)
     if reach <= start - GRAZE_M:
         return
     for other in inside:
         if low[other] < angle - graze and high[other] > angle + graze:
-            here = _distance(source, along, a[piece[other]], b[piece[other]])
+            here = _distance(source, ray, a[piece[other]], b[piece[other]])
             if start < here < reach - GRAZE_M:
                 left *= passing[wall[piece[other]]]
     if left > least:
@@ -213,27 +262,33 @@ def _look(source, walls, passing, least, window, narrow, along, angle, span, spa
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _start(source, window, narrow, along):  # type: ignore[no-untyped-def]
-    """Distance at which a ray passes the window."""
-    return _distance(source, along, window[0], window[1]) + GRAZE_M if narrow else 0.0
+def _ray(angle):  # type: ignore[no-untyped-def]
+    """Unit vector of a direction."""
+    return math.cos(angle), math.sin(angle)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _distance(source, along, a, b):  # type: ignore[no-untyped-def]
+def _start(source, window, narrow, ray):  # type: ignore[no-untyped-def]
+    """Distance at which a ray passes the window."""
+    return _distance(source, ray, window[0], window[1]) + GRAZE_M if narrow else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distance(source, ray, a, b):  # type: ignore[no-untyped-def]
     """Distance at which a ray cuts the line through two points; that of the nearer one where it runs along them."""
     wx, wy = b[0] - a[0], b[1] - a[1]
-    turn = math.cos(along) * wy - math.sin(along) * wx
+    turn = ray[0] * wy - ray[1] * wx
     ox, oy = a[0] - source[0], a[1] - source[1]
-    if abs(turn) <= 1e-12 * math.hypot(wx, wy):
+    if turn * turn <= 1e-24 * (wx * wx + wy * wy):
         return min(math.hypot(ox, oy), math.hypot(b[0] - source[0], b[1] - source[1]))
     return (ox * wy - oy * wx) / turn
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _share(source, along, a, b):  # type: ignore[no-untyped-def]
+def _share(source, ray, a, b):  # type: ignore[no-untyped-def]
     """Where on a wall, 0..1, a ray meets it."""
     wx, wy = b[0] - a[0], b[1] - a[1]
-    cx, cy = math.cos(along), math.sin(along)
+    cx, cy = ray
     turn = cx * wy - cy * wx
     if abs(turn) <= 1e-12 * math.hypot(wx, wy):
         return 0.5

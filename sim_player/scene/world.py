@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +28,8 @@ PATCH_M = 0.13
 #: Median and spread of the wall's own small scatterers (metal parts of a hand's size), every 1-3 m and at all ends.
 STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
 STRUCTURE_SPACING_M = (1.0, 3.0)
+#: Cosine of a direction (or so many metres of a point) behind the antenna from which on it is taken for behind.
+BEHIND = 1e-9
 
 
 @dataclass(frozen=True)
@@ -151,10 +153,10 @@ class World:
         """Pairs of straight walls that share an end."""
         return corners_of(self.wall_a, self.wall_b, self.is_flat)
 
-    @cached_property
-    def share_an_end(self) -> np.ndarray:
-        """Which pieces of wall share an end; bool [W, W]."""
-        return share_an_end(self.wall_a, self.wall_b)
+    def share_an_end(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return which of some pairs of pieces of wall [N] share an end; bool [N]."""
+        ends = np.stack([self.wall_a, self.wall_b], axis=1)
+        return share_an_end(ends[first], ends[second])
 
     @cached_property
     def wall_ends(self) -> WallEnds:
@@ -263,11 +265,20 @@ class Snapshot:
     offset: np.ndarray
     #: Share of each piece of wall that may be in direct sight, [W, 2]: on the rest of it no path has its first mirror.
     lit: np.ndarray
+    #: Share of each second piece of wall that may be seen in each first one, [W, W, 2]; [0, 0, 2]: any of all of them.
+    seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    #: Whether routes that leave behind the antenna, where its elements neither send nor receive, are left out.
+    ahead_only: bool = False
 
     @property
     def origin(self) -> np.ndarray:
         """The antenna's position in the plane, [2]."""
         return self.antenna[:2]
+
+    def is_ahead(self, direction: np.ndarray) -> np.ndarray:
+        """Return which directions [N, 2 or 3] from the antenna do not point behind it, bool [N]."""
+        yaw = self.pose.yaw_rad
+        return np.asarray(direction[:, 0] * math.cos(yaw) + direction[:, 1] * math.sin(yaw) >= -BEHIND)
 
     @cached_property
     def walls(self) -> tuple[np.ndarray, ...]:

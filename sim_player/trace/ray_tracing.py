@@ -48,9 +48,16 @@ def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
             echoes[name] = as_chords(tracing)
     if math.isfinite(view.world.reach_m):
         echoes = {name: within_reach(view.world, made) for name, made in echoes.items()}
+    if view.ahead_only:
+        echoes = {name: _ahead(view, made) for name, made in echoes.items()}
     return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}
 
 
 def within_reach(world: World, echoes: Echoes) -> Echoes:
     """Return the echoes up to a world's reach: what stands in the way of longer ones is not in it."""
     return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * world.reach_m)
+
+
+def _ahead(view: Snapshot, echoes: Echoes) -> Echoes:
+    """Return the echoes that neither leave nor arrive behind the antenna."""
+    return echoes.take(view.is_ahead(echoes.depart) & view.is_ahead(echoes.arrive))

@@ -1,8 +1,8 @@
 """Occlusion and transmission of straight segments between points, by walls, bodies and foliage.
 
-Exact per segment and blocker, compiled. `in_a_tree` finds the few of many blockers that a segment may meet by boxes
-around neighbours; otherwise all are tested in turn. A segment leaves out `CLEARANCE_M` at both ends, so a wall does not hide a
-point that lies on it. Walls include their ends (`CLEARANCE_M` is added), so walls that share a corner leave no gap.
+Exact per segment and blocker, compiled: all blockers in turn, or of many those alone whose boxes a segment meets. A
+segment leaves out `CLEARANCE_M` at both ends, so a wall does not hide a point that lies on it. Walls include their ends
+(`CLEARANCE_M` is added), so walls that share a corner leave no gap.
 """
 
 from __future__ import annotations
@@ -76,6 +76,10 @@ class Occlusion:
         """Return the segments of an index or mask."""
         return Occlusion(self.free[selection], self.through[selection], self.foliage[selection])
 
+    def where(self, mask: np.ndarray) -> Occlusion:
+        """Return the same, with all segments but those of a mask blocked."""
+        return Occlusion(self.free & mask, np.where(mask, self.through, 0.0), self.foliage)
+
 
 def segment_occlusion(
     start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1
@@ -139,7 +143,8 @@ def _pieces(a, b, height, curvature, kind, owner, build):  # type: ignore[no-unt
 
 
 def _bounds(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and the greatest coordinates of pieces, [M, 2] each; an arc stays within half its chord of it."""
+    """Return the least and the greatest coordinates of pieces, [M, 2] each."""
+    # an arc stays within half its chord of it
     a, b = pieces[:, :2], pieces[:, 7:9]
     wider = BOX_MARGIN_M + np.where(pieces[:, 9] == 0.0, 0.0, 0.5 * pieces[:, 4])[:, None]
     return np.minimum(a, b) - wider, np.maximum(a, b) + wider
