@@ -60,10 +60,12 @@ def signal_effects(names: frozenset[str]) -> SignalEffects:
 class EffectAblation:
     """State of the ablation for one scene at rest: starts with every effect and every path."""
 
-    def __init__(self, world: World, setup: RadarSetup, time_s: float, purpose: Purpose, budget: float) -> None:
+    def __init__(
+        self, world: World, setup: RadarSetup, time_s: float, purpose: Purpose, budget: float, ahead_only: bool = False
+    ) -> None:
         self.world, self.setup, self.purpose, self.budget = world, setup, purpose, budget
         self.radar, self.front_end = setup.radar, world.scene.radar.front_end
-        self.view = reachable_snapshot(world, time_s)
+        self.view = reachable_snapshot(world, time_s, ahead_only=ahead_only)
         self.used = set(ALL_EFFECTS)
         self.echoes = trace_echoes(self.view, ALL_EFFECTS)
         self.shape = (len(setup.beams), RANGE_BINS)

@@ -127,7 +127,9 @@ def plan_world(
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
     start = time.perf_counter()
-    planner = _Planner(EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0)), thorough)
+    # behind the antenna nothing is seen, unless an element is asked to see all round
+    ahead_only = not (thorough or world.scene.moves)
+    planner = _Planner(EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0), ahead_only), thorough)
     planner.timing_s["trace"] = time.perf_counter() - start
     planner.run()
     return planner.plan(budget_db)

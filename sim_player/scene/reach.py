@@ -4,7 +4,7 @@ An echo that touches a point at a distance d has a half round trip of d at least
 have no part in shorter echoes, not even by standing in their way. Of the walls within reach all may stand in the way;
 mirrors, edges and scatterers are only those that the radar sees (through walls too, as far as anything comes back) or
 that it sees in another wall, since paths have two mirrors at most. All echoes up to the reach are those of the whole
-world; longer ones are left out.
+world. Longer ones are left out, but for flashes of straight walls that leak into the map.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from models.physics.antenna import element_field
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
-from msgs.values.units import ratio_from_db
+from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
 from sim_player.scene.visibility import PlanWalls, lit_in_mirrors, lit_walls, split_walls
 from sim_player.scene.world import (
     BEHIND,
@@ -32,7 +32,7 @@ from sim_player.scene.world import (
 )
 from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.routes import dot, norm
-from sim_player.trace.segments import Blockers, join_blockers
+from sim_player.trace.segments import Blockers, join_blockers, segment_occlusion
 
 #: Worlds of so many pieces of wall or fewer are traced whole.
 WHOLE_WALLS = 64
@@ -44,6 +44,10 @@ SQUARE_M = 16.0
 ROUNDING = 1e-7
 #: Level under the noise, in any bin, of all that the walls within reach hide together.
 HIDDEN_DB = -40.0
+#: Level under the noise, in any bin, up to which the flash of a wall beyond reach is left out.
+LEAK_DB = -40.0
+#: Delay of such a flash at most, in chirps.
+LATEST = 0.99
 _NO_SPECKS = np.zeros(0, int), np.zeros(0, int)
 
 
@@ -70,13 +74,26 @@ def reachable_snapshot(
     direct, mirrors, by_mirror = _lit(near, around, origin, ahead)
     lit = _hull(direct, *by_mirror)
     visible = np.flatnonzero(_any(lit))
-    part = _with_walls(around, near.walls[visible], _specks_of(world, near.walls[visible]))
-    part = _with_specks(part, _lit_specks(part, direct[visible], lit[visible]))
+    distant = _distant_mirrors(world, near, origin, ahead)
+    walls = np.union1d(near.walls[visible], distant)
+    inside, place = np.isin(walls, near.walls[visible]), np.searchsorted(walls, near.walls)
+    of_walls = np.tile([np.inf, -np.inf], (2, len(walls), 1))
+    of_walls[:, inside] = direct[visible], lit[visible]
+    part = _with_walls(around, walls, _specks_of(world, walls))
+    # what scatters on walls beyond reach is beyond reach
+    part = _with_specks(part, _lit_specks(part, *of_walls) & ~np.isin(walls, distant)[part.speck_wall])
     view = snapshot(replace(part, reach_m=reach_m(world.setup)), time_s, radar)
-    blockers = join_blockers(view.blockers, near.blockers.take(~_any(lit)))
-    seen = np.tile([np.inf, -np.inf], (len(visible), len(visible), 1))
-    seen[np.searchsorted(visible, mirrors)] = by_mirror[:, visible]
-    return replace(view, blockers=replace(blockers, tree=True), lit=direct[visible], seen=seen, ahead_only=ahead_only)
+    blockers = join_blockers(view.blockers, near.blockers.take(~_any(lit) & ~np.isin(near.walls, distant)))
+    seen = np.tile([np.inf, -np.inf], (len(walls), len(walls), 1))
+    seen[np.ix_(place[mirrors], inside)] = by_mirror[:, visible]
+    return replace(
+        view,
+        blockers=replace(blockers, tree=True),
+        lit=of_walls[0],
+        seen=seen,
+        ahead_only=ahead_only,
+        distant=distant,
+    )
 
 
 @dataclass(frozen=True)
@@ -93,6 +110,8 @@ class _Surroundings:
     #: most transparent incidence lets through.
     beside: np.ndarray
     through: np.ndarray
+    #: Numbers of the straight walls of the whole world whose flash may come from beyond reach and leak into the map.
+    distant: np.ndarray
 
 
 def _surroundings(world: World, origin: np.ndarray) -> _Surroundings:
@@ -100,7 +119,8 @@ def _surroundings(world: World, origin: np.ndarray) -> _Surroundings:
     square = tuple(np.floor(origin / SQUARE_M).astype(int).tolist())
     if world.kept.get("square") != square:
         middle, far_m = SQUARE_M * (np.array(square) + 0.5), reach_m(world.setup) + SQUARE_M * math.sqrt(0.5)
-        world.kept.update(square=square, surroundings=_surroundings_of(world, _walls_within(world, middle, far_m)))
+        near_walls = _walls_within(world, middle, far_m)
+        world.kept.update(square=square, surroundings=_surroundings_of(world, near_walls, _distant(world, middle)))
     near: _Surroundings = world.kept["surroundings"]
     return near
 
@@ -119,7 +139,59 @@ def _walls_within(world: World, middle: np.ndarray, far_m: float) -> np.ndarray:
     return np.asarray(walls[away <= far_m + np.where(world.wall_curvature_per_m[walls] == 0.0, 0.0, half_m[walls])])
 
 
-def _surroundings_of(world: World, walls: np.ndarray) -> _Surroundings:
+def _feet(world: World, walls: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the feet [N, 2] of the perpendiculars on walls, how far beyond the ends they lie, and how far off."""
+    start, along = world.wall_a[walls], world.wall_b[walls] - world.wall_a[walls]
+    square = dot(along, along)
+    share = dot(origin - start, along) / square
+    foot = start + share[:, None] * along
+    return foot, np.maximum(-share, share - 1.0) * np.sqrt(square), norm(foot - origin)
+
+
+def _distant(world: World, middle: np.ndarray) -> np.ndarray:
+    """Return the straight walls that may flash from beyond reach, for a radar in the square around a point."""
+    walls, slack_m = np.flatnonzero(world.is_flat), SQUARE_M * math.sqrt(0.5)
+    _, beside_m, away_m = _feet(world, walls, middle)
+    return np.asarray(walls[(beside_m <= slack_m) & (away_m > reach_m(world.setup) - slack_m)])
+
+
+def _distant_mirrors(world: World, near: _Surroundings, origin: np.ndarray, ahead: np.ndarray | None) -> np.ndarray:
+    """Return the walls beyond reach that flash, nothing between, and leak into the map by more than `LEAK_DB`."""
+    foot, beside_m, away_m = _feet(world, near.distant, origin)
+    leaks = (beside_m <= 0.0) & (away_m > reach_m(world.setup)) & _leaks(world.setup, away_m)
+    leaks &= world.wall_height_m[near.distant] > world.radar_height_m
+    if ahead is not None:
+        leaks &= (foot - origin) @ ahead >= 0.0
+    walls, foot = near.distant[leaks], foot[leaks]
+    antenna = np.array([*origin, world.radar_height_m])
+    foot = np.column_stack([foot, np.full(len(walls), world.radar_height_m)])
+    # most are hidden by what is near
+    free = segment_occlusion(antenna, foot, near.blockers).free
+    if free.any():
+        free[free] = segment_occlusion(antenna, foot[free], wall_blockers(world)).free
+    return np.asarray(walls[free])
+
+
+def _leaks(setup: RadarSetup, away_m: np.ndarray) -> np.ndarray:
+    """Return which flashes of mirrors so far off may leave more than `LEAK_DB` in the last range bin, bool [N].
+
+    Bound: nothing is lost at the mirror and the array points there. A Hann window's skirt d bins off is 1 / (pi d^3).
+    What is cut off at the overlapped start, where the window has risen to h, leaves h / (pi d), and so does the echo of
+    the last chirp in its place, a band away. Echoes later than a chirp are left out.
+    """
+    radar, array = setup.radar, setup.array
+    peak = float(element_field(setup.element, np.zeros(1), np.zeros(1))[0]) ** 2 * array.columns * array.rows
+    flash = peak * math.sqrt(1e3 * radar.transmit_power_w) * radar.wavelength_m / (8.0 * math.pi * away_m)
+    off = np.maximum(away_m / radar.range_bin_m - RangeAzimuthGrid().range_bins, 2.0)
+    late = 2.0 * away_m / (SPEED_OF_LIGHT_MPS * radar.chirp_period_s)
+    risen = np.where(late < 0.5, 1.0 - np.cos(2.0 * math.pi * late), 2.0)
+    noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
+    band_off = np.maximum((1.0 - late) * radar.bandwidth_hz * radar.chirp_period_s, 1.0)
+    share = (1.1 / off**3 + risen / off + risen / band_off) / math.pi
+    return np.asarray((late < LATEST) & (flash * share > math.sqrt(noise_mw * ratio_from_db(LEAK_DB))))
+
+
+def _surroundings_of(world: World, walls: np.ndarray, distant: np.ndarray) -> _Surroundings:
     """Return pieces of wall with what stays while the radar moves among them."""
     part = _with_walls(world, walls)
     straight = np.flatnonzero(~part.is_curved)
@@ -129,7 +201,8 @@ def _surroundings_of(world: World, walls: np.ndarray) -> _Surroundings:
     return _Surroundings(
         world=part,
         walls=walls,
-        blockers=wall_blockers(part),
+        distant=distant,
+        blockers=replace(wall_blockers(part), tree=True),
         plan=split_walls(part.wall_a[straight], part.wall_b[straight], straight),
         beside=passed.astype(np.float64),
         through=np.where(passed, 1.0, part.most_through),
@@ -148,7 +221,8 @@ def _lit(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the share of each piece of wall that the radar sees, also through walls, [W, 2]; (inf, -inf) for none.
 
-    Only that `ahead` of it, a unit vector, if there is one. And the M flat pieces that it sees, none between, with the share of each piece that it sees in them, [M, W, 2].
+    Only that `ahead` of it, a unit vector, if there is one. And the M flat pieces that it sees, none between, with the
+    share of each piece that it sees in them, [M, W, 2].
     """
     world = near.world
     direct = clear = _ahead(world, origin, ahead, lit_walls(origin, near.plan, near.beside))

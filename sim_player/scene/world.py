@@ -269,6 +269,8 @@ class Snapshot:
     seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 2)))
     #: Whether routes that leave behind the antenna, where its elements neither send nor receive, are left out.
     ahead_only: bool = False
+    #: Numbers of the pieces of wall beyond a part's reach that are there for their flashes.
+    distant: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def origin(self) -> np.ndarray:

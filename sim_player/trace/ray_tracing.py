@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from msgs.values.perception import PathClass
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import PATHS
 from sim_player.scene.reach import reachable_snapshot
@@ -47,15 +50,18 @@ def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
         elif name == "curved_wall" and "specular_relay" in effects:
             echoes[name] = as_chords(tracing)
     if math.isfinite(view.world.reach_m):
-        echoes = {name: within_reach(view.world, made) for name, made in echoes.items()}
+        echoes = {name: within_reach(view, made) for name, made in echoes.items()}
     if view.ahead_only:
         echoes = {name: _ahead(view, made) for name, made in echoes.items()}
     return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}
 
 
-def within_reach(world: World, echoes: Echoes) -> Echoes:
-    """Return the echoes up to a world's reach: what stands in the way of longer ones is not in it."""
-    return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * world.reach_m)
+def within_reach(view: Snapshot, echoes: Echoes) -> Echoes:
+    """Return the echoes up to a world's reach: what stands in the way of longer ones is not in it. Flashes of the
+    distant walls, of which nothing else is there, stay.
+    """
+    flash = (echoes.kind == PathClass.LOS) & np.isin(echoes.surface, view.distant)
+    return echoes.take((echoes.out_m + echoes.back_m <= 2.0 * view.world.reach_m) | flash)
 
 
 def _ahead(view: Snapshot, echoes: Echoes) -> Echoes:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -117,7 +118,8 @@ def without(blockers: Blockers, index: int | np.ndarray) -> Blockers:
 def join_blockers(first: Blockers, *others: Blockers) -> Blockers:
     """Return all blockers of several sets that share one table of `transmission`, in order."""
     parts = first, *others
-    return replace(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_PIECE})
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_PIECE}
+    return replace(first, **joined)
 
 
 _BY_PIECE = tuple(field.name for field in fields(Blockers) if field.name not in ("transmission", "tree"))
