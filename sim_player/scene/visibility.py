@@ -18,6 +18,8 @@ from models.physics.mirror import mirrored
 GRAZE_M = 2e-6
 #: The same in angle, for far ends.
 GRAZE_RAD = 1e-9
+#: Share and metres by which a wall may be met nearer than its nearest point, by rounding.
+NEARER = 1e-3
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,7 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
         turn = _wrapped(math.atan2(window[1, 1] - source[1], window[1, 0] - source[0]) - first)
         middle, half = first + 0.5 * turn, 0.5 * abs(turn) + GRAZE_RAD
     low, high, piece = _spans(source, a, b, middle, half, window)
+    nearest = _nearest(source, a, b, piece)
     order = np.argsort(np.concatenate((low, high)))
     inside = np.empty(len(piece), np.int64)
     count = 0
@@ -146,24 +149,54 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
         # where the window cuts a span it has no end
         if abs(angle) < half:
             # the end itself, by rays that pass all other ends
-            _look(source, walls, passing, least, window, narrow, middle + angle, angle, span, (low, high, piece),
-                  inside[:count], lit)  # fmt: skip
+            _look(source, walls, passing, least, window, narrow, middle + angle, angle, span,
+                  (low, high, piece, nearest), inside[:count], lit)  # fmt: skip
+        # those that rays are inside of stand in order of their nearest points
+        place = _place(nearest, inside, count, nearest[span])
         if starts and high[span] > low[span]:
-            inside[count] = span
+            for moved in range(count, place, -1):
+                inside[moved] = inside[moved - 1]
+            inside[place] = span
             count += 1
         elif not starts:
-            for place in range(count):
-                if inside[place] == span:
-                    count -= 1
-                    inside[place] = inside[count]
-                    break
+            while place < count and inside[place] != span:
+                place += 1
+            if place < count:
+                count -= 1
+                for moved in range(place, count):
+                    inside[moved] = inside[moved + 1]
         if index + 1 < len(order):
             following = order[index + 1]
             until = low[following] if following < len(piece) else high[following - len(piece)]
             if until > angle:
-                _meet(source, walls, passing, least, window, narrow, (middle + angle, middle + until), piece,
-                      inside[:count], lit)  # fmt: skip
+                _meet(source, walls, passing, least, window, narrow, (middle + angle, middle + until),
+                      (piece, nearest), inside[:count], lit)  # fmt: skip
     return lit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(nearest, inside, count, distance):  # type: ignore[no-untyped-def]
+    """Return how many of the spans that rays are inside of are nearer than a distance."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if nearest[inside[middle]] < distance:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(source, a, b, piece):  # type: ignore[no-untyped-def]
+    """Return a distance that no point of each span's wall is nearer than, by a margin for rays that run along it."""
+    nearest = np.empty(len(piece))
+    for span in range(len(piece)):
+        m = piece[span]
+        ax, ay, wx, wy = a[m, 0] - source[0], a[m, 1] - source[1], b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
+        share = min(max(-(ax * wx + ay * wy) / max(wx * wx + wy * wy, 1e-300), 0.0), 1.0)
+        nearest[span] = (1.0 - NEARER) * math.hypot(ax + share * wx, ay + share * wy) - NEARER
+    return nearest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -207,15 +240,18 @@ def _stands_aside(source, a, b, lines):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet(source, walls, passing, least, window, narrow, between, piece, inside, lit):  # type: ignore[no-untyped-def]
+def _meet(source, walls, passing, least, window, narrow, between, spans, inside, lit):  # type: ignore[no-untyped-def]
     """Light the walls that the rays between two directions meet, nearest first."""
     a, b, begin, end, wall = walls
+    piece, nearest = spans
     ray = _ray(0.5 * (between[0] + between[1]))
     rays = _ray(between[0]), _ray(between[1])
     after, left = _start(source, window, narrow, ray), 1.0
     while left > least:
         distance = np.inf
         for span in inside:
+            if nearest[span] > distance:
+                break
             here = _distance(source, ray, a[piece[span]], b[piece[span]])
             if after < here < distance:
                 distance = here
@@ -223,6 +259,8 @@ def _meet(source, walls, passing, least, window, narrow, between, piece, inside,
             return
         # walls that stand in one another are met together
         for span in inside:
+            if nearest[span] > distance + GRAZE_M:
+                break
             m = piece[span]
             if not after < _distance(source, ray, a[m], b[m]) <= distance + GRAZE_M:
                 continue
@@ -238,7 +276,7 @@ def _meet(source, walls, passing, least, window, narrow, between, piece, inside,
 def _look(source, walls, passing, least, window, narrow, along, angle, span, spans, inside, lit):  # type: ignore[no-untyped-def]
     """Light the wall of a span whose end lies in a direction, unless others stand before that end on both sides."""
     a, b, begin, end, wall = walls
-    low, high, piece = spans
+    low, high, piece, nearest = spans
     m = piece[span]
     ax, ay, bx, by = a[m, 0] - source[0], a[m, 1] - source[1], b[m, 0] - source[0], b[m, 1] - source[1]
     at_a, at_b = math.hypot(ax, ay), math.hypot(bx, by)
@@ -251,6 +289,8 @@ def _look(source, walls, passing, least, window, narrow, along, angle, span, spa
     if reach <= start - GRAZE_M:
         return
     for other in inside:
+        if nearest[other] > reach or left <= least:
+            break
         if low[other] < angle - graze and high[other] > angle + graze:
             here = _distance(source, ray, a[piece[other]], b[piece[other]])
             if start < here < reach - GRAZE_M:
