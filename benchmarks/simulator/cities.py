@@ -5,9 +5,9 @@ All effects, radar at rest at a crossing, 12 road users. Seconds of the process,
 so without what lies behind the antenna, as a plan does, `again` with the surroundings kept. `signal` makes the profiles
 of all paths of the whole. Of each purpose the seconds of a plan, from finding to the evaluated answer, and paths left.
 The change of the map is the law's (docs/explain/simulator.md), the largest of any cell over its reference, against
-every path of the whole world, or of the part where the whole is not traced; kernel level.
+every path of the whole world, or of the part where the whole is not traced; kernel level. `--far`: walls beyond reach.
 Usage: OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks.simulator.cities [--kinds terraced detached]
-[--walls 8 40 200 400 1000 2000 10000] [--whole-up-to 1000] [--rounds 3] [--budget-db -20] [--seeds 0] [--json]
+[--walls 8 40 200 400 1000 2000 10000] [--whole-up-to 1000] [--rounds 3] [--budget-db -20] [--seeds 0] [--far] [--json]
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from sim_player.planner.ablation import signal_effects
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, plan_world, planned_profiles
 from sim_player.planner.purposes import Purpose
-from sim_player.scene.description import scene_from_yaml, scene_to_yaml
-from sim_player.scene.reach import reach_m, reachable_snapshot
+from sim_player.scene.description import Scene, Surface, scene_from_yaml, scene_to_yaml
+from sim_player.scene.reach import WHOLE_WALLS, reach_m, reachable_snapshot
 from sim_player.scene.world import Snapshot, World, prepare, snapshot
 from sim_player.signal.levels import kernel_profiles, noise_profiles, noise_rms
 from sim_player.trace.conversion import as_paths
@@ -38,6 +38,8 @@ from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
 
+#: Distances of walls beyond reach.
+FAR_M = (170.0, 250.0, 350.0)
 FLAGS = msgspec.structs.replace(signal_effects(ALL_EFFECTS), motion=False)
 
 
@@ -97,8 +99,7 @@ def measured(kind: str, walls: int, with_whole: bool, arguments: argparse.Namesp
         view = snapshot(world)
         every = trace_echoes(view, ALL_EFFECTS)
         row |= {"whole_paths": len(every), "whole_s": seconds(lambda: trace_echoes(view, ALL_EFFECTS), rounds)}
-        within = every.take(every.out_m + every.back_m <= 2.0 * reach_m(world.setup))
-        row["missing"] = int((~np.isin(within.chain, echoes.chain)).sum())
+        row["missing"] = int((~np.isin(within(view, every).chain, echoes.chain)).sum())
         row["added"] = int((~np.isin(echoes.chain, every.chain)).sum())
         row["ratio"] = row["whole_s"] / row["ahead_s"]
         of_part, everything = everything.profiles, Everything(view, every)
@@ -134,6 +135,32 @@ def planned(world: World, everything: Everything, purpose: Purpose, arguments: a
     }
 
 
+def far_wall(material: str, x_m: float) -> dict[str, Any]:
+    """What leaving out a wall 40 m wide, square on beyond reach, changes over the noise: with its flash or without it.
+
+    Behind the radar stand as many walls as it takes to be traced in part.
+    """
+    behind = tuple(
+        Surface(role="relay", material="brick", polyline_m=((-20.0 - n, 9.0), (-20.0 - n, 30.0)))
+        for n in range(WHOLE_WALLS)
+    )
+    far = Surface(role="relay", material=material, polyline_m=((x_m, -20.0), (x_m, 20.0)), height_m=10.0)
+    world = prepare(Scene(name="far", surfaces=(far, *behind)))
+    view, part = snapshot(world), reachable_snapshot(world)
+    everything, kept = Everything(view, trace_echoes(view, ALL_EFFECTS)), trace_echoes(part, ALL_EFFECTS)
+    row: dict[str, Any] = {"kind": material, "distance_m": x_m}
+    for name, echoes in (("left_out_db", within(part, kept)), ("kept_db", kept)):
+        change = everything.profiles - everything.profiles_of(as_paths(part, echoes, ALL_EFFECTS))
+        ratio = cells_of(world.setup).off(np.zeros_like(change), change, everything.rms).max()
+        row[name] = float(20.0 * np.log10(ratio))
+    return row
+
+
+def within(view: Snapshot, echoes: Echoes) -> Echoes:
+    """Return the echoes up to the reach of a map."""
+    return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * reach_m(view.world.setup))
+
+
 TRACED = (
     ("walls", "d"), ("seed", "d"), ("in_reach", "d"), ("kept", "d"), ("load_s", ".2f"), ("prepare_s", ".2f"),
     ("whole_s", ".3f"), ("part_s", ".3f"), ("ahead_s", ".3f"), ("again_s", ".3f"), ("ratio", ".0f"),
@@ -164,8 +191,13 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--budget-db", type=float, default=-20.0)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--far", action="store_true")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    if arguments.far:
+        far = [far_wall(material, x_m) for material in ("metal", "concrete") for x_m in FAR_M]
+        show(far, (("distance_m", "g"), ("left_out_db", ".1f"), ("kept_db", ".1f")))
+        return
     cases = [(kind, walls, seed) for kind in arguments.kinds for walls in arguments.walls for seed in arguments.seeds]
     rows = [
         measured(kind, walls, walls <= arguments.whole_up_to, arguments, seed)

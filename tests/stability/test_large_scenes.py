@@ -41,7 +41,7 @@ def spot(count: int) -> list[Surface]:
 def fan() -> list[Surface]:
     """Walls that point at the radar: seen edge-on, all of them."""
     turns = np.linspace(-math.pi, math.pi, COUNT, endpoint=False).tolist()
-    return [wall((8.0 * math.cos(a), 8.0 * math.sin(a)), (20.0 * math.cos(a), 20.0 * math.sin(a))) for a in turns]
+    return [wall((10.0 * math.cos(a), 10.0 * math.sin(a)), (20.0 * math.cos(a), 20.0 * math.sin(a))) for a in turns]
 
 
 MIRROR = wall((5.0, 9.0), (40.0, 9.0))
