@@ -62,12 +62,23 @@ def apply(tracing: TraceContext) -> Echoes:
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by two straight walls to points [N, 3]."""
     walls = np.flatnonzero(view.world.is_flat)
-    pairs = _search(view.origin, point_m, walls, view.walls, lit_shares(view), view.seen)
+    pairs = _search(view.origin, point_m, walls, view.walls, lit_shares(view), _seconds(view))
     vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
     lit = in_sight(view, pairs[:, 0], vertices[:, 0])
     pairs, vertices = pairs[lit], vertices[lit]
     who = owners(owner, len(point_m))[pairs[:, 2]]
     return _routes(view, pairs, vertices, who, np.ones(len(pairs), np.complex128))
+
+
+def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where the flat walls that may be seen in each wall begin in a list [W + 1], the list [N] and the shares of
+    them [N, 2]; of a view that knows no pairs all three empty.
+    """
+    if view.seen is None:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))
+    flat = np.flatnonzero(view.world.is_flat[view.seen.second])
+    start = np.searchsorted(view.seen.first[flat], np.arange(len(view.world.wall_a) + 1))
+    return start, view.seen.second[flat], view.seen.share[flat]
 
 
 def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.ndarray, other: np.ndarray) -> Routes:
@@ -236,9 +247,10 @@ def _cut(start, end, line):  # type: ignore[no-untyped-def]
 def _search(origin, point, flat, walls, lit, seen):  # type: ignore[no-untyped-def]
     """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3].
 
-    Only by what the radar sees of the first wall and, where `seen` has it, of the second wall in the first.
+    Only by what the radar sees of the first wall and, where `seen` says so, of the second wall in the first.
     """
     a, b, normal, offset, _ = walls
+    start, seconds, shares = seen
     pairs = np.empty((64, 3), np.int64)
     count = 0
     for first in flat:
@@ -246,13 +258,15 @@ def _search(origin, point, flat, walls, lit, seen):  # type: ignore[no-untyped-d
         nx, ny, d = normal[first, 0], normal[first, 1], offset[first]
         reach = origin[0] * nx + origin[1] * ny + d
         ix, iy = origin[0] - 2.0 * reach * nx, origin[1] - 2.0 * reach * ny
-        for second in flat:
-            if len(seen):
-                begin, end = seen[first, second, 0] - LIT_MARGIN, seen[first, second, 1] + LIT_MARGIN
-                if begin > end:
-                    continue
-            else:
-                begin, end = 0.0, 1.0
+        offered, before = flat, 0
+        if len(start):
+            before = start[first]
+            offered = seconds[before : start[first + 1]]
+        for index in range(len(offered)):
+            second, begin, end = offered[index], 0.0, 1.0
+            if len(start):
+                begin = max(shares[before + index, 0] - LIT_MARGIN, 0.0)
+                end = min(shares[before + index, 1] + LIT_MARGIN, 1.0)
             if second == first or not _seen(ix, iy, reach, a, b, nx, ny, d, first, second):
                 continue
             mx, my, e = normal[second, 0], normal[second, 1], offset[second]
@@ -269,7 +283,7 @@ def _search(origin, point, flat, walls, lit, seen):  # type: ignore[no-untyped-d
                 place = ((point[target, 0] - a[second, 0]) * wx + (point[target, 1] - a[second, 1]) * wy) / square
                 # similar triangles: the feet of both, weighted by the other's height
                 share = (source_share * height + place * source) / (height + source)
-                if not max(begin, 0.0) <= share <= min(end, 1.0):
+                if not begin <= share <= end:
                     continue
                 # the leg from the image must leave through the first wall, towards the antenna's side
                 x, y = a[second, 0] + share * wx, a[second, 1] + share * wy

@@ -23,6 +23,7 @@ from sim_player.scene.visibility import PlanWalls, lit_in_mirrors, lit_walls, sp
 from sim_player.scene.world import (
     BEHIND,
     RadarState,
+    SeenPairs,
     Snapshot,
     World,
     scene_radar,
@@ -71,8 +72,10 @@ def reachable_snapshot(
     near = _surroundings(world, origin)
     around = _with_objects(world, _objects_within(world, origin, time_s))
     ahead = np.array([math.cos(radar.pose.yaw_rad), math.sin(radar.pose.yaw_rad)]) if ahead_only else None
-    direct, mirrors, by_mirror = _lit(near, around, origin, ahead)
-    lit = _hull(direct, *by_mirror)
+    direct, pairs, share = _lit(near, around, origin, ahead)
+    lit = direct.copy()
+    np.minimum.at(lit[:, 0], pairs[:, 1], share[:, 0])
+    np.maximum.at(lit[:, 1], pairs[:, 1], share[:, 1])
     visible = np.flatnonzero(_any(lit))
     distant = _distant_mirrors(world, near, origin, ahead)
     walls = np.union1d(near.walls[visible], distant)
@@ -84,13 +87,11 @@ def reachable_snapshot(
     part = _with_specks(part, _lit_specks(part, *of_walls) & ~np.isin(walls, distant)[part.speck_wall])
     view = snapshot(replace(part, reach_m=reach_m(world.setup)), time_s, radar)
     blockers = join_blockers(view.blockers, near.blockers.take(~_any(lit) & ~np.isin(near.walls, distant)))
-    seen = np.tile([np.inf, -np.inf], (len(walls), len(walls), 1))
-    seen[np.ix_(place[mirrors], inside)] = by_mirror[:, visible]
     return replace(
         view,
         blockers=replace(blockers, tree=True),
         lit=of_walls[0],
-        seen=seen,
+        seen=SeenPairs(place[pairs[:, 0]], place[pairs[:, 1]], share),
         ahead_only=ahead_only,
         distant=distant,
     )
@@ -221,8 +222,8 @@ def _lit(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the share of each piece of wall that the radar sees, also through walls, [W, 2]; (inf, -inf) for none.
 
-    Only that `ahead` of it, a unit vector, if there is one. And the M flat pieces that it sees, none between, with the
-    share of each piece that it sees in them, [M, W, 2].
+    Only that `ahead` of it, a unit vector, if there is one. And the pairs [N, 2] of a flat piece that it sees, none
+    between, and a piece that it sees in that one, with the share of it that it sees so, [N, 2].
     """
     world = near.world
     direct = clear = _ahead(world, origin, ahead, lit_walls(origin, near.plan, near.beside))
@@ -235,9 +236,13 @@ def _lit(
     normal, offset = wall_lines(world, origin)
     start, along = world.wall_a[mirrors, None], (world.wall_b - world.wall_a)[mirrors, None]
     window = start + clear[mirrors][:, :, None] * along
-    by_mirror = lit_in_mirrors(origin, near.plan, near.beside, (normal[mirrors], offset[mirrors], window))
-    by_mirror[:, world.is_curved] = [0.0, 1.0]
-    return direct, mirrors, by_mirror
+    pairs, share = lit_in_mirrors(origin, near.plan, near.beside, (normal[mirrors], offset[mirrors], window))
+    arcs = np.flatnonzero(world.is_curved)
+    every = np.stack(np.meshgrid(np.arange(len(mirrors)), arcs, indexing="ij"), axis=-1).reshape(-1, 2)
+    pairs = np.concatenate([pairs, every])
+    share = np.concatenate([share, np.tile([0.0, 1.0], (len(every), 1))])
+    order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    return direct, np.column_stack([mirrors[pairs[:, 0]], pairs[:, 1]])[order], share[order]
 
 
 def _ahead(world: World, origin: np.ndarray, ahead: np.ndarray | None, lit: np.ndarray) -> np.ndarray:

@@ -68,23 +68,32 @@ def lit_walls(
 
 def lit_in_mirrors(
     source: np.ndarray, walls: PlanWalls, passing: np.ndarray, mirrors: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> np.ndarray:
-    """Return which share of each piece of wall rays from a point may meet by way of each of K mirrors, [K, W, 2].
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which pieces of wall rays from a point may meet by way of each of K mirrors, and which share of them.
 
-    `mirrors`: normals [K, 2] and offsets [K] of their lines, and the ends [K, 2, 2] between which rays meet them.
+    Pairs of mirror and piece of wall, int64 [N, 2] in order, and shares [N, 2]. `mirrors`: normals [K, 2] and offsets
+    [K] of their lines, and the ends [K, 2, 2] between which rays meet them.
     """
     plan = walls.a, walls.b, walls.begin, walls.end, walls.wall
-    lit: np.ndarray = _mirrored_sweeps(np.asarray(source, np.float64), plan, passing, *mirrors)
-    return lit
+    pairs, share = _mirrored_sweeps(np.asarray(source, np.float64), plan, passing, *mirrors)
+    return pairs, share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mirrored_sweeps(source, walls, passing, normal, offset, window):  # type: ignore[no-untyped-def]
-    lit, image = np.empty((len(normal), len(passing), 2)), np.empty(2)
+    pairs, share, image, count = np.empty((64, 2), np.int64), np.empty((64, 2)), np.empty(2), 0
     for k in range(len(normal)):
         image[0], image[1] = mirrored(source[0], source[1], normal[k, 0], normal[k, 1], offset[k])
-        lit[k] = _sweep(image, walls, passing, 0.0, window[k], True)
-    return lit
+        lit = _sweep(image, walls, passing, 0.0, window[k], True)
+        for wall in range(len(passing)):
+            if lit[wall, 1] < lit[wall, 0]:
+                continue
+            if count == len(pairs):
+                pairs, share = np.concatenate((pairs, pairs)), np.concatenate((share, share))
+            pairs[count, 0], pairs[count, 1] = k, wall
+            share[count] = lit[wall]
+            count += 1
+    return pairs[:count], share[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -249,6 +249,17 @@ def radar_pose(scene: Scene, time_s: float) -> Pose2:
 
 
 @dataclass(frozen=True)
+class SeenPairs:
+    """N pairs of pieces of wall of which the second may be seen in the first, in order."""
+
+    #: Int64 [N].
+    first: np.ndarray
+    second: np.ndarray
+    #: Share of the second on which, [N, 2].
+    share: np.ndarray
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """A world frozen at a time: the radar and all moving objects at their positions, in the scene's frame."""
 
@@ -265,8 +276,8 @@ class Snapshot:
     offset: np.ndarray
     #: Share of each piece of wall that may be in direct sight, [W, 2]: on the rest of it no path has its first mirror.
     lit: np.ndarray
-    #: Share of each second piece of wall that may be seen in each first one, [W, W, 2]; [0, 0, 2]: any of all of them.
-    seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    #: Which pieces of wall may be seen in which; None: all in all.
+    seen: SeenPairs | None = None
     #: Whether routes that leave behind the antenna, where its elements neither send nor receive, are left out.
     ahead_only: bool = False
     #: Numbers of the pieces of wall beyond a part's reach that are there for their flashes.

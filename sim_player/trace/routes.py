@@ -121,15 +121,21 @@ def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarra
 
 def may_be_seen(view: Snapshot, mirror: np.ndarray, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     """Return which points [N, 3] of pieces of wall [N] may be seen in other pieces [N], bool [N]."""
-    if not len(view.seen):
+    seen = view.seen
+    if seen is None:
         return np.ones(len(mirror), bool)
+    walls = len(view.world.wall_a)
+    asked, known = mirror * walls + wall, seen.first * walls + seen.second
+    if not len(known):
+        return np.zeros(len(mirror), bool)
+    at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
     start = view.world.wall_a[wall]
     along = view.world.wall_b[wall] - start
     share = dot(point_m[:, :2] - start, along) / dot(along, along)
-    low, high = view.seen[mirror, wall].T
+    low, high = seen.share[at].T
     # an arc's points are beside its chord, and all of it is taken for seen
     share = np.where(view.world.is_curved[wall], 0.5, share)
-    return np.asarray((share >= low - LIT_MARGIN) & (share <= high + LIT_MARGIN))
+    return np.asarray((known[at] == asked) & (share >= low - LIT_MARGIN) & (share <= high + LIT_MARGIN))
 
 
 def mirror_routes(
