@@ -96,18 +96,20 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
         top, low = max(top, point[n, 2]), min(low, point[n, 2])
     for e in range(len(edges)):
         x, y, _, _, face_rad, sense, n_half, height = edges[e]
+        source_plan = math.hypot(x - start[0], y - start[1])
+        to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
+        if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M:
+            continue
         # seen at the greatest height at which a ray to any point may meet it
         if not passage(start, (x, y, top), -1, pieces, True)[0]:
             continue
         # where the lowest ray meets nothing on its way, none does
         free, _, foliage = passage(start, (x, y, low), -1, pieces, True)
         is_open = free and foliage == 1.0
-        source_plan = math.hypot(x - start[0], y - start[1])
-        to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
         for n in range(len(point)):
             end = point[n, 0], point[n, 1], point[n, 2]
             target_plan = math.hypot(end[0] - x, end[1] - y)
-            if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M or target_plan <= NEAREST_EDGE_M:
+            if target_plan <= NEAREST_EDGE_M:
                 continue
             # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
             bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])

@@ -164,6 +164,8 @@ def _distant_mirrors(world: World, near: _Surroundings, origin: np.ndarray, ahea
     if ahead is not None:
         leaks &= (foot - origin) @ ahead >= 0.0
     walls, foot = near.distant[leaks], foot[leaks]
+    if not len(walls):
+        return np.zeros(0, np.int64)
     antenna = np.array([*origin, world.radar_height_m])
     foot = np.column_stack([foot, np.full(len(walls), world.radar_height_m)])
     # most are hidden by what is near
