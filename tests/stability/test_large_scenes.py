@@ -115,7 +115,7 @@ def test_nothing_ahead_is_nothing() -> None:
 
 @pytest.mark.slow
 def test_ten_thousand_walls_in_one_spot() -> None:
-    """Two hundred thousand crossings: a few hundred walls are seen, and paths stay finite."""
+    """They cross each other many times over: a few hundred are seen, and paths stay finite."""
     view = reachable_snapshot(world_of(spot(10_000)), ahead_only=True)
     assert 100 < len(view.world.wall_a) < 1000
     echoes = trace_echoes(view, ALL_EFFECTS)
