@@ -80,7 +80,8 @@ def apply(tracing: TraceContext) -> Echoes:
 def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Routes antenna -> edge -> points [N, 3] whose legs are free and on the edge's open side."""
     edges = edges_of(view)
-    scene = view.walls, view.world.builds, view.blockers.pieces, view.world.radar.wavelength_m
+    world = view.world
+    scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
     routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
     return routes.with_columns(edge=edges.number[routes.edge])
 
@@ -90,29 +91,36 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     pieces = scene[2]
     rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
-    top = start[2]
+    top = low = start[2]
     for n in range(len(point)):
-        top = max(top, point[n, 2])
+        top, low = max(top, point[n, 2]), min(low, point[n, 2])
     for e in range(len(edges)):
         x, y, _, _, face_rad, sense, n_half, height = edges[e]
+        source_plan = math.hypot(x - start[0], y - start[1])
+        to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
+        if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M:
+            continue
         # seen at the greatest height at which a ray to any point may meet it
         if not passage(start, (x, y, top), -1, pieces, True)[0]:
             continue
-        source_plan = math.hypot(x - start[0], y - start[1])
-        to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
+        # where the lowest ray meets nothing on its way, none does
+        free, _, foliage = passage(start, (x, y, low), -1, pieces, True)
+        is_open = free and foliage == 1.0
         for n in range(len(point)):
             end = point[n, 0], point[n, 1], point[n, 2]
             target_plan = math.hypot(end[0] - x, end[1] - y)
-            if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M or target_plan <= NEAREST_EDGE_M:
+            if target_plan <= NEAREST_EDGE_M:
                 continue
             # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
             bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
             to_target = _turn(end[0] - x, end[1] - y, face_rad, sense)
             if to_target >= n_half * np.pi or bend[2] >= height:
                 continue
-            leaves = clear_series((start, bend, end), owner[n], pieces)
-            if leaves < 0.0:
+            before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
+            behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
+            if behind < 0.0:
                 continue
+            leaves = before * behind
             if count == len(rows):
                 rows = grown(rows)
             row = rows[count]
@@ -128,7 +136,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
 @njit(cache=True, nogil=True, error_model="numpy")
 def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
     """Return the uniform field of a bend over that of a free ray as long, with whole walls and their front faces."""
-    _, builds, (_, passing), wavelength_m = scene
+    builds, (transmission, wall_build), _, wavelength_m = scene
     first, last, n = int(edge[2]), int(edge[3]), edge[6]
     (to_source, to_target), (source_m, target_m) = angles, lengths
     skew = source_plan / source_m
@@ -139,7 +147,7 @@ def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untype
         min(abs(math.sin(to_source)), abs(math.sin(to_target))) * skew,
         min(abs(math.sin(n * np.pi - to_source)), abs(math.sin(n * np.pi - to_target))) * skew,
     )
-    passed = crossing_factor(passing, first, cosines[0]) if first == last else 0.0j
+    passed = crossing_factor(transmission, wall_build[first], cosines[0]) if first == last else 0.0j
     built = front = (1.0 - passed) * terms[0]
     for face in range(2):
         of_wall, of_front, _ = bounce(builds, last if face else first, cosines[face])
@@ -166,7 +174,7 @@ def edges_of(view: Snapshot) -> Edges:
     corner = np.flatnonzero(turn > np.pi + LEAST_TURN_RAD)
     first, last = np.concatenate([alone, end_1[corner]]), np.concatenate([alone, end_2[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
-    return Edges(
+    edges = Edges(
         point=ends.position[first],
         first=wall_1,
         last=wall_2,
@@ -176,3 +184,4 @@ def edges_of(view: Snapshot) -> Edges:
         height_m=np.minimum(world.wall_height_m[wall_1], world.wall_height_m[wall_2]),
         number=2 * world.wall_id[wall_1] + (first >= len(ends.wall) // 2),
     )
+    return edges.take(view.is_ahead(edges.point - view.origin)) if view.ahead_only else edges

@@ -21,16 +21,20 @@ from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import (
+    LIT_MARGIN,
     ROUTE,
     Routes,
+    bounce_routes,
     direction_of,
     dot,
     fill_bounce,
     fill_route,
     in_sight,
     join_routes,
-    mirror_routes,
+    lit_shares,
+    may_be_seen,
     owners,
+    plane_bounces,
 )
 from sim_player.trace.segments import clear_series
 from sim_player.trace.snapshot import TraceContext
@@ -58,12 +62,23 @@ def apply(tracing: TraceContext) -> Echoes:
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by two straight walls to points [N, 3]."""
     walls = np.flatnonzero(view.world.is_flat)
-    pairs = _search(view.origin, point_m, walls, view.walls)
+    pairs = _search(view.origin, point_m, walls, view.walls, lit_shares(view), _seconds(view))
     vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
     lit = in_sight(view, pairs[:, 0], vertices[:, 0])
     pairs, vertices = pairs[lit], vertices[lit]
     who = owners(owner, len(point_m))[pairs[:, 2]]
     return _routes(view, pairs, vertices, who, np.ones(len(pairs), np.complex128))
+
+
+def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where the flat walls that may be seen in each wall begin in a list [W + 1], the list [N] and the shares of
+    them [N, 2]; of a view that knows no pairs all three empty.
+    """
+    if view.seen is None:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))
+    flat = np.flatnonzero(view.world.is_flat[view.seen.second])
+    start = np.searchsorted(view.seen.first[flat], np.arange(len(view.world.wall_a) + 1))
+    return start, view.seen.second[flat], view.seen.share[flat]
 
 
 def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.ndarray, other: np.ndarray) -> Routes:
@@ -78,7 +93,7 @@ def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.n
 def _loops(view: Snapshot) -> Echoes:
     """The radar's own image in two walls: out by one, back by the other, both ways round."""
     routes = two_wall_routes(view, view.antenna[None], np.array([-1], np.int32))
-    joined = view.world.share_an_end[routes.wall, routes.wall2]
+    joined = view.world.share_an_end(routes.wall, routes.wall2)
     routes = join_routes([routes.take(~joined), _corners(view)])
     weight = flash_weight(view, routes.length_m)
     point = np.broadcast_to(view.antenna, (len(routes), 3)).copy()
@@ -113,7 +128,10 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     """Small scatterers of one wall seen in another."""
     world = view.world
     specks, point = world.structure
-    routes, occlusion = mirror_routes(view, point, world.is_flat, owners(-1, len(specks)))
+    wall, target, points = plane_bounces(view, view.antenna, point, world.is_flat)
+    seen = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
+    bounces = wall[seen], target[seen], points[seen]
+    routes, occlusion = bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers)
     routes = routes.take(occlusion.free & (world.speck_wall[specks[routes.target]] != routes.wall))
     speck = specks[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
@@ -226,16 +244,29 @@ def _cut(start, end, line):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _search(origin, point, flat, walls):  # type: ignore[no-untyped-def]
-    """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3]."""
+def _search(origin, point, flat, walls, lit, seen):  # type: ignore[no-untyped-def]
+    """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3].
+
+    Only by what the radar sees of the first wall and, where `seen` says so, of the second wall in the first.
+    """
     a, b, normal, offset, _ = walls
+    start, seconds, shares = seen
     pairs = np.empty((64, 3), np.int64)
     count = 0
     for first in flat:
+        low, high = max(lit[first, 0] - LIT_MARGIN, 0.0), min(lit[first, 1] + LIT_MARGIN, 1.0)
         nx, ny, d = normal[first, 0], normal[first, 1], offset[first]
         reach = origin[0] * nx + origin[1] * ny + d
         ix, iy = origin[0] - 2.0 * reach * nx, origin[1] - 2.0 * reach * ny
-        for second in flat:
+        offered, before = flat, 0
+        if len(start):
+            before = start[first]
+            offered = seconds[before : start[first + 1]]
+        for index in range(len(offered)):
+            second, begin, end = offered[index], 0.0, 1.0
+            if len(start):
+                begin = max(shares[before + index, 0] - LIT_MARGIN, 0.0)
+                end = min(shares[before + index, 1] + LIT_MARGIN, 1.0)
             if second == first or not _seen(ix, iy, reach, a, b, nx, ny, d, first, second):
                 continue
             mx, my, e = normal[second, 0], normal[second, 1], offset[second]
@@ -252,11 +283,13 @@ def _search(origin, point, flat, walls):  # type: ignore[no-untyped-def]
                 place = ((point[target, 0] - a[second, 0]) * wx + (point[target, 1] - a[second, 1]) * wy) / square
                 # similar triangles: the feet of both, weighted by the other's height
                 share = (source_share * height + place * source) / (height + source)
-                if not 0.0 <= share <= 1.0:
+                if not begin <= share <= end:
                     continue
                 # the leg from the image must leave through the first wall, towards the antenna's side
                 x, y = a[second, 0] + share * wx, a[second, 1] + share * wy
-                if not _leaves(ix, iy, reach, x, y, a, b, nx, ny, d, first):
+                if x * nx + y * ny + d <= 1e-9:
+                    continue
+                if not low <= _place(ix, iy, reach, x, y, a, b, nx, ny, d, first) <= high:
                     continue
                 if count == len(pairs):
                     grown = np.empty((2 * count, 3), np.int64)
@@ -275,14 +308,6 @@ def _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyp
     wx, wy = b[wall, 0] - a[wall, 0], b[wall, 1] - a[wall, 1]
     px, py = ix + share * (x - ix) - a[wall, 0], iy + share * (y - iy) - a[wall, 1]
     return (px * wx + py * wy) / (wx * wx + wy * wy)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _leaves(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyped-def]
-    """Return whether a point in front is visible from the image through the wall."""
-    if x * nx + y * ny + d <= 1e-9:
-        return False
-    return 0.0 <= _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall) <= 1.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

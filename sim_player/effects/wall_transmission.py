@@ -18,8 +18,7 @@ def absent(world: World) -> str | None:
         return "the scene holds no object"
     if not world.is_mirror.any():
         return "the scene holds no wall"
-    clear = np.abs(world.transmission[world.is_mirror]).max()
-    return None if clear > 0.0 else "every wall is too thick to have a back"
+    return None if world.most_through[world.is_mirror].max() > 0.0 else "every wall is too thick to have a back"
 
 
 def apply(tracing: TraceContext) -> Echoes:

@@ -95,11 +95,14 @@ class EffectAblation:
         time_s: float,
         purpose: Purpose,
         budget: float,
-        spare: float = MAP_SPARE,
+        thorough: bool = False,
     ) -> None:
-        self.world, self.setup, self.purpose, self.budget, self._spare = world, setup, purpose, budget, spare
+        """Trace; a thorough one looks all round and leaves out less, so that single effects can be bounded."""
+        self.world, self.setup, self.purpose, self.budget = world, setup, purpose, budget
+        self._spare = BOUND_SPARE if thorough else MAP_SPARE
         self.radar, self.front_end = setup.radar, world.scene.radar.front_end
-        self.view = reachable_snapshot(world, time_s)
+        # behind the antenna nothing is seen, unless an element is asked to see all round
+        self.view = reachable_snapshot(world, time_s, ahead_only=not (thorough or world.scene.moves))
         self.used = set(ALL_EFFECTS)
         self.echoes = trace_echoes(self.view, ALL_EFFECTS)
         self.shape = (len(setup.beams), RANGE_BINS)

@@ -28,7 +28,7 @@ import numpy as np
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
-from sim_player.planner.ablation import BOUND_SPARE, MAP_SPARE, Answer, EffectAblation, signal_effects
+from sim_player.planner.ablation import Answer, EffectAblation, signal_effects
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.reach import reachable_snapshot
@@ -128,8 +128,7 @@ def plan_world(
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
     start = time.perf_counter()
-    spare = BOUND_SPARE if thorough else MAP_SPARE
-    ablation = EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0), spare)
+    ablation = EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0), thorough)
     planner = _Planner(ablation, thorough, profiles_only)
     planner.timing_s["trace"] = time.perf_counter() - start
     planner.run()

@@ -12,10 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from models.physics.mirror import mirrored
+
 #: Ends nearer than this to a ray stop it no more than they are met by it.
 GRAZE_M = 2e-6
 #: The same in angle, for far ends.
 GRAZE_RAD = 1e-9
+#: Share and metres by which a wall may be met nearer than its nearest point, by rounding.
+NEARER = 1e-3
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,36 @@ def lit_walls(
         window is not None,
     )
     return lit
+
+
+def lit_in_mirrors(
+    source: np.ndarray, walls: PlanWalls, passing: np.ndarray, mirrors: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which pieces of wall rays from a point may meet by way of each of K mirrors, and which share of them.
+
+    Pairs of mirror and piece of wall, int64 [N, 2] in order, and shares [N, 2]. `mirrors`: normals [K, 2] and offsets
+    [K] of their lines, and the ends [K, 2, 2] between which rays meet them.
+    """
+    plan = walls.a, walls.b, walls.begin, walls.end, walls.wall
+    pairs, share = _mirrored_sweeps(np.asarray(source, np.float64), plan, passing, *mirrors)
+    return pairs, share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mirrored_sweeps(source, walls, passing, normal, offset, window):  # type: ignore[no-untyped-def]
+    pairs, share, image, count = np.empty((64, 2), np.int64), np.empty((64, 2)), np.empty(2), 0
+    for k in range(len(normal)):
+        image[0], image[1] = mirrored(source[0], source[1], normal[k, 0], normal[k, 1], offset[k])
+        lit = _sweep(image, walls, passing, 0.0, window[k], True)
+        for wall in range(len(passing)):
+            if lit[wall, 1] < lit[wall, 0]:
+                continue
+            if count == len(pairs):
+                pairs, share = np.concatenate((pairs, pairs)), np.concatenate((share, share))
+            pairs[count, 0], pairs[count, 1] = k, wall
+            share[count] = lit[wall]
+            count += 1
+    return pairs[:count], share[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -111,7 +145,8 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
         first = math.atan2(window[0, 1] - source[1], window[0, 0] - source[0])
         turn = _wrapped(math.atan2(window[1, 1] - source[1], window[1, 0] - source[0]) - first)
         middle, half = first + 0.5 * turn, 0.5 * abs(turn) + GRAZE_RAD
-    low, high, piece = _spans(source, a, b, middle, half)
+    low, high, piece = _spans(source, a, b, middle, half, window)
+    nearest = _nearest(source, a, b, piece)
     order = np.argsort(np.concatenate((low, high)))
     inside = np.empty(len(piece), np.int64)
     count = 0
@@ -123,32 +158,74 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
         # where the window cuts a span it has no end
         if abs(angle) < half:
             # the end itself, by rays that pass all other ends
-            _look(source, walls, passing, least, window, narrow, middle + angle, angle, span, (low, high, piece),
-                  inside[:count], lit)  # fmt: skip
+            _look(source, walls, passing, least, window, narrow, middle + angle, angle, span,
+                  (low, high, piece, nearest), inside[:count], lit)  # fmt: skip
+        # those that rays are inside of stand in order of their nearest points
+        place = _place(nearest, inside, count, nearest[span])
         if starts and high[span] > low[span]:
-            inside[count] = span
+            for moved in range(count, place, -1):
+                inside[moved] = inside[moved - 1]
+            inside[place] = span
             count += 1
         elif not starts:
-            for place in range(count):
-                if inside[place] == span:
-                    count -= 1
-                    inside[place] = inside[count]
-                    break
+            while place < count and inside[place] != span:
+                place += 1
+            if place < count:
+                count -= 1
+                for moved in range(place, count):
+                    inside[moved] = inside[moved + 1]
         if index + 1 < len(order):
             following = order[index + 1]
             until = low[following] if following < len(piece) else high[following - len(piece)]
             if until > angle:
-                _meet(source, walls, passing, least, window, narrow, (middle + angle, middle + until), piece,
-                      inside[:count], lit)  # fmt: skip
+                _meet(source, walls, passing, least, window, narrow, (middle + angle, middle + until),
+                      (piece, nearest), inside[:count], lit)  # fmt: skip
     return lit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _spans(source, a, b, middle, half):  # type: ignore[no-untyped-def]
+def _place(nearest, inside, count, distance):  # type: ignore[no-untyped-def]
+    """Return how many of the spans that rays are inside of are nearer than a distance."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if nearest[inside[middle]] < distance:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(source, a, b, piece):  # type: ignore[no-untyped-def]
+    """Return a distance that no point of each span's wall is nearer than, by a margin for rays that run along it."""
+    nearest = np.empty(len(piece))
+    for span in range(len(piece)):
+        m = piece[span]
+        ax, ay, wx, wy = a[m, 0] - source[0], a[m, 1] - source[1], b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
+        share = min(max(-(ax * wx + ay * wy) / max(wx * wx + wy * wy, 1e-300), 0.0), 1.0)
+        nearest[span] = (1.0 - NEARER) * math.hypot(ax + share * wx, ay + share * wy) - NEARER
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spans(source, a, b, middle, half, window):  # type: ignore[no-untyped-def]
     """Directions from the middle between which each wall stands, within half a window; wall of each span."""
     low, high, piece = np.empty(2 * len(a)), np.empty(2 * len(a)), np.empty(2 * len(a), np.int64)
     count = 0
+    # lines that rays through a narrow window stay on one side of: both its edges, and the window's own
+    lines, cuts = np.empty((3, 3)), half < 0.5 * math.pi
+    if cuts:
+        wx, wy = window[1, 0] - window[0, 0], window[1, 1] - window[0, 1]
+        long = max(math.hypot(wx, wy), GRAZE_M)
+        front = math.copysign(1.0 / long, wx * (source[1] - window[0, 1]) - wy * (source[0] - window[0, 0]))
+        lines[0] = math.sin(middle + half), -math.cos(middle + half), 0.0
+        lines[1] = -math.sin(middle - half), math.cos(middle - half), 0.0
+        lines[2, 0], lines[2, 1] = front * wy, -front * wx
+        lines[2, 2] = lines[2, 0] * (source[0] - window[0, 0]) + lines[2, 1] * (source[1] - window[0, 1])
     for m in range(len(a)):
+        if cuts and _stands_aside(source, a[m], b[m], lines):
+            continue
         first = _wrapped(math.atan2(a[m, 1] - source[1], a[m, 0] - source[0]) - middle)
         turn = _wrapped(math.atan2(b[m, 1] - source[1], b[m, 0] - source[0]) - middle - first)
         start, stop = min(first, first + turn), max(first, first + turn)
@@ -160,26 +237,44 @@ def _spans(source, a, b, middle, half):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet(source, walls, passing, least, window, narrow, between, piece, inside, lit):  # type: ignore[no-untyped-def]
+def _stands_aside(source, a, b, lines):  # type: ignore[no-untyped-def]
+    """Return whether a wall stands behind one of three lines, well beyond rounding; lines by vectors from a source."""
+    ax, ay, bx, by = a[0] - source[0], a[1] - source[1], b[0] - source[0], b[1] - source[1]
+    margin = 2.0 * GRAZE_M + 2.0 * GRAZE_RAD * (abs(ax) + abs(ay) + abs(bx) + abs(by))
+    for line in range(3):
+        nx, ny, offset = lines[line, 0], lines[line, 1], lines[line, 2]
+        if nx * ax + ny * ay + offset < -margin and nx * bx + ny * by + offset < -margin:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet(source, walls, passing, least, window, narrow, between, spans, inside, lit):  # type: ignore[no-untyped-def]
     """Light the walls that the rays between two directions meet, nearest first."""
     a, b, begin, end, wall = walls
-    along = 0.5 * (between[0] + between[1])
-    after, left = _start(source, window, narrow, along), 1.0
+    piece, nearest = spans
+    ray = _ray(0.5 * (between[0] + between[1]))
+    rays = _ray(between[0]), _ray(between[1])
+    after, left = _start(source, window, narrow, ray), 1.0
     while left > least:
         distance = np.inf
         for span in inside:
-            here = _distance(source, along, a[piece[span]], b[piece[span]])
+            if nearest[span] > distance:
+                break
+            here = _distance(source, ray, a[piece[span]], b[piece[span]])
             if after < here < distance:
                 distance = here
         if distance == np.inf:
             return
         # walls that stand in one another are met together
         for span in inside:
+            if nearest[span] > distance + GRAZE_M:
+                break
             m = piece[span]
-            if not after < _distance(source, along, a[m], b[m]) <= distance + GRAZE_M:
+            if not after < _distance(source, ray, a[m], b[m]) <= distance + GRAZE_M:
                 continue
-            for angle in between:
-                place = begin[m] + _share(source, angle, a[m], b[m]) * (end[m] - begin[m])
+            for bound in rays:
+                place = begin[m] + _share(source, bound, a[m], b[m]) * (end[m] - begin[m])
                 lit[wall[m], 0] = min(lit[wall[m], 0], place)
                 lit[wall[m], 1] = max(lit[wall[m], 1], place)
             left *= passing[wall[m]]
@@ -190,7 +285,7 @@ def _meet(source, walls, passing, least, window, narrow, between, piece, inside,
 def _look(source, walls, passing, least, window, narrow, along, angle, span, spans, inside, lit):  # type: ignore[no-untyped-def]
     """Light the wall of a span whose end lies in a direction, unless others stand before that end on both sides."""
     a, b, begin, end, wall = walls
-    low, high, piece = spans
+    low, high, piece, nearest = spans
     m = piece[span]
     ax, ay, bx, by = a[m, 0] - source[0], a[m, 1] - source[1], b[m, 0] - source[0], b[m, 1] - source[1]
     at_a, at_b = math.hypot(ax, ay), math.hypot(bx, by)
@@ -198,12 +293,15 @@ def _look(source, walls, passing, least, window, narrow, along, angle, span, spa
     edge_on = high[span] - low[span] < GRAZE_RAD
     reach = min(at_a, at_b) if edge_on else at_a if turn_a < turn_b else at_b
     graze = GRAZE_RAD + GRAZE_M / max(reach, GRAZE_M)
-    left, start = 1.0, _start(source, window, narrow, along)
+    ray = _ray(along)
+    left, start = 1.0, _start(source, window, narrow, ray)
     if reach <= start - GRAZE_M:
         return
     for other in inside:
+        if nearest[other] > reach or left <= least:
+            break
         if low[other] < angle - graze and high[other] > angle + graze:
-            here = _distance(source, along, a[piece[other]], b[piece[other]])
+            here = _distance(source, ray, a[piece[other]], b[piece[other]])
             if start < here < reach - GRAZE_M:
                 left *= passing[wall[piece[other]]]
     if left > least:
@@ -213,27 +311,33 @@ def _look(source, walls, passing, least, window, narrow, along, angle, span, spa
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _start(source, window, narrow, along):  # type: ignore[no-untyped-def]
-    """Distance at which a ray passes the window."""
-    return _distance(source, along, window[0], window[1]) + GRAZE_M if narrow else 0.0
+def _ray(angle):  # type: ignore[no-untyped-def]
+    """Unit vector of a direction."""
+    return math.cos(angle), math.sin(angle)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _distance(source, along, a, b):  # type: ignore[no-untyped-def]
+def _start(source, window, narrow, ray):  # type: ignore[no-untyped-def]
+    """Distance at which a ray passes the window."""
+    return _distance(source, ray, window[0], window[1]) + GRAZE_M if narrow else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distance(source, ray, a, b):  # type: ignore[no-untyped-def]
     """Distance at which a ray cuts the line through two points; that of the nearer one where it runs along them."""
     wx, wy = b[0] - a[0], b[1] - a[1]
-    turn = math.cos(along) * wy - math.sin(along) * wx
+    turn = ray[0] * wy - ray[1] * wx
     ox, oy = a[0] - source[0], a[1] - source[1]
-    if abs(turn) <= 1e-12 * math.hypot(wx, wy):
+    if turn * turn <= 1e-24 * (wx * wx + wy * wy):
         return min(math.hypot(ox, oy), math.hypot(b[0] - source[0], b[1] - source[1]))
     return (ox * wy - oy * wx) / turn
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _share(source, along, a, b):  # type: ignore[no-untyped-def]
+def _share(source, ray, a, b):  # type: ignore[no-untyped-def]
     """Where on a wall, 0..1, a ray meets it."""
     wx, wy = b[0] - a[0], b[1] - a[1]
-    cx, cy = math.cos(along), math.sin(along)
+    cx, cy = ray
     turn = cx * wy - cy * wx
     if abs(turn) <= 1e-12 * math.hypot(wx, wy):
         return 0.5

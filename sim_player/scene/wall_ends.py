@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 #: Ends of walls nearer than this are one.
 SAME_END_M = 1e-6
@@ -37,7 +38,7 @@ class WallEnds:
 def corners_of(a: np.ndarray, b: np.ndarray, is_flat: np.ndarray) -> Corners:
     """Return all ordered pairs of straight walls a -> b [W, 2] that share an end."""
     walls = np.tile(np.flatnonzero(is_flat), 2)
-    end_1, end_2 = np.nonzero(_same(np.concatenate([a[is_flat], b[is_flat]])))
+    end_1, end_2 = _same(np.concatenate([a[is_flat], b[is_flat]]))
     first, second = walls[end_1], walls[end_2]
     first, second = first[first != second], second[first != second]
     ends = np.stack([a, b], axis=1)
@@ -50,11 +51,10 @@ def corners_of(a: np.ndarray, b: np.ndarray, is_flat: np.ndarray) -> Corners:
     return Corners(np.column_stack([first, second]), geometry)
 
 
-def share_an_end(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return which walls a -> b [W, 2] share an end; bool [W, W]."""
-    ends = np.stack([a, b])
-    apart = np.linalg.norm(ends[:, None, :, None] - ends[None, :, None], axis=-1)
-    return np.asarray((apart <= SAME_END_M).any(axis=(0, 1)))
+def share_an_end(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return which of N pairs of walls, both ends of each [N, 2, 2], share an end; bool [N]."""
+    apart = np.linalg.norm(first[:, :, None] - second[:, None], axis=-1)
+    return np.asarray((apart <= SAME_END_M).any(axis=(1, 2)))
 
 
 def wall_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirror: np.ndarray) -> WallEnds:
@@ -64,19 +64,23 @@ def wall_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
     # an arc leaves its chord by half its turn
     bend = np.arcsin(0.5 * curvature_per_m[is_mirror] * np.hypot(*chord.T))
     position = np.concatenate([a[is_mirror], b[is_mirror]])
-    same = _same(position)
-    meeting = same.sum(axis=1)
-    first, second = np.nonzero(np.triu(same, 1) & (meeting == 2)[:, None])
+    first, second = _same(position)
+    meeting = np.bincount(first, minlength=len(position))
+    two = (first < second) & (meeting[first] == 2)
     return WallEnds(
         wall=np.tile(np.flatnonzero(is_mirror), 2),
         position=position,
         face_rad=np.concatenate([along - bend, along + np.pi + bend]),
         alone=np.flatnonzero(meeting == 1),
-        first=first,
-        second=second,
+        first=first[two],
+        second=second[two],
     )
 
 
-def _same(ends: np.ndarray) -> np.ndarray:
-    """Return which ends [N, 2] are one; bool [N, N]."""
-    return np.asarray(np.linalg.norm(ends[:, None] - ends[None], axis=-1) <= SAME_END_M)
+def _same(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return all pairs of ends [N, 2] that are one, each end with itself too, in order."""
+    every = np.arange(len(ends))
+    pairs = cKDTree(ends).query_pairs(SAME_END_M, output_type="ndarray")
+    first, second = np.concatenate([np.column_stack([every, every]), pairs, pairs[:, ::-1]]).T
+    order = np.lexsort((second, first))
+    return first[order], second[order]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +28,8 @@ PATCH_M = 0.13
 #: Median and spread of the wall's own small scatterers (metal parts of a hand's size), every 1-3 m and at all ends.
 STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
 STRUCTURE_SPACING_M = (1.0, 3.0)
+#: Cosine of a direction (or so many metres of a point) behind the antenna from which on it is taken for behind.
+BEHIND = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class World:
     #: Index into `stacks` of each piece of wall; a volume (foliage) has none: -1.
     wall_stack: np.ndarray
     stacks: tuple[Layers, ...]
+    #: Field factor of one crossing of each build over the cosine, complex128 [builds, TABLE_STEPS + 1]: of `stacks`,
+    #: of all foliage, and of bodies, 0. Row of each piece of wall, int32 [W].
+    transmission: np.ndarray
+    wall_build: np.ndarray
     #: Scattering centres of all objects at start: [K, 3], normals [K, 2, 3], the rest [K].
     centre_m: np.ndarray
     centre_normals: np.ndarray
@@ -127,15 +133,9 @@ class World:
         return walls.astype(np.int32), self.centre_id.astype(np.int32), self.object_id.astype(np.int32)
 
     @cached_property
-    def transmission(self) -> np.ndarray:
-        """Field factor of one crossing of each piece of wall over the cosine, complex128 [W, steps + 1]."""
-        cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
-        radar, table = self.radar, np.zeros((len(self.wall_a), TABLE_STEPS + 1), np.complex128)
-        for stack, layers in enumerate(self.stacks):
-            table[self.wall_stack == stack] = _transmission(layers, cosine, radar.wavelength_m)
-        for wall in np.flatnonzero(~self.is_mirror):
-            table[wall] = _foliage(self.scene.surfaces[self.wall_surface[wall]], cosine, radar.carrier_hz)
-        return table
+    def most_through(self) -> np.ndarray:
+        """Field factor of each piece of wall at its most transparent incidence, [W]."""
+        return np.asarray(np.abs(self.transmission).max(axis=1)[self.wall_build])
 
     def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return one bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by
@@ -153,10 +153,10 @@ class World:
         """Pairs of straight walls that share an end."""
         return corners_of(self.wall_a, self.wall_b, self.is_flat)
 
-    @cached_property
-    def share_an_end(self) -> np.ndarray:
-        """Which pieces of wall share an end; bool [W, W]."""
-        return share_an_end(self.wall_a, self.wall_b)
+    def share_an_end(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return which of some pairs of pieces of wall [N] share an end; bool [N]."""
+        ends = np.stack([self.wall_a, self.wall_b], axis=1)
+        return share_an_end(ends[first], ends[second])
 
     @cached_property
     def wall_ends(self) -> WallEnds:
@@ -179,11 +179,6 @@ class World:
         return specks, np.column_stack([self.speck_m[specks], np.full(len(specks), self.radar_height_m)])
 
     @cached_property
-    def blocker_transmission(self) -> np.ndarray:
-        """The same as `transmission` for all pieces that may block: walls, then faces, which let nothing pass."""
-        return np.concatenate([self.transmission, np.zeros((len(self.face_a), TABLE_STEPS + 1))])
-
-    @cached_property
     def centres(self) -> tuple[np.ndarray, ...]:
         """RCS, normals, exponent, floor, object and unit phasor of all centres as compiled code takes them."""
         numbers = self.centre_rcs_m2, self.centre_normals, self.centre_exponent, self.centre_floor
@@ -191,15 +186,16 @@ class World:
         return *plain, self.centre_object.astype(np.int32), np.exp(1j * self.centre_phase_rad)
 
     @cached_property
-    def blocker_kinds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Kind int8 and owner int32 of all pieces that may block: walls, then faces."""
+    def blocker_kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Kind int8, owner int32 and build int32 of all pieces that may block: walls, then faces, the last build."""
         faces, walls = len(self.face_a), len(self.wall_a)
         meshes = np.array([scene_object.class_ is None for scene_object in self.scene.objects], bool)
         object_index = np.repeat(np.arange(len(meshes)), 4)
         kind = np.concatenate([np.where(self.is_mirror, WALL, VOLUME), np.full(faces, BODY)])
         # the patches of a mesh lie inside its box
         owner = np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)])
-        return kind.astype(np.int8), owner.astype(np.int32)
+        build = np.concatenate([self.wall_build, np.full(faces, len(self.transmission) - 1)])
+        return kind.astype(np.int8), owner.astype(np.int32), build.astype(np.int32)
 
 
 def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:
@@ -220,6 +216,7 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
     curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
+    transmission, wall_build = _builds(scene, setup.radar, stacks, wall_stack, owner)
     objects = _object_arrays(scene, setup.radar.wavelength_m, seed)
     specks = _wall_specks(wall_a, wall_b, curvature, seed)
     return World(
@@ -235,6 +232,8 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         wall_surface=owner,
         wall_stack=wall_stack,
         stacks=stacks,
+        transmission=transmission,
+        wall_build=wall_build,
         **objects,
         **specks,
         wall_id=np.arange(len(wall_a)),
@@ -247,6 +246,17 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
 def radar_pose(scene: Scene, time_s: float) -> Pose2:
     """Return `start_from_now`: the pose of the radar after a time."""
     return ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), time_s)
+
+
+@dataclass(frozen=True)
+class SeenPairs:
+    """N pairs of pieces of wall of which the second may be seen in the first, in order."""
+
+    #: Int64 [N].
+    first: np.ndarray
+    second: np.ndarray
+    #: Share of the second on which, [N, 2].
+    share: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -266,11 +276,22 @@ class Snapshot:
     offset: np.ndarray
     #: Share of each piece of wall that may be in direct sight, [W, 2]: on the rest of it no path has its first mirror.
     lit: np.ndarray
+    #: Which pieces of wall may be seen in which; None: all in all.
+    seen: SeenPairs | None = None
+    #: Whether routes that leave behind the antenna, where its elements neither send nor receive, are left out.
+    ahead_only: bool = False
+    #: Numbers of the pieces of wall beyond a part's reach that are there for their flashes.
+    distant: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def origin(self) -> np.ndarray:
         """The antenna's position in the plane, [2]."""
         return self.antenna[:2]
+
+    def is_ahead(self, direction: np.ndarray) -> np.ndarray:
+        """Return which directions [N, 2 or 3] from the antenna do not point behind it, bool [N]."""
+        yaw = self.pose.yaw_rad
+        return np.asarray(direction[:, 0] * math.cos(yaw) + direction[:, 1] * math.sin(yaw) >= -BEHIND)
 
     @cached_property
     def walls(self) -> tuple[np.ndarray, ...]:
@@ -302,7 +323,7 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
-    kind, owner = world.blocker_kinds
+    kind, owner, build = world.blocker_kinds
     return Snapshot(
         world=world,
         pose=pose,
@@ -317,7 +338,8 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
             curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(len(face_shift))]),
             kind=kind,
             owner=owner,
-            transmission=world.blocker_transmission,
+            build=build,
+            transmission=world.transmission,
         ),
         normal=normal,
         offset=offset,
@@ -334,14 +356,8 @@ def wall_blockers(world: World) -> Blockers:
         curvature_per_m=world.wall_curvature_per_m,
         kind=np.where(world.is_mirror, WALL, VOLUME).astype(np.int8),
         owner=np.full(len(world.wall_a), -1, np.int32),
+        build=world.wall_build,
         transmission=world.transmission,
-    )
-
-
-def join_blockers(*parts: Blockers) -> Blockers:
-    """Return all blockers of several sets, in order."""
-    return Blockers(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blockers)}
     )
 
 
@@ -367,6 +383,19 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
         layers = wall_layers(surface.material, thickness_m, carrier_hz)
         index.append(stack_index.setdefault(layers, len(stack_index)))
     return tuple(stack_index), np.array(index, np.int32)
+
+
+def _builds(
+    scene: Scene, radar: RadarParams, stacks: tuple[Layers, ...], wall_stack: np.ndarray, wall_surface: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of `World.transmission`, and which of them each piece of wall has, int32 [W]."""
+    cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
+    volumes, place = np.unique(wall_surface[wall_stack < 0], return_inverse=True)
+    wall_build = wall_stack.astype(np.int32)
+    wall_build[wall_stack < 0] = len(stacks) + place
+    rows = [_transmission(layers, cosine, radar.wavelength_m) for layers in stacks]
+    rows += [_foliage(scene.surfaces[surface], cosine, radar.carrier_hz).astype(np.complex128) for surface in volumes]
+    return np.stack([*rows, np.zeros(TABLE_STEPS + 1, np.complex128)]), wall_build
 
 
 def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:

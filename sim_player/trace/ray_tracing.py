@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from msgs.values.perception import PathClass
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import PATHS
 from sim_player.scene.reach import reachable_snapshot
@@ -47,10 +50,19 @@ def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
         elif name == "curved_wall" and "specular_relay" in effects:
             echoes[name] = as_chords(tracing)
     if math.isfinite(view.world.reach_m):
-        echoes = {name: within_reach(view.world, made) for name, made in echoes.items()}
+        echoes = {name: made.take(is_kept(view, made)) for name, made in echoes.items()}
     return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}
 
 
-def within_reach(world: World, echoes: Echoes) -> Echoes:
-    """Return the echoes up to a world's reach: what stands in the way of longer ones is not in it."""
-    return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * world.reach_m)
+def is_kept(view: Snapshot, echoes: Echoes) -> np.ndarray:
+    """Return which echoes of a part of a world are those of the whole, bool [E].
+
+    Up to its reach: what stands in the way of longer ones is not in it. Flashes of the distant walls, of which nothing
+    else is there, stay. If asked for, only those that neither leave nor arrive behind the antenna.
+    """
+    kept = echoes.out_m + echoes.back_m <= 2.0 * view.world.reach_m
+    if len(view.distant):
+        kept |= (echoes.kind == PathClass.LOS) & np.isin(echoes.surface, view.distant)
+    if view.ahead_only:
+        kept &= view.is_ahead(echoes.depart) & view.is_ahead(echoes.arrive)
+    return np.asarray(kept)

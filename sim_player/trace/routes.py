@@ -17,7 +17,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
 from sim_player.trace.bounce import bounce
 from sim_player.trace.row_table import Column, RowTable
-from sim_player.trace.segments import Occlusion, passage, without
+from sim_player.trace.segments import Blockers, Occlusion, passage, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
@@ -53,6 +53,8 @@ class Routes(RowTable):
 
 
 ROUTE = Routes.dtype
+#: What `plane_bounces` returns.
+Bounces = tuple[np.ndarray, np.ndarray, np.ndarray]
 _MIRROR = bit("specular_relay")
 
 
@@ -84,14 +86,16 @@ def no_routes() -> Routes:
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Occlusion]:
-    """Return the straight routes from the antenna to points [N, 3], blocked ones too, and their occlusion."""
+    """Return the straight routes from the antenna to points [N, 3], blocked ones too, and their occlusion.
+
+    What the antenna is not to see counts as blocked.
+    """
     rows, *occlusion = _straight(view.antenna, point_m, owners(owner, len(point_m)), view.blockers.pieces)
-    return Routes(rows), Occlusion(*occlusion)
+    routes, met = Routes(rows), Occlusion(*occlusion)
+    return routes, met.where(view.is_ahead(routes.depart)) if view.ahead_only else met
 
 
-def plane_bounces(
-    view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
     """Return all (piece of wall, point) pairs where the piece mirrors the point to a source [3], without occlusion.
 
     Pieces [M] and points [M] of the pairs, and their specular points and images, [M, 2, 3].
@@ -115,6 +119,25 @@ def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarra
     return np.asarray((share >= lit[:, 0] - LIT_MARGIN) & (share <= lit[:, 1] + LIT_MARGIN))
 
 
+def may_be_seen(view: Snapshot, mirror: np.ndarray, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
+    """Return which points [N, 3] of pieces of wall [N] may be seen in other pieces [N], bool [N]."""
+    seen = view.seen
+    if seen is None:
+        return np.ones(len(mirror), bool)
+    walls = len(view.world.wall_a)
+    asked, known = mirror * walls + wall, seen.first * walls + seen.second
+    if not len(known):
+        return np.zeros(len(mirror), bool)
+    at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+    start = view.world.wall_a[wall]
+    along = view.world.wall_b[wall] - start
+    share = dot(point_m[:, :2] - start, along) / dot(along, along)
+    low, high = seen.share[at].T
+    # an arc's points are beside its chord, and all of it is taken for seen
+    share = np.where(view.world.is_curved[wall], 0.5, share)
+    return np.asarray((known[at] == asked) & (share >= low - LIT_MARGIN) & (share <= high + LIT_MARGIN))
+
+
 def mirror_routes(
     view: Snapshot, point_m: np.ndarray, mirrors: np.ndarray, owner: np.ndarray, ignore_wall: int | None = None
 ) -> tuple[Routes, Occlusion]:
@@ -122,8 +145,14 @@ def mirror_routes(
 
     `ignore_wall` is a piece of wall that blocks no segment.
     """
-    bounces = plane_bounces(view, view.antenna, point_m, mirrors)
     blockers = view.blockers if ignore_wall is None else without(view.blockers, ignore_wall)
+    return bounce_routes(view, point_m, plane_bounces(view, view.antenna, point_m, mirrors), owner, blockers)
+
+
+def bounce_routes(
+    view: Snapshot, point_m: np.ndarray, bounces: Bounces, owner: np.ndarray, blockers: Blockers
+) -> tuple[Routes, Occlusion]:
+    """Return the routes by pairs of pieces of wall and points [N, 3], blocked ones too, and their occlusion."""
     builds, who = view.world.builds, owners(owner, len(point_m))
     rows, *occlusion = _mirrored(view.antenna, point_m, who, bounces, view.walls, builds, blockers.pieces)
     return Routes(rows), Occlusion(*occlusion)

@@ -1,14 +1,16 @@
 """Occlusion and transmission of straight segments between points, by walls, bodies and foliage.
 
-Exact per segment and blocker, compiled. A segment leaves out `CLEARANCE_M` at both ends, so a wall does not hide a
-point that lies on it. Walls include their ends (`CLEARANCE_M` is added), so walls that share a corner leave no gap.
+Exact per segment and blocker, compiled: all blockers in turn, or of many those alone whose boxes a segment meets. A
+segment leaves out `CLEARANCE_M` at both ends, so a wall does not hide a point that lies on it. Walls include their ends
+(`CLEARANCE_M` is added), so walls that share a corner leave no gap.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -20,6 +22,9 @@ ARC_CLEARANCE_M = 1e-4
 TABLE_STEPS = 1024
 #: Curvature times length below which a wall counts as straight.
 STRAIGHT = 1e-6
+#: Pieces in a box of the tree that is not divided further, and by how much boxes are wider than what they hold.
+LEAF = 4
+BOX_MARGIN_M = 1e-3
 
 BODY, WALL, VOLUME = 0, 1, 2
 
@@ -37,14 +42,24 @@ class Blockers:
     kind: np.ndarray
     #: Owner whose own segments it does not block, -1 for none; int32.
     owner: np.ndarray
-    #: Field factor of one crossing over the cosine of incidence, complex128 [M, TABLE_STEPS + 1].
+    #: Row of `transmission` that each has, int32 [M].
+    build: np.ndarray
+    #: Field factor of one crossing over the cosine of incidence, complex128 [builds, TABLE_STEPS + 1].
     transmission: np.ndarray
+    #: Whether they are found by a tree of boxes: the same pieces meet a segment, in another order.
+    tree: bool = False
 
     @cached_property
     def pieces(self) -> tuple[np.ndarray, ...]:
-        """The same pieces as compiled code takes them."""
-        columns = self.a, self.b, self.height_m, self.curvature_per_m, self.kind, self.owner
-        return _pieces(*columns), self.transmission
+        """The same pieces as compiled code takes them, with their boxes."""
+        columns = self.a, self.b, self.height_m, self.curvature_per_m, self.kind, self.owner, self.build
+        pieces = _pieces(*columns)
+        order, boxes = _boxes(*_bounds(pieces), LEAF if self.tree else max(len(pieces), 1))
+        return pieces[order], self.transmission, boxes
+
+    def take(self, selection: np.ndarray) -> Blockers:
+        """Return the pieces of an index or mask."""
+        return replace(self, **{name: getattr(self, name)[selection] for name in _BY_PIECE})
 
 
 @dataclass(frozen=True)
@@ -55,12 +70,16 @@ class Occlusion:
     free: np.ndarray
     #: Field factor of all walls crossed; 0 behind a body.
     through: np.ndarray
-    #: Field factor of all foliage crossed.
+    #: Field factor of all foliage crossed; incomplete where nothing comes through.
     foliage: np.ndarray
 
     def take(self, selection: np.ndarray) -> Occlusion:
         """Return the segments of an index or mask."""
         return Occlusion(self.free[selection], self.through[selection], self.foliage[selection])
+
+    def where(self, mask: np.ndarray) -> Occlusion:
+        """Return the same, with all segments but those of a mask blocked."""
+        return Occlusion(self.free & mask, np.where(mask, self.through, 0.0), self.foliage)
 
 
 def segment_occlusion(
@@ -77,7 +96,7 @@ def free_segments(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.
     """Test segments in series from point to point, for callers that need free ones only: a blocked series ends early.
 
     `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to the last segment. Where a
-    series is not free, `through` is 0 and `foliage` is incomplete.
+    series is not free, `through` is 0.
     """
     return _passage(points, blockers, owner, True)
 
@@ -93,18 +112,27 @@ def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarr
 
 def without(blockers: Blockers, index: int | np.ndarray) -> Blockers:
     """Return all blockers but those of an index or several."""
-    return Blockers(
-        **{field.name: np.delete(getattr(blockers, field.name), index, axis=0) for field in fields(Blockers)}
-    )
+    return blockers.take(np.delete(np.arange(len(blockers.a)), index))
 
 
+def join_blockers(first: Blockers, *others: Blockers) -> Blockers:
+    """Return all blockers of several sets that share one table of `transmission`, in order."""
+    parts = first, *others
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_PIECE}
+    return replace(first, **joined)
+
+
+_BY_PIECE = tuple(field.name for field in fields(Blockers) if field.name not in ("transmission", "tree"))
 #: Columns of a piece in compiled code: start, vector to the end, length, share of it that `CLEARANCE_M` is, height,
-#: end, curvature (0: straight), kind, owner. One array: each further one would be reference-counted per segment.
-_COLUMNS = 12
+#: end, curvature (0: straight), kind, owner, build. One array: each further one would be reference-counted per segment.
+_COLUMNS = 13
+#: Columns of a box: least and greatest x and y, first and last piece that it holds itself (none: boxes follow), and
+#: the box to go on with if a segment misses it.
+_BOX_COLUMNS = 7
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pieces(a, b, height, curvature, kind, owner):  # type: ignore[no-untyped-def]
+def _pieces(a, b, height, curvature, kind, owner, build):  # type: ignore[no-untyped-def]
     piece = np.empty((len(a), _COLUMNS))
     for m in range(len(a)):
         wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
@@ -112,8 +140,54 @@ def _pieces(a, b, height, curvature, kind, owner):  # type: ignore[no-untyped-de
         bent = curvature[m] if abs(curvature[m]) * wall >= STRAIGHT else 0.0
         wider = CLEARANCE_M / max(wall, CLEARANCE_M)
         piece[m, :7] = (a[m, 0], a[m, 1], wx, wy, wall, wider, height[m])
-        piece[m, 7:] = (b[m, 0], b[m, 1], bent, float(kind[m]), float(owner[m]))
+        piece[m, 7:] = (b[m, 0], b[m, 1], bent, float(kind[m]), float(owner[m]), float(build[m]))
     return piece
+
+
+def _bounds(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the greatest coordinates of pieces, [M, 2] each."""
+    # an arc stays within half its chord of it
+    a, b = pieces[:, :2], pieces[:, 7:9]
+    wider = BOX_MARGIN_M + np.where(pieces[:, 9] == 0.0, 0.0, 0.5 * pieces[:, 4])[:, None]
+    return np.minimum(a, b) - wider, np.maximum(a, b) + wider
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _boxes(low, high, leaf):  # type: ignore[no-untyped-def]
+    """Order of pieces in which neighbours stand together, [M], and boxes around boxes around them, depth first.
+
+    Boxes are halved at the median of the longer side.
+    """
+    count = len(low)
+    order, boxes, stop = np.arange(count), np.empty((2 * count + 1, _BOX_COLUMNS)), np.empty(2 * count + 1, np.int64)
+    waiting, waits, made = np.empty((2 * count + 2, 2), np.int64), 1, 0
+    waiting[0, 0], waiting[0, 1] = 0, count
+    while waits:
+        waits -= 1
+        first, last = waiting[waits, 0], waiting[waits, 1]
+        box = boxes[made]
+        stop[made] = last
+        made += 1
+        box[0], box[1], box[2], box[3] = np.inf, np.inf, -np.inf, -np.inf
+        for m in order[first:last]:
+            box[0], box[1] = min(box[0], low[m, 0]), min(box[1], low[m, 1])
+            box[2], box[3] = max(box[2], high[m, 0]), max(box[3], high[m, 1])
+        box[4], box[5] = first, last
+        if last - first > leaf:
+            axis = 0 if box[2] - box[0] > box[3] - box[1] else 1
+            members = order[first:last].copy()
+            order[first:last] = members[np.argsort(low[members, axis] + high[members, axis])]
+            middle = (first + last) // 2
+            waiting[waits, 0], waiting[waits, 1] = middle, last
+            waiting[waits + 1, 0], waiting[waits + 1, 1] = first, middle
+            waits += 2
+            box[5] = first
+    # past a box goes on the first one after it whose pieces begin where its own end
+    begins = np.full(count + 1, made)
+    for n in range(made - 1, -1, -1):
+        boxes[n, 6] = begins[stop[n]] if stop[n] < count else made
+        begins[int(boxes[n, 4])] = n
+    return order, boxes[:made]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -144,35 +218,55 @@ def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
     `start` and `end` are three numbers each, `pieces` those of `Blockers`; `own` is the owner whose pieces do not
     block. With `give_up` the first piece that blocks ends the search. For callers that are compiled themselves.
     """
-    piece, passing = pieces
+    piece, passing, boxes = pieces
     sx, sy, sz = start
     rx, ry, rise = end[0] - sx, end[1] - sy, end[2] - sz
     # tuples: array views would be reference-counted in the inner loop
     ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
     lowest = sz + min(rise, 0.0)
     free, through, foliage = True, 1.0 + 0.0j, 1.0
-    for m in range(len(piece)):
-        height, bend, owner = piece[m, 6], piece[m, 9], piece[m, 11]
-        if lowest >= height or (owner >= 0.0 and owner == own):
+    box = 0
+    while box < len(boxes):
+        if _misses(sx, sy, rx, ry, boxes, box):
+            box = int(boxes[box, 6])
             continue
-        second = -1.0
-        if bend == 0.0:
-            line = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5], height)
-            first = _straight(ray, line)
-        else:
-            first, second = _arc(ray, (piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8], height, bend))
-        for cosine in (first, second):
-            if cosine < 0.0:
+        for m in range(int(boxes[box, 4]), int(boxes[box, 5])):
+            height, bend, owner = piece[m, 6], piece[m, 9], piece[m, 11]
+            if lowest >= height or (owner >= 0.0 and owner == own):
                 continue
-            factor = crossing_factor(passing, m, cosine)
-            if piece[m, 10] == VOLUME:
-                foliage *= abs(factor)
+            second = -1.0
+            if bend == 0.0:
+                line = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5], height)
+                first = _straight(ray, line)
             else:
-                free = False
-                through *= factor
-        if give_up and not free:
-            break
+                first, second = _arc(ray, (piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8], height, bend))
+            for cosine in (first, second):
+                if cosine < 0.0:
+                    continue
+                factor = crossing_factor(passing, int(piece[m, 12]), cosine)
+                if piece[m, 10] == VOLUME:
+                    foliage *= abs(factor)
+                else:
+                    free = False
+                    through *= factor
+            # nothing brings back what is blocked
+            if not free and (give_up or through == 0.0):
+                return free, through, foliage
+        box += 1
     return free, through, foliage
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _misses(sx, sy, rx, ry, boxes, box):  # type: ignore[no-untyped-def]
+    """Return whether a segment has no point in a box."""
+    x, y = 0.5 * (boxes[box, 0] + boxes[box, 2]) - sx, 0.5 * (boxes[box, 1] + boxes[box, 3]) - sy
+    wide, high = 0.5 * (boxes[box, 2] - boxes[box, 0]), 0.5 * (boxes[box, 3] - boxes[box, 1])
+    # along both axes, and across the segment
+    return (
+        abs(x - 0.5 * rx) > wide + 0.5 * abs(rx)
+        or abs(y - 0.5 * ry) > high + 0.5 * abs(ry)
+        or abs(x * ry - y * rx) > wide * abs(ry) + high * abs(rx)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -194,12 +288,12 @@ def clear_series(points, own, pieces):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def crossing_factor(passing, m, cosine):  # type: ignore[no-untyped-def]
-    """Return the field factor of one crossing of piece `m` at a cosine of incidence, from the table of all pieces."""
+def crossing_factor(passing, build, cosine):  # type: ignore[no-untyped-def]
+    """Return the field factor of one crossing of a build at a cosine of incidence, from the table of all builds."""
     position = min(max(cosine, 0.0), 1.0) * TABLE_STEPS
     step = min(int(position), TABLE_STEPS - 1)
     share = position - step
-    return (1.0 - share) * passing[m, step] + share * passing[m, step + 1]
+    return (1.0 - share) * passing[build, step] + share * passing[build, step + 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 
 from msgs.values.frames import Pose2
-from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.city import CityKind, made_city
 from sim_player.generate.places import random_place
@@ -17,34 +17,12 @@ from sim_player.scene import reach
 from sim_player.scene.description import Scene, SceneObject, Surface
 from sim_player.scene.reach import reach_m, reachable_snapshot
 from sim_player.scene.world import RadarState, World, prepare, scene_radar, snapshot
-from sim_player.trace.echoes import Echoes
+from sim_player.trace.conversion import as_paths
 from sim_player.trace.path_tracks import PathTrack
 from sim_player.trace.ray_tracing import trace, trace_echoes
-
-
-def of_whole(world: World, time_s: float, radar: RadarState) -> Echoes:
-    """Echoes of the whole world up to the reach."""
-    echoes = trace_echoes(snapshot(world, time_s, radar), ALL_EFFECTS)
-    return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * reach_m(world.setup))
-
-
-def of_part(world: World, time_s: float, radar: RadarState) -> Echoes:
-    return trace_echoes(reachable_snapshot(world, time_s, radar), ALL_EFFECTS)
-
-
-def assert_same_paths(part: Echoes, whole: Echoes) -> None:
-    """Same paths in the same order; only what walls hide may be missing, under the noise (1e-13 sqrt(mW) before the
-    array's gain of 1e3; the noise has 2e-7). Factors of several walls are multiplied in another order.
-    """
-    missing = whole.take(~np.isin(whole.chain, part.chain))
-    assert ((missing.needs & np.uint32(bit("wall_transmission"))) > 0).all()
-    assert np.abs(missing.weight).sum() < 1e-13
-    whole = whole.take(np.isin(whole.chain, part.chain))
-    assert np.array_equal(part.chain, whole.chain)
-    for name in ("out_m", "back_m", "surface", "object_index", "needs", "order", "point", "depart", "arrive"):
-        assert np.array_equal(getattr(part, name), getattr(whole, name)), name
-    for name in ("weight", "whole", "front", "rough", "foliage"):
-        assert getattr(part, name) == pytest.approx(getattr(whole, name), rel=1e-12, abs=1e-25), name
+from sim_player.trace.truth import best_power_mw
+from tests.sim_player.planner.law import change_db
+from tests.sim_player.scene.same_paths import assert_same_paths, of_part, of_whole
 
 
 @pytest.mark.slow
@@ -72,14 +50,16 @@ def test_cities_keep_all_paths_and_trace_less(kind: CityKind, seed: int) -> None
 
 
 def test_a_city_ten_times_as_large_has_the_same_paths() -> None:
-    """Of the detached houses' city what lies beyond the reach of 164 m adds nothing: neither paths nor walls. The
-    walls' own scatterers are drawn for all walls of a scene together: their phases are other ones.
+    """Of the detached houses' city what lies beyond the reach of 164 m adds nothing, neither paths nor walls, but
+    for a flash. The walls' own scatterers are drawn for all walls of a scene together: their phases are other ones.
     """
     echoes, walls = [], []
     for count in (1200, 12_000):
         view = reachable_snapshot(prepare(made_city(count, "detached", objects=4)))
-        echoes.append(trace_echoes(view, ALL_EFFECTS))
-        walls.append(view.world.wall_id)
+        found = trace_echoes(view, ALL_EFFECTS)
+        echoes.append(found.take(found.out_m + found.back_m <= 2.0 * reach_m(view.world.setup)))
+        walls.append(np.setdiff1d(view.world.wall_id, view.distant))
+        assert len(found) == len(echoes[-1]) + len(view.distant)
         assert len(view.blockers.a) < 1200
     assert np.array_equal(walls[0], walls[1])
     assert np.array_equal(echoes[0].chain, echoes[1].chain)
@@ -155,3 +135,91 @@ def test_a_part_holds_no_more_than_its_world() -> None:
     assert np.array_equal(part.speck_m, world.speck_m[part.speck_id])
     assert np.array_equal(part.wall_id[part.speck_wall], world.speck_wall[part.speck_id])
     assert np.array_equal(part.centre_m, world.centre_m[part.centre_id])
+
+
+@pytest.mark.parametrize("kind", ["terraced", "detached"])
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.5])
+def test_what_lies_behind_the_antenna_has_no_power_and_all_else_stays(kind: CityKind, yaw_rad: float) -> None:
+    """Of the paths ahead none is missing and none is another; those left out have no power in any beam."""
+    world = prepare(made_city(200, kind))
+    radar = RadarState(Pose2(0.3, -0.4, yaw_rad), np.array([5.0, 0.0]))
+    whole, view = (reachable_snapshot(world, 0.0, radar, ahead_only) for ahead_only in (False, True))
+    every, ahead = trace_echoes(whole, ALL_EFFECTS), trace_echoes(view, ALL_EFFECTS)
+    kept = np.isin(every.chain, ahead.chain)
+    assert_same_paths(ahead, every.take(kept))
+    assert len(ahead) == kept.sum()
+    paths = as_paths(whole, every, ALL_EFFECTS)
+    assert (best_power_mw(world.setup, paths.take(~kept)) == 0.0).all()
+    assert (best_power_mw(world.setup, paths.take(kept)) > 0.0).all()
+    assert len(view.world.speck_m) < 0.8 * len(whole.world.speck_m)
+    assert 0.2 < kept.mean() < 0.8
+
+
+def test_of_a_small_world_nothing_is_left_out_behind() -> None:
+    world = prepare(random_place(3, 0), 0)
+    every, ahead = (trace_echoes(reachable_snapshot(world, ahead_only=flag), ALL_EFFECTS) for flag in (False, True))
+    assert np.array_equal(every.rows, ahead.rows)
+
+
+def test_pairs_of_walls_that_do_not_see_each_other_have_no_paths() -> None:
+    """By what is seen in each mirror, or by all pairs of walls: the same echoes to the bit."""
+    view = reachable_snapshot(prepare(made_city(200, "detached")))
+    assert view.seen is not None
+    assert len(view.seen.first) < 0.2 * len(view.world.wall_a) ** 2
+    every = trace_echoes(replace(view, seen=None), ALL_EFFECTS)
+    assert np.array_equal(trace_echoes(view, ALL_EFFECTS).rows, every.rows)
+
+
+def far_wall(x_m: float, material: str = "metal", between_m: float = 0.0) -> World:
+    """One wall square on, far away, and 66 behind the radar that it does not see; perhaps one that stands between."""
+    behind = tuple(
+        Surface(role="relay", material="brick", polyline_m=((-20.0 - index, 9.0), (-20.0 - index, 30.0)))
+        for index in range(66)
+    )
+    far = Surface(role="relay", material=material, polyline_m=((x_m, -20.0), (x_m, 20.0)), height_m=10.0)
+    screen = Surface(role="relay", material="metal", polyline_m=((between_m, -1.0), (between_m, 1.0)))
+    return prepare(Scene(name="far", surfaces=(far, screen, *behind) if between_m else (far, *behind)))
+
+
+@pytest.mark.parametrize(("x_m", "material"), [(170.0, "metal"), (300.0, "metal"), (170.0, "concrete")])
+def test_a_flash_that_leaks_from_beyond_reach_is_kept(x_m: float, material: str) -> None:
+    """Where chirps overlap, a wall's flash is in all range bins. Without it some cell of the map changes by more than
+    the planner's budget of -20 dB; with it the wall's structure beyond reach is left, under -40 dB.
+    """
+    world = far_wall(x_m, material)
+    whole, part = snapshot(world), reachable_snapshot(world, ahead_only=True)
+    assert part.distant.tolist() == [0]
+    every, kept = trace_echoes(whole, ALL_EFFECTS), trace_echoes(part, ALL_EFFECTS)
+    beyond = kept.take(kept.out_m > reach_m(world.setup))
+    assert beyond.surface.tolist() == [0]
+    assert np.array_equal(beyond.rows, every.take(np.isin(every.chain, beyond.chain)).rows)
+    assert change_db(world, (whole, every), (part, kept)) < -40.0
+    near = kept.take(kept.out_m <= reach_m(world.setup))
+    assert change_db(world, (whole, every), (part, near)) > -10.0
+
+
+@pytest.mark.parametrize("between_m", [30.0, 190.0])
+def test_a_flash_that_something_hides_is_not_there(between_m: float) -> None:
+    """A screen near by, or another far wall, which flashes in its place."""
+    world = far_wall(200.0, between_m=between_m)
+    part = reachable_snapshot(world)
+    assert part.distant.tolist() == ([] if between_m < 100.0 else [1])
+    echoes = trace_echoes(part, ALL_EFFECTS)
+    assert (echoes.out_m > reach_m(world.setup)).sum() == len(part.distant)
+
+
+def test_a_flash_behind_the_antenna_or_later_than_a_chirp_is_left_out() -> None:
+    assert reachable_snapshot(far_wall(-200.0)).distant.tolist() == [0]
+    assert len(reachable_snapshot(far_wall(-200.0), ahead_only=True).distant) == 0
+    assert reachable_snapshot(far_wall(800.0)).distant.tolist() == [0]
+    assert len(reachable_snapshot(far_wall(820.0)).distant) == 0
+
+
+def test_a_wall_that_flashes_from_afar_mirrors_nothing_else() -> None:
+    """A car before a metal wall at 170 m: its images there are beyond reach, and so is what the wall's ends bend."""
+    world = far_wall(170.0)
+    scene = msgspec.structs.replace(world.scene, objects=(SceneObject(class_="car", x_m=40.0, y_m=3.0),))
+    view = reachable_snapshot(prepare(scene))
+    echoes = trace_echoes(view, ALL_EFFECTS)
+    assert (echoes.surface == 0).sum() == 1
+    assert not (view.world.speck_wall == view.world.wall_id.tolist().index(0)).any()

@@ -1,0 +1,58 @@
+"""The planner's law on scenes that are traced in part: against every path of the whole scene."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from sim_player.effects.table import ALL_EFFECTS
+from sim_player.generate.city import CityKind, made_city
+from sim_player.planner.ablation import signal_effects
+from sim_player.planner.cells import cells_of
+from sim_player.planner.plan import Plan, clean_profiles, plan_world, planned_profiles
+from sim_player.planner.purposes import Purpose
+from sim_player.scene.reach import reachable_snapshot
+from sim_player.scene.world import World, prepare, snapshot
+from sim_player.signal.levels import kernel_profiles, noise_profiles, noise_rms
+from sim_player.trace.conversion import as_paths
+from sim_player.trace.ray_tracing import trace_echoes
+
+FLAGS = msgspec.structs.replace(signal_effects(ALL_EFFECTS), motion=False)
+
+
+def largest_change(world: World, plan: Plan) -> float:
+    """Return the law's ratio in the plan's worst cell, by its paths and by its evaluated answer, same noise."""
+    setup, front_end, view = world.setup, world.scene.radar.front_end, snapshot(world)
+    paths = as_paths(view, trace_echoes(view, ALL_EFFECTS), ALL_EFFECTS)
+    noise, rms = noise_profiles(setup, 0, FLAGS, front_end), noise_rms(setup, FLAGS, front_end)
+    everything = kernel_profiles(setup, paths, FLAGS, front_end, precision="float64") + noise
+    cells = cells_of(setup)
+    asked = cells.asked(setup, plan.purpose, paths, rms)
+    answers = [answer(plan, setup) + noise for answer in (planned_profiles, clean_profiles)]
+    return max(float(cells.off(everything, answer, rms, plan.purpose, asked).max()) for answer in answers)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["terraced", "detached"])
+@pytest.mark.parametrize(("walls", "seed"), [(200, 0), (400, 1), (1000, 2)])
+def test_the_law_holds_against_the_whole_city(kind: CityKind, walls: int, seed: int) -> None:
+    """Half of the paths are traced at most; no cell is off by more than the budget."""
+    world = prepare(made_city(walls, kind, seed=seed), seed)
+    everything = len(trace_echoes(reachable_snapshot(world), ALL_EFFECTS))
+    for purpose in Purpose:
+        plan = plan_world(world, world.setup, -20.0, purpose=purpose)
+        assert plan.traced < 0.6 * everything
+        assert largest_change(world, plan) <= 0.1
+
+
+def test_a_thorough_plan_looks_all_round() -> None:
+    """What the element pattern alone changes is asked of all paths: behind the antenna it takes everything."""
+    world = prepare(made_city(100, "detached", objects=2))
+    quick, thorough = (plan_world(world, world.setup, thorough=flag, purpose=Purpose.PEAKS) for flag in (False, True))
+    assert quick.view.ahead_only
+    assert not thorough.view.ahead_only
+    bound_db = {effect.name: effect.bound_db for effect in thorough.effects}["element_pattern"]
+    assert bound_db is not None
+    assert bound_db > 0.0
+    assert np.isin(quick.echoes.chain, trace_echoes(thorough.view, ALL_EFFECTS).chain).all()
