@@ -1,8 +1,9 @@
 """The wheel in a clean environment, outside the checkout: size, time to the first picture, every command, removal.
 
 Each environment is new, with an empty home and no cache of packages; its commands run in an empty folder. A picture is
-what `mirrorwave process --sample` draws; its time counts from before the environment was made and includes the
-download. Only the standard library is needed, so that any interpreter can run it.
+what `mirrorwave process --sample` draws; its time counts from before the environment was made and includes the download.
+Processor time is that of all programs that were started up to then. Only the standard library is needed, so that any
+interpreter can run it.
 Usage: python -m benchmarks.installation.clean_environment [--python PYTHON] [--with pip|pipx|uv] [--wheel FILE]
 [--json]
 """
@@ -14,6 +15,7 @@ import contextlib
 import json
 import os
 import platform
+import resource
 import shutil
 import signal
 import subprocess
@@ -117,11 +119,11 @@ class Installation:
 
 def measure(tool: str, python: str, wheel: Path, folder: Path) -> dict[str, Any]:
     """Install, look, run everything and remove; returns the figures."""
-    start_s = time.monotonic()
+    start_s, start_cpu_s = time.monotonic(), children_cpu_s()
     installed = Installation(tool, python, wheel, folder)
-    install_s = time.monotonic() - start_s
+    install_s, install_cpu_s = time.monotonic() - start_s, children_cpu_s() - start_cpu_s
     first = installed.run("process", "--sample", "--out", "out/first")
-    picture_s = time.monotonic() - start_s
+    picture_s, picture_cpu_s = time.monotonic() - start_s, children_cpu_s() - start_cpu_s
     if first.returncode or not (folder / "work" / "out" / "first" / "bev.png").exists():
         raise RuntimeError(f"process --sample: {first.stderr}")
     start_s = time.monotonic()
@@ -136,13 +138,21 @@ def measure(tool: str, python: str, wheel: Path, folder: Path) -> dict[str, Any]
         "tool": tool,
         "python": platform_of(python),
         "install_s": round(install_s, 1),
+        "install_cpu_s": round(install_cpu_s, 1),
         "first_picture_s": round(picture_s, 1),
+        "first_picture_cpu_s": round(picture_cpu_s, 1),
         "next_picture_s": round(second_s, 1),
         "megabytes": round(1e-6 * sizes.total(), 1),
         "parts_megabytes": {name: round(1e-6 * size, 1) for name, size in sizes.most_common(PARTS)},
         "commands": commands,
         "command_left": installed.program.exists(),
     }
+
+
+def children_cpu_s() -> float:
+    """Return the processor time of all programs that have ended."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def outcome(installed: Installation, words: list[str], made: str) -> str:
@@ -192,6 +202,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.tool != "pip" and not shutil.which(arguments.tool):
         parser.error(f"{arguments.tool} is not installed: pip install {arguments.tool}")
+    # in the background of a shell it is ignored, and the programs that are ended by it would ignore it too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # a short path: names of sockets are limited
     with tempfile.TemporaryDirectory(prefix="mw") as scratch, tempfile.TemporaryDirectory(prefix="mw") as folder:
         wheel = arguments.wheel.resolve() if arguments.wheel else build(Path(scratch))
