@@ -1,7 +1,7 @@
 """The wheel in a clean environment, outside the checkout: size, time to the first picture, every command, removal.
 
 Each environment is new, with an empty home and no cache of packages; its commands run in an empty folder. A picture is
-what `mirrorwave process --sample` draws; its time counts from before the environment was made and includes the download.
+what `mirrorwave process --sample` draws; its time counts from before the environment was made, download included.
 Processor time is that of all programs that were started up to then. Only the standard library is needed, so that any
 interpreter can run it.
 Usage: python -m benchmarks.installation.clean_environment [--python PYTHON] [--with pip|pipx|uv] [--wheel FILE]
