@@ -20,6 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 from mirrorwave.exit_signals import INTERRUPTED, ended_by_signal, was_interrupted
 from mirrorwave.terminal import READER_LEFT
+from nodes.process.kernel_cache import use_fallback
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
@@ -149,6 +150,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(argv: list[str] | None) -> int:
     try:
+        use_fallback()
         code = app(args=argv, prog_name="mirrorwave", standalone_mode=False)
         # what typer makes of an interrupt; other versions let it through
         if code == INTERRUPTED:

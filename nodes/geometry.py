@@ -19,6 +19,7 @@ from models.perception.tracking.stage import ViewStage
 from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import WEIGHTS
+from msgs.values.arrays import require_within
 from msgs.values.diagnostics import NodeState
 from msgs.values.environment import WallPriors
 from msgs.values.perception import Peaks
@@ -59,6 +60,11 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     memory: MemoryParams = MemoryParams()
     #: In place of these for peaks of a radar that gives detections: they come with the limits of their sensor.
     detections: GeometryParams = DETECTION_GEOMETRY
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.object_threshold is not None:
+            require_within("object_threshold", 0.0, 1.0, self.object_threshold)
 
 
 class GeometryNode(Node):

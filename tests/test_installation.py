@@ -150,6 +150,14 @@ def test_a_package_that_is_loaded_already_gets_an_honest_line(environment: Path,
     )
 
 
+def test_the_pythons_that_pip_accepts_are_those_that_are_named() -> None:
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+    named = [re.fullmatch(r"Programming Language :: Python :: 3\.(\d+)", line) for line in project["classifiers"]]
+    minors = sorted(int(match[1]) for match in named if match)
+    assert minors == list(range(minors[0], minors[-1] + 1))
+    assert project["requires-python"] == f">=3.{minors[0]},<3.{minors[-1] + 1}"
+
+
 def imported() -> set[str]:
     """Top-level names that the floors import."""
     trees = [

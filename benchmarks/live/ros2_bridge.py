@@ -3,7 +3,8 @@
 Latency added counts from the arrival of a message at a subscriber of the graph to that of what the bridge makes of it
 at a node of ROS 2 on the same machine. The graph runs without the bridge too, for its own figures.
 Usage: MIRRORWAVE_RCLPY=PYTHON python -m benchmarks.live.ros2_bridge [--duration S] [--domain N] [--json]
-PYTHON is an interpreter with rclpy, sensor_msgs, nav_msgs, visualization_msgs and diagnostic_msgs of ROS 2.
+PYTHON is an interpreter with rclpy, sensor_msgs, nav_msgs, visualization_msgs and diagnostic_msgs of ROS 2; where it
+has tf2_msgs, vision_msgs and radar_msgs too, all topics are heard.
 """
 
 from __future__ import annotations
@@ -45,12 +46,17 @@ SAME_NS = 3_000_000
 #: Source of each topic on the graph's side.
 SOURCES = {
     "/hidden_objects": BevFrame,
+    "/hidden_detections": BevFrame,
+    "/hidden_tracks": BevFrame,
     "/hidden_points": BevFrame,
     "/visibility": BevFrame,
     "/ra_map": RangeAzimuthMap,
     "/odom": VehicleState,
+    "/tf": VehicleState,
     "/diagnostics": NodeStatus,
 }
+#: Sent once, for late joiners too.
+LATCHED = "/tf_static"
 
 
 class Subscriber:
@@ -69,6 +75,10 @@ class Subscriber:
         self.lines: list[dict[str, Any]] = []
         self._thread = threading.Thread(target=self._read)
         self._thread.start()
+
+    def topics(self) -> list[str]:
+        """Return the topics whose types it has."""
+        return next((line["subscribed"] for line in list(self.lines) if "subscribed" in line), [])
 
     def messages(self, topic: str) -> list[tuple[int, int]]:
         """Return stamp and arrival of what came on a topic."""
@@ -138,14 +148,17 @@ def run(python: str, duration_s: float, domain: int) -> dict[str, Any]:
     subscriber = Subscriber(python, domain)
     try:
         graph.until(lambda: len(subscriber.messages("/hidden_objects")) >= 5, PATIENCE_S)
+        usage = [live_graph.usage_of(graph.status)]
         start_ns = time.monotonic_ns()
         graph.latency_ms.clear()
         graph.status.clear()
         graph.until(lambda: False, duration_s)
         end_ns = time.monotonic_ns()
-        figures = live_graph.report(np.array(graph.latency_ms), graph.status, 0)
+        usage.append(live_graph.usage_of(graph.status))
+        figures = live_graph.report(graph.latency_ms, [], graph.status, usage, 0)
         graph.until(lambda: False, 1.0)
-        topics = {name: compare(graph, subscriber, name, start_ns, end_ns) for name in SOURCES}
+        known = [name for name in SOURCES if name in subscriber.topics()]
+        topics = {name: compare(graph, subscriber, name, start_ns, end_ns) for name in known}
         later = {
             "killed": killed(graph, subscriber),
             "mismatch": mismatch(graph, python, domain),
@@ -196,7 +209,11 @@ def late_joiner(graph: Graph, python: str, domain: int) -> dict[str, Any]:
             os.kill(pid, signal.SIGCONT)
         subscriber.close()
     first_ns = subscriber.messages("/visibility")[0][0] if came else start_ns
-    return {"latched_grid": came and first_ns < start_ns, "age_at_start_s": round(1e-9 * (start_ns - first_ns), 2)}
+    return {
+        "latched_grid": came and first_ns < start_ns,
+        "age_at_start_s": round(1e-9 * (start_ns - first_ns), 2),
+        "latched_transform": bool(subscriber.messages(LATCHED)),
+    }
 
 
 def killed(graph: Graph, subscriber: Subscriber) -> dict[str, Any]:

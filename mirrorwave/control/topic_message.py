@@ -29,12 +29,20 @@ def message_of(topic: str, values: Mapping[str, Any], now_ns: int) -> msgspec.St
     body = {"stamp_ns": now_ns, **values} if "stamp_ns" in names else dict(values)
     arrays = {field.name for field in msgspec.structs.fields(kind) if "ndarray" in str(field.type)}
     body = {name: _array_of(f"{topic}: {name}", value) if name in arrays else value for name, value in body.items()}
+    encoded = msgspec.msgpack.encode({name: _encoded(f"{topic}: {name}", value) for name, value in body.items()})
     try:
-        return decode_inline(kind, msgspec.msgpack.encode(body))
+        return decode_inline(kind, encoded)
     except CodecError as error:
         cause = error.__cause__
         rule = with_known_names(cause, kind) if isinstance(cause, msgspec.ValidationError) else str(cause or error)
         raise ValueError(f"{topic}: {rule.replace('`', '')}") from None
+
+
+def _encoded(where: str, value: Any) -> msgspec.Raw:
+    try:
+        return msgspec.Raw(msgspec.msgpack.encode(value))
+    except OverflowError:
+        raise ValueError(f"{where} must have whole numbers of 64 bits, got {value!r}") from None
 
 
 def _array_of(where: str, value: Any) -> Any:

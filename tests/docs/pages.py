@@ -64,12 +64,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
     (r"--scans \d+", "--scans 2"),
-    # without DDS here
-    *(
-        ()
-        if importlib.util.find_spec("cyclonedds")
-        else ((r"^mirrorwave launch (\S+_ros2\S+)$", r"mirrorwave graph \1"),)
-    ),
+    *WITHOUT_DDS,
     # two machines in one folder; the nodes that link them run in tests/nodes/test_link.py
     (r"^scp keys/(\S+) \w+:(\S+)$", r"cp keys/\1 \2"),
     (r"^mirrorwave launch (launch/two_hosts_\S+).*$", r"mirrorwave graph \1"),

@@ -161,3 +161,25 @@ def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open, scheme: str) -> 
         }).map((one) => one.textContent)"""
         assert page.locator(".warnings li:not([data-level=urgent]) .detail").count() >= 1
         assert page.evaluate(cut) == []
+
+
+#: Words of warnings that do not lie whole within their box.
+CUT_WORDS = """() => [...document.querySelectorAll('.warnings .words *')].filter((one) => {
+  const words = one.closest('.words').getBoundingClientRect(), box = one.getBoundingClientRect();
+  return box.right > words.right + 1 || box.bottom > one.closest('li').getBoundingClientRect().bottom + 1;
+}).map((one) => one.textContent)"""
+
+
+@pytest.mark.parametrize("width", [DESK, 1600])
+def test_the_longest_title_is_whole(open_page: Open, width: int) -> None:
+    """A road user that stands and is about to appear: what it is about is the last word of the title."""
+    board = Board()
+    for scan in range(4):
+        left_s = 1.0 - 0.3 * scan if scan < 3 else 0.1
+        standing = test_page.road_user(3, 19.4, 13.1, velocity_y_mps=0.3, time_to_appear_s=left_s)
+        test_page.board_tracks(board, scan, standing)
+    with ViewerServer(board, title="desk") as server:
+        page = open_page(server, "light", width)
+        test_page.until(page, "mirrorwave.state.warnings.some((one) => one.title.endsWith('about to appear'))")
+        assert page.locator(".warnings .title", has_text="Slow or standing").count() == 1
+        assert page.evaluate(CUT_WORDS) == []
