@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -144,6 +145,7 @@ def run_live(profile: str, scans: int) -> list[float]:
             return _latencies_ms(bus, scans * period_s)
         finally:
             _stop(graph)
+            shutil.rmtree(run_dir(domain), ignore_errors=True)
 
 
 def _latencies_ms(bus: ZmqBus, duration_s: float) -> list[float]:
