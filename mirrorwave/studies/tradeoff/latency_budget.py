@@ -88,18 +88,16 @@ def pick(budget_ms: float, remeasure: bool = False, note: Callable[[str], None] 
     losses, path = _known(), cache_path()
     cached = _recall(path)
     key = _key(losses)
-    remembered = {} if remeasure or cached is None or cached.key != key else {row.profile: row for row in cached.timed}
+    kept = {} if remeasure or cached is None or cached.key != key else {row.profile: row for row in cached.timed}
     timed: list[Timed] = []
     for candidate in losses:
-        if candidate.profile not in remembered:
+        if candidate.profile not in kept:
             note(f"trying profile {candidate.profile} on this machine")
             expected_ms = measure(candidate.profile)
-            remembered[candidate.profile] = Timed(
-                profile=candidate.profile, loss=candidate.loss, expected_ms=expected_ms
-            )
+            kept[candidate.profile] = Timed(profile=candidate.profile, loss=candidate.loss, expected_ms=expected_ms)
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, json_lines(_CachedTimes(key=key, timed=list(remembered.values()))))
-        timed.append(remembered[candidate.profile])
+            write_whole(path, json_lines(_CachedTimes(key=key, timed=list(kept.values()))))
+        timed.append(kept[candidate.profile])
         if _is_within(timed[-1], budget_ms):
             return timed
     raise ValueError(f"--latency-budget-ms: no profile fits {budget_ms:g} ms on this machine; {_nearest(timed)}")
