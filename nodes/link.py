@@ -205,6 +205,8 @@ class Link(Node):
         if self._exporter is not None:
             self._shed("handshake", "refused", self._exporter.refused)
             self._shed("message", "rejected", self._exporter.rejected)
+            for topic, superseded in self._exporter.superseded().items():
+                self._shed(f"{topic} message", "replaced by a newer one", superseded)
         for importer in self._importers:
             self._shed(f"{importer.name} handshake", "failed", importer.refused)
             self._shed(f"{importer.name} message", "rejected", importer.rejected)

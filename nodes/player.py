@@ -12,7 +12,7 @@ import msgspec
 
 from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS
+from msgs.bus.topics import DETECTIONS_TOPIC, RAW_TOPICS, SENSOR_TOPICS
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -109,6 +109,8 @@ class Player(Node):
         self._end_ns: int | None = None
         self._ended = False
         self._next = next(events, None)
+        #: Whether the message in `_next` has been sent, and the one after it is still to be made.
+        self._is_sent = False
 
     def finished(self) -> bool:
         """Return whether the last message has had time to get through."""
@@ -118,12 +120,19 @@ class Player(Node):
         """Return when the next message is to be sent, or when to end."""
         if self._next is None:
             return self._end_ns or now_ns
-        if self._start_ns is None:
+        if self._start_ns is None or self._is_sent:
             return now_ns
         return self._start_ns + round(self._next.offset_ns / self._rate)
 
+    def pending(self) -> bool:
+        """Return whether the next message is still to be made."""
+        return self._is_sent
+
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Return all messages whose time has come."""
+        """Return all messages whose time has come; after a beam, make the next one, which must not hold that one up."""
+        if self._is_sent:
+            self._make_next()
+            return []
         if self._next is None:
             self._ended = self._end_ns is not None and now_ns >= self._end_ns
             self._end_ns = self._end_ns or now_ns + self._settle_ns
@@ -131,7 +140,7 @@ class Player(Node):
         if self._start_ns is None:
             return self._open(now_ns)
         out: list[Outgoing] = []
-        while self._next is not None and self._is_due(now_ns) and len(out) < BURST:
+        while self._next is not None and not self._is_sent and self._is_due(now_ns) and len(out) < BURST:
             out.append(self._take())
         return out
 
@@ -153,12 +162,18 @@ class Player(Node):
         return due_ns is not None and due_ns <= now_ns
 
     def _take(self) -> Outgoing:
-        """Return the next message, and make the one after it in time."""
+        """Return the next message; the one after it is made at once, after a beam in the next step."""
         assert self._next is not None
         outgoing = self._stamped(self._next.outgoing)
+        self._is_sent = outgoing.topic in RAW_TOPICS
+        if not self._is_sent:
+            self._make_next()
+        return outgoing
+
+    def _make_next(self) -> None:
+        self._is_sent = False
         with self.stages("synthesise"):
             self._next = next(self._events, None)
-        return outgoing
 
     def _stamped(self, outgoing: Outgoing) -> Outgoing:
         """Return a message of a live scene stamped with the bus clock; one of a capture keeps its recorded stamp."""

@@ -261,6 +261,8 @@ class Proxy:
 # ------------------------------------------------------------------------------------------------ namespaces and wire
 
 
+#: Longest wait of a frame for the slowest part of a cable.
+QUEUE_S = 0.2
 _TUNSETIFF, _IFF_TAP, _IFF_NO_PI = 0x400454CA, 0x0002, 0x1000
 _TUN = "/dev/net/tun"
 _ETHERNET_HEADER = 14
@@ -312,6 +314,9 @@ class Host:
 class Wire:
     """Two hosts and the cable between them; frames pass unless `is_dead`, `delay_s` after they came.
 
+    With `rate_mbit_per_s` a frame also waits for those before it in its direction to have passed at that rate, and is
+    lost where it would wait longer than `QUEUE_S`, as in a router.
+
     Use as a context: the namespaces are taken away at its end, however it comes. Raises `OSError` where they cannot be
     made (`why_no_namespaces`).
     """
@@ -325,6 +330,9 @@ class Wire:
         )
         self.is_dead = False
         self.delay_s = 0.0
+        self.rate_mbit_per_s = float("inf")
+        #: When the last frame of each direction has passed the slowest part of the cable.
+        self._passed_s = [0.0, 0.0]
         #: Frames and bytes that passed in each direction.
         self.frames, self.bytes = [0, 0], [0, 0]
         #: Words to look for in what passes, and how often each was seen.
@@ -370,14 +378,22 @@ class Wire:
                 end = taps.index(tap)
                 for data in _read_all(tap):
                     self._look_at(data, end)
-                    if not self.is_dead:
-                        heapq.heappush(waiting, (time.monotonic() + self.delay_s, next(order), 1 - end, data))
+                    if (due_s := self._due_s(data, end)) is not None:
+                        heapq.heappush(waiting, (due_s, next(order), 1 - end, data))
             while waiting and waiting[0][0] <= time.monotonic():
                 _, _, end, data = heapq.heappop(waiting)
                 if not self.is_dead:
                     # an interface that is down, or full: the frame is lost, as on any cable
                     with contextlib.suppress(OSError):
                         os.write(taps[end], data)
+
+    def _due_s(self, data: bytes, end: int) -> float | None:
+        """When a frame arrives; None if it is lost."""
+        now_s = time.monotonic()
+        if self.is_dead or self._passed_s[end] - now_s > QUEUE_S:
+            return None
+        self._passed_s[end] = max(now_s, self._passed_s[end]) + 8e-6 * len(data) / self.rate_mbit_per_s
+        return self._passed_s[end] + self.delay_s
 
     def _look_at(self, data: bytes, end: int) -> None:
         self.frames[end] += 1

@@ -3,10 +3,11 @@
 Two network namespaces joined by a wire (`benchmarks.transport.net`) stand for the hosts; in one runs
 `launch/two_hosts_sensor.yaml`, in the other `launch/two_hosts_compute.yaml`, with keys made for the occasion. Measured
 are, after the same nodes on one host: the steady state; then, for each way to harm the link, what each side said and
-counted, and the time from healing it to the first view of a scan measured after that; then the steady state with the
-compute host's monotonic clock 100,000 s ahead (a time namespace); and whether words of the messages can be read on the
-wire, with keys and without. Needs root, `ip` (iproute2) and /dev/net/tun. The scene's seed is that of its file.
-Usage: python -m benchmarks.transport.two_hosts [--steady 30] [--cut 10] [-p node.key=value] [--json FILE]
+counted, and the time from healing it to the first view of a scan measured after that; then the steady state on links
+that are slow for good (`SLOW`); then the steady state with the compute host's monotonic clock 100,000 s ahead (a time
+namespace); and whether words of the messages can be read on the wire, with keys and without. Needs root, `ip`
+(iproute2) and /dev/net/tun. The scene's seed is that of its file.
+Usage: python -m benchmarks.transport.two_hosts [--steady 30] [--cut 10] [--slow-only] [-p node.key=value] [--json FILE]
 """
 
 from __future__ import annotations
@@ -39,12 +40,21 @@ from msgs.link import keys as curve_keys
 from msgs.values.diagnostics import NodeStatus
 from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND
+from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import DEADLINE_S, latency_ns
 
 ROOT = CHECKOUT
 LAUNCH = ROOT / "launch"
 SIDES = ("sensor", "compute")
 START_S, STOP_S, HEAL_S, SETTLE_S = 120.0, 30.0, 60.0, 6.0
+#: Connections have found the new rate of a link.
+SLOW_SETTLE_S = 10.0
+#: Links that are slow for good: rate and delay of each direction.
+SLOW = {
+    "0.2 s late": (float("inf"), 0.2),
+    "20 Mbit/s, 0.1 s late": (20.0, 0.1),
+    "4 Mbit/s, 0.1 s late": (4.0, 0.1),
+}
 #: How far the compute host's clock is ahead in the run with two clocks.
 AHEAD_S = 100_000
 #: What must not be readable on the wire: topics, a field, a node.
@@ -74,7 +84,7 @@ class Graph:
         command += ["--runs-dir", str(folder / "runs"), *options]
         environment = {**os.environ, "MIRRORWAVE_RUN_DIR": str(folder)}
         self.bus = ShiftedBus(folder / name, ahead_s)
-        for topic in ("perception/hidden_objects", "diagnostics/node"):
+        for topic in ("perception/hidden_objects", "vehicle/state", "diagnostics/node"):
             self.bus.subscribe(topic)
         self._said = (folder / f"{name}.log").open("a")
         self._process = subprocess.Popen(
@@ -82,6 +92,8 @@ class Graph:
         )
         #: Scan, its stamp and its arrival, on the host's clock.
         self.views: list[tuple[int, int, int]] = []
+        #: Ages of vehicle states on arrival.
+        self.state_ages_ns: list[int] = []
         self.status: dict[str, list[NodeStatus]] = {}
         #: When a node of this host said that its health is another one: time, node, state and reason.
         self.changes: list[tuple[int, str, str]] = []
@@ -90,6 +102,8 @@ class Graph:
         for received in self.bus.receive(timeout_s):
             if isinstance(received.message, BevFrame):
                 self.views.append((received.message.scan_id, received.message.stamp_ns, self.bus.now_ns()))
+            elif isinstance(received.message, VehicleState):
+                self.state_ages_ns.append(self.bus.now_ns() - received.message.stamp_ns)
             elif isinstance(received.message, NodeStatus) and "." not in received.envelope.publisher:
                 self._hear(received, received.message)
 
@@ -276,6 +290,22 @@ def _missing(views: list[tuple[int, int, int]]) -> int:
     return max(scans) - min(scans) + 1 - len(scans) if scans else 0
 
 
+def slow(graphs: tuple[Graph, Graph], wire: Wire, rate_mbit_per_s: float, delay_s: float, duration_s: float) -> dict:
+    """The steady state on a slow link, from `SLOW_SETTLE_S` after it became so; then the link as it was."""
+    compute = graphs[1]
+    wire.rate_mbit_per_s, wire.delay_s = rate_mbit_per_s, delay_s
+    listen(graphs, SLOW_SETTLE_S)
+    known, moved = len(compute.state_ages_ns), sum(wire.bytes)
+    result = steady(graphs, duration_s)
+    result["wire_mbit_per_s"] = round(8e-6 * (sum(wire.bytes) - moved) / duration_s, 1)
+    result["state_age_ms"] = _quantiles([1e-6 * age_ns for age_ns in compute.state_ages_ns[known:]])
+    wire.rate_mbit_per_s, wire.delay_s = float("inf"), 0.0
+    healed_ns = compute.bus.now_ns()
+    listen(graphs, HEAL_S, lambda: bool(compute.views) and compute.views[-1][1] > healed_ns)
+    listen(graphs, SETTLE_S)
+    return result
+
+
 def ways_to_harm(wire: Wire) -> dict[str, tuple[Callable[[], None], Callable[[], None]]]:
     """Each way to harm the link, and how it is healed."""
     return {
@@ -286,11 +316,24 @@ def ways_to_harm(wire: Wire) -> dict[str, tuple[Callable[[], None], Callable[[],
     }
 
 
+def run_slow(steady_s: float, overrides: list[str]) -> dict[str, Any]:
+    """The slow links alone."""
+    result: dict[str, Any] = {"machine": _machine(), "overrides": overrides}
+    with Wire("mwh") as wire, tempfile.TemporaryDirectory(prefix="mw") as root:
+        make_keys(Path(root) / "keys")
+        graphs = pair(wire, Path(root), overrides, Path(root) / "keys")
+        with running(*graphs):
+            await_views(*graphs)
+            result["slow"] = {name: slow(graphs, wire, *link, steady_s) for name, link in SLOW.items()}
+    return result
+
+
+def _machine() -> str:
+    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
+
+
 def run(steady_s: float, cut_s: float, overrides: list[str]) -> dict[str, Any]:
-    result: dict[str, Any] = {
-        "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
-        "overrides": overrides,
-    }
+    result: dict[str, Any] = {"machine": _machine(), "overrides": overrides}
     with Wire("mwh") as wire, tempfile.TemporaryDirectory(prefix="mw") as root:
         folder, keys = Path(root), Path(root) / "keys"
         make_keys(keys)
@@ -304,6 +347,7 @@ def run(steady_s: float, cut_s: float, overrides: list[str]) -> dict[str, Any]:
             result["wire_mb_per_s"] = round(1e-6 * (sum(wire.bytes) - moved) / steady_s, 2)
             ways = ways_to_harm(wire)
             result["harm"] = {name: harm(graphs, act, heal, cut_s) for name, (act, heal) in ways.items()}
+            result["slow"] = {name: slow(graphs, wire, *link, steady_s) for name, link in SLOW.items()}
         result["readable_with_keys"] = _readable(wire)
         result["two_clocks"] = _two_clocks(wire, folder, overrides, keys, steady_s)
         wire.seen = dict.fromkeys(WORDS, 0)
@@ -344,6 +388,8 @@ def _readable(wire: Wire) -> dict[str, int]:
 
 def markdown(result: dict[str, Any]) -> str:
     """The result as tables."""
+    if "harm" not in result:
+        return "\n".join(_slow_table(result["slow"]))
     lines = ["| run | views/s | scans without view | late | age p50 ms | p90 | p99 | max |", "|" + " --- |" * 8]
     for name in ("one_host", "two_hosts", "two_clocks"):
         row = result[name]
@@ -361,16 +407,34 @@ def markdown(result: dict[str, Any]) -> str:
         cells += [str(row["fresh_view_after_heal_s"]), str(row["scans_without_view"])]
         cells += ["; ".join(counted), "; ".join(said), "; ".join(memory), ", ".join(row["restarted"]) or "nothing"]
         lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", *_slow_table(result["slow"])]
     lines += ["", "| word on the wire | frames with keys | without |", "|" + " --- |" * 3]
     plain = result["readable_without_keys"]
     lines += [f"| {word} | {count} | {plain[word]} |" for word, count in result["readable_with_keys"].items()]
     return "\n".join(lines)
 
 
+def _slow_table(rows: dict[str, dict[str, Any]]) -> list[str]:
+    head = ("slow link", "views/s", "scans without view", "age of a view p50, p90, p99 ms")
+    head += ("of a vehicle state", "Mbit/s", "counted")
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for name, row in rows.items():
+        counted = [f"{side}: {more} {what}" for side, own in row["counted"].items() for what, more in own.items()]
+        cells = [name, row["views_per_s"], row["scans_without_view"], _in_words(row["age_ms"])]
+        cells += [_in_words(row["state_age_ms"]), row["wire_mbit_per_s"], "; ".join(counted)]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return lines
+
+
+def _in_words(age_ms: dict[str, float | None]) -> str:
+    return ", ".join(str(age_ms[quantile]) for quantile in ("p50", "p90", "p99"))
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steady", type=float, default=30.0)
     parser.add_argument("--cut", type=float, default=10.0)
+    parser.add_argument("--slow-only", action="store_true", help="measure the slow links alone")
     parser.add_argument("-p", dest="overrides", action="append", default=[])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     arguments = parser.parse_args()
@@ -380,7 +444,10 @@ def main() -> int:
     # as Ctrl-C: the namespaces and graphs are taken away
     signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))
     try:
-        result = run(arguments.steady, arguments.cut, arguments.overrides)
+        if arguments.slow_only:
+            result = run_slow(arguments.steady, arguments.overrides)
+        else:
+            result = run(arguments.steady, arguments.cut, arguments.overrides)
     except KeyboardInterrupt:
         print("two_hosts: stopped", file=sys.stderr)
         return 130

@@ -2,8 +2,11 @@
 
 Downwards go the messages as on every bus (`msgs.bus.codec`), and answers of the exporter's clock. Upwards go
 subscriptions and questions: `[2][8 bytes of requester][8 bytes of number]`, answered on the topic `clock\\0` +
-requester with the number and the exporter's monotonic clock (int64, big-endian, ns). Nothing else is accepted
-upwards: an importer cannot publish.
+requester with the number and the exporter's monotonic clock (int64, big-endian, ns). Newest-only topics go down one
+message at a time (`msgs.link.newest`), on the topic `newest\\0` + requester + topic with a number before the header;
+`[3][8 bytes of requester][8 bytes of number]` acknowledges it and all before it. An exporter that offers this
+precedes every answer of its clock by `[clock\\0 + requester][newest\\0][last number]`, to be acknowledged likewise; of
+another one those topics are subscribed to as all are. Nothing else is accepted upwards: an importer cannot publish.
 
 `msgs.link.exporter` is the end that is bound on one port, `msgs.link.importer` the one that connects to it.
 """
@@ -35,7 +38,8 @@ MAX_UPWARD_BYTES = 1024
 ORIGIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 CLOCK = topic_frame("clock")
-PING = b"\x02"
+NEWEST = topic_frame("newest")
+PING, TAKEN = b"\x02", b"\x03"
 ID_BYTES = 8
 STAMP = struct.Struct(">q")
 

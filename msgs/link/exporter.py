@@ -24,9 +24,11 @@ from msgs.link.curve import (
     CLOCK,
     ID_BYTES,
     MAX_UPWARD_BYTES,
+    NEWEST,
     ORIGIN,
     PING,
     STAMP,
+    TAKEN,
     Clock,
     Complaint,
     Monitor,
@@ -35,12 +37,14 @@ from msgs.link.curve import (
     waiting_on,
 )
 from msgs.link.keys import KeyPair
+from msgs.link.newest import NUMBER, NewestOnly
 from msgs.values.units import NANOSECONDS_PER_SECOND
 
 logger = logging.getLogger(__name__)
 
 _ZAP_DOMAIN = "mirrorwave"
 _PING_BYTES = len(PING) + 2 * ID_BYTES
+_TAKEN_BYTES = len(TAKEN) + ID_BYTES + NUMBER.size
 #: No handshake takes longer.
 _STRANGER_NS = 5 * NANOSECONDS_PER_SECOND // 2
 #: Far more than there are peers; each costs libzmq memory until its connection is given up.
@@ -79,6 +83,7 @@ class Exporter:
         self._latched: dict[str, dict[str, list[Buffer]]] = {topic.name: {} for topic in facts if topic.latched}
         #: Peers that ask for our clock, and over how many connections: a new one may come before the old one has gone.
         self._joined: dict[bytes, tuple[str, int]] = {}
+        self._newest = NewestOnly(facts, self._send, _MAX_JOINED)
         self._complaint = Complaint()
         #: Failed handshakes, and messages that can go neither up nor down: no question, or too large.
         self.refused = self.rejected = 0
@@ -137,6 +142,11 @@ class Exporter:
         if received.topic in self._latched:
             latch(self._latched[received.topic], received.envelope.publisher, frames)
         self._send(frames)
+        self._newest.offer(received.envelope, frames)
+
+    def superseded(self) -> dict[str, int]:
+        """Return how many messages of each newest-only topic a newer one replaced before they were sent."""
+        return dict(self._newest.superseded)
 
     def allow(self, allowed: Mapping[bytes, str]) -> None:
         """Replace the list of peers that may connect; connections of those that are no longer on it are closed."""
@@ -193,7 +203,11 @@ class Exporter:
             self._part(request[1:])
         elif request[:1] == PING and len(request) == _PING_BYTES:
             asker, number = request[1 : 1 + ID_BYTES], request[1 + ID_BYTES :]
+            self._send([CLOCK + asker, NEWEST, NUMBER.pack(self._newest.last_number)])
             self._send([CLOCK + asker, number, STAMP.pack(self._clock_ns())])
+        elif request[:1] == TAKEN and len(request) == _TAKEN_BYTES:
+            (taken,) = NUMBER.unpack(request[1 + ID_BYTES :])
+            self._newest.acknowledge(request[1 : 1 + ID_BYTES], taken)
         else:
             self.rejected += 1
 
@@ -202,6 +216,8 @@ class Exporter:
             if topic_frame(topic).startswith(prefix):
                 for frames in by_publisher.values():
                     self._send(frames)
+        if prefix.startswith(NEWEST):
+            self._newest.join(prefix)
         if prefix.startswith(CLOCK) and (prefix in self._joined or len(self._joined) < _MAX_JOINED):
             _, connections = self._joined.get(prefix, (name, 0))
             self._joined[prefix] = name, connections + 1
@@ -216,6 +232,7 @@ class Exporter:
         _close_connection(descriptor, self.address)
 
     def _part(self, prefix: bytes) -> None:
+        self._newest.part(prefix)
         name, connections = self._joined.get(prefix, ("", 0))
         if connections > 1:
             self._joined[prefix] = name, connections - 1

@@ -22,8 +22,10 @@ from msgs.link.curve import (
     ID_BYTES,
     MAX_A_TURN,
     MAX_UPWARD_BYTES,
+    NEWEST,
     PING,
     STAMP,
+    TAKEN,
     Clock,
     Complaint,
     Monitor,
@@ -32,6 +34,7 @@ from msgs.link.curve import (
     waiting_on,
 )
 from msgs.link.keys import KeyPair
+from msgs.link.newest import NUMBER
 from msgs.link.peer_clock import ClockSample, PeerClock
 from msgs.link.peer_messages import PeerMessages
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
@@ -86,6 +89,7 @@ class Importer:
         facts = [topic_facts(topic) for topic in topics]
         self.name, self._address, self._clock_ns = server.name, server.address, clock_ns
         self._topics = {topic_frame(topic.name): topic.name for topic in facts}
+        self._newest_only = {topic_frame(topic.name) for topic in facts if topic.newest_only}
         self._messages = PeerMessages(server.name, self._topics.values())
         self._complaint = Complaint()
         #: Failed handshakes, and messages that were not asked for.
@@ -95,6 +99,8 @@ class Importer:
         self._pings: dict[bytes, int] = {}
         self._answers = 0
         self._subscribed = False
+        #: Whether the peer sends newest-only topics one message at a time.
+        self._one_at_a_time = False
         self._round_trips_ns: list[int] = []
         now_ns = clock_ns()
         self._next_ping_ns = now_ns
@@ -206,9 +212,9 @@ class Importer:
 
     def _end_imports(self) -> None:
         """Import nothing until the clock is known again: another life of the peer, with another one, may come."""
-        for frame in self._topics if self._subscribed else ():
-            self._socket.send(b"\x00" + frame)
-        self._subscribed, self._answers = False, 0
+        for subscription in self._subscriptions() if self._subscribed else ():
+            self._socket.send(b"\x00" + subscription)
+        self._subscribed, self._one_at_a_time, self._answers = False, False, 0
         # messages of the old connection that still wait here may carry another clock
         self._pings.clear()
         self._note_outage()
@@ -244,7 +250,12 @@ class Importer:
         name = bytes(frames[0][:256])
         if name == CLOCK + self._id:
             self._hear_clock(frames, now_ns)
-        elif name not in self._topics:
+            return None
+        if name.startswith(NEWEST + self._id) and len(frames) > 2:
+            self._acknowledge(frames[1])
+            name = name.removeprefix(NEWEST + self._id)
+            frames = [name, *frames[2:]]
+        if name not in self._topics:
             self._rejected += 1
         elif self._subscribed:
             # while the clock is not known a message counts as lost, by its number
@@ -253,9 +264,17 @@ class Importer:
             return forwarded
         return None
 
+    def _acknowledge(self, number: Buffer) -> None:
+        """Tell the peer that a newest-only message of this number, and all before it, are no longer on their way."""
+        if len(number) == NUMBER.size:
+            self._socket.send(TAKEN + self._id + bytes(number))
+
     # the clock
 
     def _hear_clock(self, frames: list[Buffer], now_ns: int) -> None:
+        if len(frames) == 3 and bytes(frames[1]) == NEWEST:
+            self._one_at_a_time = True
+            self._acknowledge(frames[2])
         asked_ns = self._pings.get(bytes(frames[1])) if len(frames) == 3 else None
         if asked_ns is None or len(frames[2]) != STAMP.size:
             return
@@ -279,10 +298,15 @@ class Importer:
 
     def _begin(self, now_ns: int) -> None:
         self._subscribed = True
-        for frame in self._topics:
-            self._socket.send(b"\x01" + frame)
+        for subscription in self._subscriptions():
+            self._socket.send(b"\x01" + subscription)
         offset_s, error_ms = s_from_ns(self._clock.offset_ns), 1e-6 * (self._clock.error_ns(now_ns) or 0)
         logger.info("%s: its clock is %+.6f s ahead of ours, to within %.3f ms", self.name, offset_s, error_ms)
+
+    def _subscriptions(self) -> list[bytes]:
+        """Return what the peer is asked for, newest-only topics one message at a time if it offers that."""
+        taken = self._newest_only if self._one_at_a_time else set()
+        return [NEWEST + self._id + name if name in taken else name for name in self._topics]
 
 
 class _Outage(NamedTuple):

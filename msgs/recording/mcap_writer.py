@@ -35,6 +35,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from msgs.recording.crc32 import crc32_of_both
+
 CHUNK_BYTES = 1 << 20
 #: Compression that keeps up with a running graph.
 ZSTD_LEVEL = 3
@@ -223,12 +225,15 @@ class McapFile:
             pieces = [zstandard.compress(b"".join(batch.pieces), self._zstd_level)]
         name = b"zstd" if compressed else b""
         stored = sum(len(piece) for piece in pieces)
+        stored_crc = _crc32(pieces) if compressed else crc
         tail = struct.pack(f"<I{len(name)}sQ", len(name), name, stored)
         length = _CHUNK_HEAD.size - 9 + len(tail) + stored
         head = _CHUNK_HEAD.pack(Opcode.CHUNK, length, batch.start_ns, batch.end_ns, batch.size, crc) + tail
         indexes = {number: _record(index) for number, index in batch.indexes.items()}
         offset = self._size
-        self._append([head, *pieces, *indexes.values()])
+        # a beam is large enough that to read it twice shows
+        chunk_crc = crc32_of_both(zlib.crc32(head), stored_crc, stored)
+        self._append([head, *pieces, *indexes.values()], _crc32(indexes.values(), chunk_crc))
         self._note_chunk(batch, name.decode(), stored, offset, 9 + length, indexes)
 
     def _note_chunk(
@@ -289,8 +294,8 @@ class McapFile:
             channel_message_counts=dict(self.counts),
         )
 
-    def _append(self, pieces: Sequence[bytes]) -> None:
-        """Write all of `pieces` or, where the disk refuses, nothing."""
+    def _append(self, pieces: Sequence[bytes], crc: int | None = None) -> None:
+        """Write all of `pieces`, whose checksum `crc` may be known, or, where the disk refuses, nothing."""
         size = sum(len(piece) for piece in pieces)
         self._reserve(self._size + size)
         try:
@@ -299,7 +304,7 @@ class McapFile:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file.fileno(), self._size)
             raise OSError(error.errno, error.strerror, str(self._file.name)) from None
-        self._data_crc = _crc32(pieces, self._data_crc)
+        self._data_crc = crc32_of_both(self._data_crc, _crc32(pieces) if crc is None else crc, size)
         self._size += size
 
     def _reserve(self, end: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -17,7 +18,18 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
-from nodes.player import SENSED_TOPICS, Params, capture_events, create, scene_events, scene_of, scene_player, with_walls
+from nodes.player import (
+    SENSED_TOPICS,
+    Event,
+    Params,
+    Player,
+    capture_events,
+    create,
+    scene_events,
+    scene_of,
+    scene_player,
+    with_walls,
+)
 from sim_player.player import ScenePlayer
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
@@ -53,6 +65,27 @@ def test_a_scene_is_played_at_the_radars_rate() -> None:
     assert beams[0][0] - sent_ns[0] == 300_000_000
     states = [message for message in messages if isinstance(message, VehicleState)]
     assert [state.stamp_ns for state in states] == [beam.stamp_ns for _, beam in beams]
+
+
+def test_a_beam_is_sent_before_the_next_one_is_made() -> None:
+    """To make one takes milliseconds, by which every beam would be late."""
+    source = scene_player(params())
+    made: list[str] = []
+
+    def events() -> Iterator[Event]:
+        for event in scene_events(source, 1):
+            made.append(event.outgoing.topic)
+            yield event
+
+    player = Player(events(), rate=1.0, settle_s=0.0, restamp=True)
+    sent = [outgoing.topic for outgoing in player.step([], 0)]
+    while "radar/beam" not in sent:
+        sent += [outgoing.topic for outgoing in player.step([], 0)]
+    assert made == sent
+    assert player.pending()
+    assert player.step([], 0) == []
+    assert len(made) == len(sent) + 1
+    assert not player.pending()
 
 
 def test_rate_scales_time() -> None:

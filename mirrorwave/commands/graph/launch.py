@@ -93,13 +93,11 @@ def launch(
 
 def _profile_within(budget_ms: float, measure: bool) -> str:
     """The profile that a budget picks here; says which and why."""
-    from mirrorwave.studies.tradeoff.latency_budget import pick, reason, require_budget, timed_profiles
+    from mirrorwave.studies.tradeoff.latency_budget import pick, reason
 
-    require_budget(budget_ms)
-    timed = timed_profiles(measure)
-    picked = pick(budget_ms, timed)
-    print_line(reason(budget_ms, picked, timed))
-    return picked.profile
+    timed = pick(budget_ms, measure, print_line)
+    print_line(reason(budget_ms, timed))
+    return timed[-1].profile
 
 
 def run_graph(

@@ -1,38 +1,69 @@
-"""The most accurate profile that fits a latency budget on this machine: measured in seconds, remembered after that."""
+"""The most accurate profile that fits a latency budget on this machine: tried live, remembered after that."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import msgspec
-import numpy as np
 
 from mirrorwave.studies.report import machine, versions
-from mirrorwave.studies.tradeoff.report import latency_ms, point_of, read_report
-from mirrorwave.studies.tradeoff.runner import PARTS, Plan, run_plan
-from mirrorwave.studies.tradeoff.settings import PROFILE, Setting, profiles
+from mirrorwave.studies.tradeoff.settings import profiles
 from models.training.files import json_lines
-from msgs.files.shipped import RESULTS
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.files.shipped import CHECKOUT, LAUNCH, RESULTS
 from msgs.files.whole_files import write_whole
+from msgs.values.perception import BevFrame
+from msgs.values.radar import RadarSetup
+from nodes.inputs.view_latency import latency_ns, scan_period_s
+from nodes.process.machine import quota_cores
 
-#: The committed full run: how accurate each profile is.
-COMMITTED = RESULTS / "tradeoff.json"
-#: Places and repetitions that each profile is timed on here.
-PLACES, REPEATS = 2, 6
-#: The slowest of these samples, times this, is what the live graph must be expected to need: its processes share cores.
-MARGIN = 1.5
+#: The committed losses of the profiles (`python -m benchmarks.accuracy.profile_losses`).
+COMMITTED = RESULTS / "profiles.json"
+#: What is tried: a graph with a simulated radar, so that its nodes have no more of the machine than they have in use.
+TRIED = LAUNCH / "corner.yaml"
+#: Scans of a trial, and those before them in which kernels and caches are still filled.
+SCANS, SETTLING_SCANS = 20, 10
+#: Scans of a trial that may lack a view: the first and the last may lie outside it.
+MISSING_SCANS = 2
+#: The slowest view of a trial, times this, is what one in a hundred must be expected to need.
+MARGIN = 1.25
+_START_S, _STOP_S = 120.0, 20.0
+
+
+class ProfileLoss(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Missed objects and false reports a scan of a profile with these parameters."""
+
+    profile: str
+    params: dict[str, dict[str, Any]]
+    loss: float
+
+
+class ProfileLosses(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The losses of all profiles on the same places, and the command that measured them."""
+
+    command: str
+    rows: list[ProfileLoss]
 
 
 class Timed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A profile on this machine: how long it must be expected to take from the last beam to the view, in ms."""
+    """A profile on this machine: how long it must be expected to take from the last beam to the view, in ms; None where
+    it does not keep up with the radar.
+    """
 
     profile: str
-    recovered_f1_1m: float
-    expected_ms: float
+    loss: float
+    expected_ms: float | None
 
 
 class _CachedTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -48,69 +79,126 @@ def require_budget(budget_ms: float) -> None:
         raise ValueError(f"--latency-budget-ms must be positive and finite, got {budget_ms}")
 
 
-def pick(budget_ms: float, timed: list[Timed]) -> Timed:
-    """The most accurate profile that fits, the faster of equals; `ValueError` naming the nearest where none does."""
-    fitting = [candidate for candidate in timed if candidate.expected_ms <= budget_ms]
-    if not fitting:
-        nearest = min(timed, key=lambda candidate: candidate.expected_ms)
-        raise ValueError(
-            f"--latency-budget-ms: no profile fits {budget_ms:g} ms on this machine; the nearest is "
-            f"{nearest.profile}, which needs {nearest.expected_ms:.0f} ms"
-        )
-    return max(fitting, key=lambda candidate: (candidate.recovered_f1_1m, -candidate.expected_ms))
+def pick(budget_ms: float, remeasure: bool = False, note: Callable[[str], None] = lambda text: None) -> list[Timed]:
+    """Try profiles in order of their loss, from memory where nothing has changed; the last one fits the budget.
+
+    `note` gets a line before each trial. Raises `ValueError` naming the nearest profile where none fits.
+    """
+    require_budget(budget_ms)
+    losses, path = _known(), cache_path()
+    cached = _recall(path)
+    key = _key(losses)
+    kept = {} if remeasure or cached is None or cached.key != key else {row.profile: row for row in cached.timed}
+    timed: list[Timed] = []
+    for candidate in losses:
+        if candidate.profile not in kept:
+            note(f"trying profile {candidate.profile} on this machine")
+            expected_ms = measure(candidate.profile)
+            kept[candidate.profile] = Timed(profile=candidate.profile, loss=candidate.loss, expected_ms=expected_ms)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, json_lines(_CachedTimes(key=key, timed=list(kept.values()))))
+        timed.append(kept[candidate.profile])
+        if _is_within(timed[-1], budget_ms):
+            return timed
+    raise ValueError(f"--latency-budget-ms: no profile fits {budget_ms:g} ms on this machine; {_nearest(timed)}")
 
 
-def reason(budget_ms: float, picked: Timed, timed: list[Timed]) -> str:
-    """Return the reason for this profile, in one line."""
-    better = [candidate for candidate in timed if candidate.recovered_f1_1m > picked.recovered_f1_1m]
-    slower = ", ".join(f"{candidate.profile} would need {candidate.expected_ms:.0f} ms" for candidate in better)
+def reason(budget_ms: float, timed: list[Timed]) -> str:
+    """Return the reason for the last profile of those tried, in one line."""
+    *better, picked = timed
+    slower = ", ".join(f"{candidate.profile} would {_need(candidate)}" for candidate in better)
     return (
         f"profile {picked.profile}: expected {picked.expected_ms:.0f} of {budget_ms:g} ms from the last beam, "
-        f"recovered F1 {picked.recovered_f1_1m:.3f}; " + (slower or "none is more accurate")
+        f"loss {picked.loss:.2f}; " + (slower or "none is more accurate")
     )
 
 
-def timed_profiles(remeasure: bool = False, tick: Callable[[], None] = lambda: None) -> list[Timed]:
-    """All profiles of known accuracy with their times here, from memory unless something changed or `remeasure`."""
-    rows, path = _known(), cache_path()
-    key = _key(rows)
-    if not remeasure and (cached := _recall(path)) is not None and cached.key == key:
-        return cached.timed
-    timed = measure(rows, tick)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, json_lines(_CachedTimes(key=key, timed=timed)))
-    return timed
+def measure(profile: str) -> float | None:
+    """Return the milliseconds that views of a profile must be expected to take here; None where it leaves out scans."""
+    latencies_ms = run_live(profile, SCANS)
+    return MARGIN * max(latencies_ms) if len(latencies_ms) >= SCANS - MISSING_SCANS else None
 
 
-def measure(rows: dict[str, tuple[Setting, float]], tick: Callable[[], None] = lambda: None) -> list[Timed]:
-    """Time profiles on a few places; those that cannot run here are left out."""
-    plan = Plan(rows=[row for row, _ in rows.values()], frames=PLACES, repeats=REPEATS)
-    with TemporaryDirectory(prefix="mirrorwave-") as folder:
-        results = run_plan(plan, Path(folder), tick)
-    timed = []
-    for name, (_, accuracy) in rows.items():
-        if any(name in result.failed for result in results):
-            continue
-        parts = latency_ms([result.times_ms[name] for result in results])
-        slowest_ms = float(np.sum([parts[part] for part in PARTS], axis=0).max())
-        timed.append(Timed(profile=name, recovered_f1_1m=accuracy, expected_ms=MARGIN * slowest_ms))
-    return timed
+def run_live(profile: str, scans: int) -> list[float]:
+    """Run the graph with a profile for so many scans; milliseconds from last beam to view of each, none if it fails."""
+    period_s = scan_period_s(RadarSetup())
+    domain = f"budget{os.getpid()}"
+    command = [sys.executable, "-m", "mirrorwave", "launch", str(TRIED), "--headless", "--domain", domain]
+    observer = contextlib.closing(ZmqBus("observer", run_dir(domain)))
+    with TemporaryDirectory(prefix="mirrorwave-") as folder, observer as bus:
+        bus.subscribe("perception/hidden_objects")
+        graph = subprocess.Popen(
+            [*command, "--profile", profile, "--runs-dir", folder],
+            cwd=CHECKOUT,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        try:
+            deadline_s = time.monotonic() + _START_S
+            while not _latencies_ms(bus, 0.5):
+                if graph.poll() is not None or time.monotonic() > deadline_s:
+                    return []
+            _latencies_ms(bus, SETTLING_SCANS * period_s)
+            return _latencies_ms(bus, scans * period_s)
+        finally:
+            _stop(graph)
+            shutil.rmtree(run_dir(domain), ignore_errors=True)
 
 
-def _known() -> dict[str, tuple[Setting, float]]:
-    """Profiles with the recovered F1 that the committed run found for the same parameters.
+def _latencies_ms(bus: ZmqBus, duration_s: float) -> list[float]:
+    """Return the latencies of the views that come within a time."""
+    latencies_ms = []
+    end_s = time.monotonic() + duration_s
+    while (left_s := end_s - time.monotonic()) > 0.0:
+        views = [received.message for received in bus.receive(left_s)]
+        now_ns = bus.now_ns()
+        latencies_ms += [1e-6 * latency_ns(view.stamp_ns, now_ns) for view in views if isinstance(view, BevFrame)]
+    return latencies_ms
 
-    Raises `ValueError` where it knows none.
+
+def _stop(graph: subprocess.Popen[bytes]) -> None:
+    """End a graph as Ctrl-C does, or at once where that takes too long."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(graph.pid, signal.SIGINT)
+    try:
+        graph.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        graph.kill()
+        graph.wait()
+
+
+def _is_within(timed: Timed, budget_ms: float) -> bool:
+    return timed.expected_ms is not None and timed.expected_ms <= budget_ms
+
+
+def _need(timed: Timed) -> str:
+    return "leave out scans" if timed.expected_ms is None else f"need {timed.expected_ms:.0f} ms"
+
+
+def _nearest(timed: list[Timed]) -> str:
+    keeping_up = {row.profile: row.expected_ms for row in timed if row.expected_ms is not None}
+    if not keeping_up:
+        return "all of them leave out scans"
+    nearest = min(keeping_up, key=lambda profile: keeping_up[profile])
+    return f"the nearest is {nearest}, which needs {keeping_up[nearest]:.0f} ms"
+
+
+def _known() -> list[ProfileLoss]:
+    """Profiles whose loss is known for their present parameters, the most accurate first.
+
+    Of several with the same parameters the first in the order of `profiles`. Raises `ValueError` where there is none.
     """
-    measured = {row.name: row for row in read_report(COMMITTED).rows if row.switch == PROFILE}
-    committed = {}
-    for row in profiles():
-        report_row = measured.get(row.name)
-        if report_row is not None and report_row.params == row.params and (point := point_of(report_row)) is not None:
-            committed[row.name] = (row, point[1])
-    if not committed:
+    measured = msgspec.json.decode(COMMITTED.read_bytes(), type=ProfileLosses)
+    present = {row.name: row.params for row in profiles()}
+    rows: list[ProfileLoss] = []
+    by_name = {row.profile: row for row in measured.rows}
+    for row in (by_name[name] for name in present if name in by_name):
+        if present[row.profile] == row.params and all(row.params != other.params for other in rows):
+            rows.append(row)
+    if not rows:
         raise ValueError(f"{COMMITTED}: must hold a profile with the parameters of launch/profiles, holds none")
-    return committed
+    return sorted(rows, key=lambda row: row.loss)
 
 
 def cache_path() -> Path:
@@ -119,9 +207,10 @@ def cache_path() -> Path:
     return Path(base) / "mirrorwave" / "latency.json"
 
 
-def _key(rows: dict[str, tuple[Setting, float]]) -> str:
-    """Changes with the machine, the packages, the profiles and their accuracy."""
-    facts = {"machine": machine(), "cores": sorted(os.sched_getaffinity(0)), "versions": versions(), "rows": rows}
+def _key(losses: list[ProfileLoss]) -> str:
+    """Changes with the machine, what of it this process may use, the packages, the profiles and their accuracy."""
+    usable = {"cores": sorted(os.sched_getaffinity(0)), "quota_cores": quota_cores()}
+    facts = {"machine": machine(), **usable, "versions": versions(), "losses": losses}
     return hashlib.sha256(msgspec.json.encode(facts, order="deterministic")).hexdigest()
 
 

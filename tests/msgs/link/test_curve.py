@@ -133,9 +133,9 @@ def renamed(message: msgspec.Struct) -> msgspec.Struct:
 def test_every_message_of_every_topic_arrives_as_it_was_in_our_clock_and_under_its_peer_s_name(bench: Bench) -> None:
     exporter, importer = bench.linked(*TOPICS)
     originals = [sent(topic, shift_stamps(message, AHEAD_NS), number) for number, (topic, message) in enumerate(CASES)]
-    for original in originals:
+    for count, original in enumerate(originals, start=1):
         exporter.send(original)
-    bench.until(lambda: len(bench.came) == len(CASES))
+        bench.until(lambda expected=count: len(bench.came) == expected)
     offset_ns = importer.offset_ns()
     error_ns = importer.error_ns()
     assert error_ns is not None
@@ -358,6 +358,63 @@ def test_what_was_imported_is_not_exported_again(bench: Bench) -> None:
     exporter.send(speed(0))
     bench.until(lambda: bench.came)
     assert [one.envelope.publisher for one in bench.came] == ["sensor.node"]
+
+
+def ra_map(sequence: int) -> Received:
+    return sent("radar/ra_map", shift_stamps(dict(CASES)["radar/ra_map"], AHEAD_NS), sequence)
+
+
+def test_a_reader_that_was_slow_gets_the_newest_next_and_the_rest_is_counted_at_both_ends(bench: Bench) -> None:
+    exporter, importer = bench.linked("radar/ra_map", "vehicle/state")
+    # meanwhile the reader takes nothing; vehicle states are not newest-only and wait in order
+    for number in range(20):
+        exporter.send(ra_map(number))
+        exporter.send(speed(number))
+    bench.until(lambda: len(bench.came) == 22)
+    sequences = [message.envelope.sequence for message in bench.came if message.topic == "radar/ra_map"]
+    assert sequences == [0, 19]
+    assert exporter.superseded() == {"radar/ra_map": 18}
+    assert importer.lost() == {"radar/ra_map": 18, "vehicle/state": 0}
+    exporter.send(ra_map(20))
+    bench.until(lambda: len(bench.came) == 23)
+    assert importer.lost() == {"radar/ra_map": 18, "vehicle/state": 0}
+
+
+def test_a_message_that_a_full_queue_dropped_holds_up_none_after_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exporter, _ = bench.linked("radar/ra_map")
+    with monkeypatch.context() as full:
+        full.setattr(exporter._newest, "_send", lambda frames: None)
+        exporter.send(ra_map(0))
+    exporter.send(ra_map(1))
+    bench.until(lambda: bench.came)
+    assert [message.envelope.sequence for message in bench.came] == [1]
+
+
+def test_a_peer_that_knows_no_acknowledgements_gets_all_in_order(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two hosts may have different versions."""
+    monkeypatch.setattr("msgs.link.importer.NEWEST", topic_frame("unheard"))
+    exporter, importer = bench.linked("radar/ra_map")
+    for number in range(5):
+        exporter.send(ra_map(number))
+    bench.until(lambda: len(bench.came) == 5)
+    assert exporter.superseded() == {}
+    assert importer.rejected == 0
+
+
+def test_maps_come_again_after_a_cut_with_one_on_its_way(bench: Bench) -> None:
+    exporter, importer = bench.linked("radar/ra_map")
+    exporter.send(ra_map(0))
+    exporter.send(ra_map(1))
+    bench.close(exporter)
+    bench.until(importer.trouble)
+    again = bench.exporter("radar/ra_map", address=exporter.address)
+    bench.up(importer)
+    bench.came.clear()
+    again.send(ra_map(2))
+    bench.until(lambda: bench.came)
+    assert [message.envelope.sequence for message in bench.came] == [2]
 
 
 def test_queues_are_bounded_by_the_history_of_their_topics() -> None:
