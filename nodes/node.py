@@ -15,6 +15,7 @@ import json
 import logging
 import os
 import re
+import select
 import signal
 import sys
 import time
@@ -473,6 +474,8 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         node = open_node(arguments.module, json.loads(arguments.params), arguments.name, bus, heartbeat)
         if isinstance(node, int):
             return node
+        if arguments.wait:
+            wait_to_begin([heartbeat], stop)
         _lower_priority(node.nice)
         run_loop(node, bus, stop, heartbeat, param_server(node, bus, arguments.name))
         if not stop.at_once:
@@ -497,6 +500,16 @@ def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, he
     if node.wants_all:
         bus.want_all()
     return node
+
+
+def wait_to_begin(heartbeats: Sequence[Heartbeat], stop: Stop) -> None:
+    """Return once the standard input ends, or `stop` asks for the end; say meanwhile that this process lives."""
+    while not stop.requested:
+        ready, _, _ = select.select([0], [], [], max(0.0, min(item.remaining_s() for item in heartbeats)))
+        if ready and not os.read(0, 1 << 12):
+            return
+        for heartbeat in heartbeats:
+            heartbeat.beat(NodeState.STARTING)
 
 
 def param_server(node: Node, bus: WaitingBus, name: str) -> ParamServer | None:
@@ -543,6 +556,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--params", default="{}", help="parameters as JSON")
     parser.add_argument("--json-log", action="store_true", help="log JSON records, for the supervisor")
     parser.add_argument("--die-with", type=int, metavar="PID", help="end with this parent process")
+    parser.add_argument("--wait", action="store_true", help="get ready, and begin when the standard input ends")
     return parser.parse_args(argv)
 
 

@@ -1,0 +1,78 @@
+"""Memory that only the start of a process needed, given back to the machine."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+_MADV_DONTNEED = 4
+_HEAD = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S{4}) \S+ \S+ \d+\s*(.*)")
+_SIZES = ("Rss", "Pss", "Anonymous")
+
+
+class Mapping(NamedTuple):
+    """A range of a process's addresses: what it maps and how much of it is in memory, in bytes.
+
+    `anonymous`: pages of its own, which no file holds.
+    """
+
+    start: int
+    end: int
+    access: str
+    path: str
+    rss: int
+    pss: int
+    anonymous: int
+
+
+def mappings(pid: int | str = "self") -> list[Mapping]:
+    """Return the mappings of a process, in order of address; `OSError` if it has ended or is another user's."""
+    with open(f"/proc/{pid}/smaps", encoding="utf-8", errors="replace") as lines:
+        return list(parse_smaps(lines))
+
+
+def parse_smaps(lines: Iterable[str]) -> Iterator[Mapping]:
+    """Yield the mappings of `/proc/PID/smaps` (proc_pid_smaps(5))."""
+    head: re.Match[str] | None = None
+    sizes: dict[str, int] = {}
+    for line in lines:
+        if found := _HEAD.match(line):
+            if head is not None:
+                yield _mapping(head, sizes)
+            head, sizes = found, {}
+        else:
+            name, _, value = line.partition(":")
+            if name in _SIZES:
+                sizes[name] = int(value.split()[0]) << 10
+    if head is not None:
+        yield _mapping(head, sizes)
+
+
+def _mapping(head: re.Match[str], sizes: dict[str, int]) -> Mapping:
+    start, end, access, path = head.groups()
+    return Mapping(int(start, 16), int(end, 16), access, path, *(sizes.get(name, 0) for name in _SIZES))
+
+
+def release_unused() -> None:
+    """Return free heap, and pages of libraries that are as in their files: what still runs is mapped again from there.
+
+    Code that only the start ran, such as the compiler's, is then no longer counted to this process. It stays in the
+    page cache as long as the machine has room.
+    """
+    libc = ctypes.CDLL(None)
+    # musl has none
+    with contextlib.suppress(AttributeError):
+        libc.malloc_trim(ctypes.c_size_t(0))
+    with contextlib.suppress(OSError):
+        for item in mappings():
+            if is_as_in_file(item):
+                libc.madvise(ctypes.c_void_p(item.start), ctypes.c_size_t(item.end - item.start), _MADV_DONTNEED)
+
+
+def is_as_in_file(item: Mapping) -> bool:
+    """Return whether dropping a mapping's pages loses nothing: a file's, read only, none of them changed."""
+    return item.access in ("r-xp", "r--p") and Path(item.path).is_absolute() and item.anonymous == 0 and item.rss > 0
