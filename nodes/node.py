@@ -38,6 +38,7 @@ from msgs.bus.topics import topic_facts
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
+from nodes.process.memory import FreeHeap, release_unused
 from nodes.process.param_server import ParamServer
 from nodes.process.validation import convert_at
 
@@ -57,6 +58,8 @@ DRAINED_S = 0.15
 DRAIN_LIMIT_S = 2.0
 #: Subscribers search for new publishers several times in this; messages of an earlier source would be lost.
 SETTLE_S = 0.25
+#: A node that has run so long has made what it keeps, and loaded the kernels that it needs.
+SETTLED_S = 5.0
 #: The bus drops messages in transit when it is closed; the last answers of a node get this long.
 FLUSH_S = 0.1
 _REASON_LIMIT = 500
@@ -203,13 +206,17 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     makes something else.
     """
     name = name or module_name.rpartition(".")[2]
+    start_ns = time.perf_counter_ns()
     module = node_module(module_name, name)
+    imported_ns = time.perf_counter_ns()
     checked = convert_at(dict(params), module.Params, f"{name}.params")
     with _compile_notice():
         node = module.create(checked)
     if not isinstance(node, Node):
         raise ValueError(f"{name}.module: create(params) of {module.__name__} must return a Node, got {node!r}")
     node.made_with = checked
+    node.stages.add("import", imported_ns - start_ns)
+    node.stages.add("make", time.perf_counter_ns() - imported_ns)
     return node
 
 
@@ -286,12 +293,14 @@ class Heartbeat:
         self._bus.publish("diagnostics/node", status)
         self._publish_log()
 
-    def beat_if_due(self, node: Node) -> None:
-        """Publish the heartbeat of a running node, at most once per `HEARTBEAT_S`."""
-        if self.remaining_s() <= 0.0:
+    def beat_if_due(self, node: Node) -> bool:
+        """Publish the heartbeat of a running node, at most once per `HEARTBEAT_S`; return whether it did."""
+        is_due = self.remaining_s() <= 0.0
+        if is_due:
             self.beat(*node.health(), stages=node.stages.drain(), shed=node.shed.counts())
         else:
             self._publish_log()
+        return is_due
 
     def remaining_s(self) -> float:
         """Return time until the next heartbeat is due."""
@@ -320,10 +329,12 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
         heartbeat.beat(*node.health())
         if node.outputs and not node.inputs:
             bus.receive(SETTLE_S)
+        settled_s, heap = time.monotonic() + SETTLED_S, None
         while not (stop.requested or node.finished()):
             inputs = receive(min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
             _turn(node, bus, inputs)
-            heartbeat.beat_if_due(node)
+            if heartbeat.beat_if_due(node) and time.monotonic() > settled_s:
+                heap = _keep_small(heap)
         _drain(node, bus, stop, heartbeat)
     except Exception as error:
         reason = one_line(error)
@@ -333,6 +344,15 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
             node.close()
         finally:
             heartbeat.beat(NodeState.STOPPING, reason, node.stages.drain(), node.shed.counts())
+
+
+def _keep_small(heap: FreeHeap | None) -> FreeHeap:
+    """Give back memory that is not used any more: what the start needed at first, then free heap that has grown."""
+    if heap is None:
+        release_unused()
+        return FreeHeap()
+    heap.give_back()
+    return heap
 
 
 def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:

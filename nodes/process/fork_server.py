@@ -32,7 +32,7 @@ NODE_ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
 }
 #: What several nodes import, or their kernels need. Not onnxruntime: it starts threads, which a fork does not copy.
-LIBRARIES = ("msgs.bus.zmq", "nodes.node", "numba", "scipy.fft", "scipy.ndimage", "scipy.optimize")
+LIBRARIES = ("msgs.bus.zmq", "nodes.node", "numba", "scipy.fft", "scipy.ndimage")
 #: Longest command line that a forked node shows.
 ROOM = 4096
 #: Largest request.
@@ -253,6 +253,9 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     die_with_parent(arguments.die_with)
     load_libraries()
+    if (threads := len(os.listdir("/proc/self/task"))) > 1:
+        sys.stderr.write(f"the libraries must start no threads, which a fork does not copy, got {threads} threads\n")
+        return 1
     release_unused()
     # a collection in a forked node would copy the pages of all that is shared
     gc.collect()

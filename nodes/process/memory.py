@@ -9,7 +9,21 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+#: More than the beams that come and go in passing.
+GROWN_BYTES = 32 << 20
 _MADV_DONTNEED = 4
+_MALLOC_INFO = [
+    "arena",
+    "ordblks",
+    "smblks",
+    "hblks",
+    "hblkhd",
+    "usmblks",
+    "fsmblks",
+    "uordblks",
+    "fordblks",
+    "keepcost",
+]
 _HEAD = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S{4}) \S+ \S+ \d+\s*(.*)")
 _SIZES = ("Rss", "Pss", "Anonymous")
 
@@ -63,14 +77,54 @@ def release_unused() -> None:
     Code that only the start ran, such as the compiler's, is then no longer counted to this process. It stays in the
     page cache as long as the machine has room.
     """
+    trim_heap()
     libc = ctypes.CDLL(None)
-    # musl has none
-    with contextlib.suppress(AttributeError):
-        libc.malloc_trim(ctypes.c_size_t(0))
     with contextlib.suppress(OSError):
         for item in mappings():
             if is_as_in_file(item):
                 libc.madvise(ctypes.c_void_p(item.start), ctypes.c_size_t(item.end - item.start), _MADV_DONTNEED)
+
+
+class FreeHeap:
+    """Free heap of this process, given back whenever it has grown: by the beams that waited for a stopped receiver.
+
+    glibc keeps what is freed, up to `MALLOC_TRIM_THRESHOLD_` at the end of the heap and without limit within it.
+    """
+
+    def __init__(self) -> None:
+        self._free_bytes = free_heap_bytes()
+
+    def give_back(self) -> None:
+        """Give free heap back if there is `GROWN_BYTES` more than there was left."""
+        free_bytes = free_heap_bytes()
+        if free_bytes > self._free_bytes + GROWN_BYTES:
+            trim_heap()
+            free_bytes = free_heap_bytes()
+            # pages within the heap are given back but still count as free
+            self._free_bytes = free_bytes
+        self._free_bytes = min(self._free_bytes, free_bytes)
+
+
+class _MallocInfo(ctypes.Structure):
+    """`struct mallinfo2` (mallinfo(3))."""
+
+    _fields_ = [(name, ctypes.c_size_t) for name in _MALLOC_INFO]
+
+
+def free_heap_bytes() -> int:
+    """Return how much of the heap is free; 0 where the C library does not say."""
+    mallinfo2 = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if mallinfo2 is None:
+        return 0
+    mallinfo2.restype = _MallocInfo
+    return int(mallinfo2().fordblks)
+
+
+def trim_heap() -> None:
+    """Return free heap to the machine, where the C library can."""
+    malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if malloc_trim is not None:
+        malloc_trim(ctypes.c_size_t(0))
 
 
 def is_as_in_file(item: Mapping) -> bool:
