@@ -56,8 +56,8 @@ TURN_S = 0.1
 DRAINED_S = 0.15
 #: With a running foreign publisher the queue would never drain; this is enough for a queue of beams.
 DRAIN_LIMIT_S = 2.0
-#: Subscribers search for new publishers several times in this; messages of an earlier source would be lost.
-SETTLE_S = 0.25
+#: Subscribers search for new publishers at least once in this; messages of an earlier source would be lost.
+SETTLE_S = 0.15
 #: A node that has run so long has made what it keeps, and loaded the kernels that it needs.
 SETTLED_S = 5.0
 #: The bus drops messages in transit when it is closed; the last answers of a node get this long.
@@ -206,17 +206,13 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     makes something else.
     """
     name = name or module_name.rpartition(".")[2]
-    start_ns = time.perf_counter_ns()
     module = node_module(module_name, name)
-    imported_ns = time.perf_counter_ns()
     checked = convert_at(dict(params), module.Params, f"{name}.params")
     with _compile_notice():
         node = module.create(checked)
     if not isinstance(node, Node):
         raise ValueError(f"{name}.module: create(params) of {module.__name__} must return a Node, got {node!r}")
     node.made_with = checked
-    node.stages.add("import", imported_ns - start_ns)
-    node.stages.add("make", time.perf_counter_ns() - imported_ns)
     return node
 
 
@@ -512,9 +508,11 @@ def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, he
     """Make a node and open the topics that it publishes; return the exit code of its process where it cannot be."""
     if not _has_its_name(heartbeat):
         return EXIT_FAILED
+    start_ns = time.perf_counter_ns()
     node = _load_or_say_why(module, params, name, heartbeat)
     if node is None:
         return EXIT_BAD_INPUT
+    node.stages.add("make", time.perf_counter_ns() - start_ns)
     for topic in node.outputs:
         bus.advertise(topic, node.max_origins)
     if node.wants_all:

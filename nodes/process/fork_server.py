@@ -167,6 +167,11 @@ def load_libraries() -> None:
     cpu_target.target_context.refresh()
 
 
+def threads() -> int:
+    """Return the number of threads of this process, those of libraries included."""
+    return len(os.listdir("/proc/self/task"))
+
+
 def serve(channel: socket.socket) -> list[str] | None:
     """Answer requests until the parent closes its end: None. In a forked node: the words of its command."""
     channel.send(READY)
@@ -253,8 +258,10 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     die_with_parent(arguments.die_with)
     load_libraries()
-    if (threads := len(os.listdir("/proc/self/task"))) > 1:
-        sys.stderr.write(f"the libraries must start no threads, which a fork does not copy, got {threads} threads\n")
+    if threads() > 1:
+        sys.stderr.write(
+            f"libraries of the fork server must start no threads, got {threads()}: a fork copies only one\n"
+        )
         return 1
     release_unused()
     # a collection in a forked node would copy the pages of all that is shared

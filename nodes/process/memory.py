@@ -106,7 +106,7 @@ class FreeHeap:
 
 
 class _MallocInfo(ctypes.Structure):
-    """`struct mallinfo2` (mallinfo(3))."""
+    """What the C library says of its heap."""
 
     _fields_ = [(name, ctypes.c_size_t) for name in _MALLOC_INFO]
 
