@@ -1,7 +1,7 @@
 """Memory of the nodes: where it is in a running graph, and what grows without end.
 
 `graph`: a launch file at its real rate; after so many seconds each of its processes by what it maps, in MiB: resident,
-and in brackets proportional (a page that several share counts once) and pages that no file holds, shared after a fork or not.
+and in brackets proportional (a page that several share counts once) and what no file holds, shared or not.
 
 The others: resident memory of one node over hours of its own clock, as fast as it steps.
 `player`: the soak's scene with short beams (4 chirps). `recorder`: a map, peaks, a view, 15 vehicle states and 5

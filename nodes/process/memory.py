@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-#: More than the beams that come and go in passing.
-GROWN_BYTES = 32 << 20
+#: More than the beams that are on their way at a time.
+GROWN_BYTES = 16 << 20
 _MADV_DONTNEED = 4
 _MALLOC_INFO = [
     "arena",
