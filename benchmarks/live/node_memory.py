@@ -3,10 +3,13 @@
 `graph`: a launch file at its real rate; after so many seconds each of its processes by what it maps, in MiB: resident,
 and in brackets proportional (a page that several share counts once) and what no file holds, shared or not.
 
+`stopped`: resident memory of a player whose receiver is stopped for a moment, and runs on.
+
 The others: resident memory of one node over hours of its own clock, as fast as it steps.
 `player`: the soak's scene with short beams (4 chirps). `recorder`: a map, peaks, a view, 15 vehicle states and 5
 heartbeats a scan into parts of 300 s, two of which are kept. Resident memory every ten minutes of that clock, in MiB.
 Usage: python -m benchmarks.live.node_memory player|recorder [--hours 2]
+       python -m benchmarks.live.node_memory stopped [--launch FILE]
        python -m benchmarks.live.node_memory graph [--launch FILE] [--after 60] [--group PROCESS=NODE,NODE]
 """
 
@@ -16,6 +19,7 @@ import argparse
 import json
 import os
 import re
+import signal
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -37,6 +41,8 @@ from tests.fuzz.cases import peaks, ra_map, view
 SCENE = "launch/scenes/facade_across_lane.yaml"
 START_NS, SCAN_NS, STATE_NS = 10**12, ns_from_s(0.3), ns_from_s(0.02)
 LOOK_NS = ns_from_s(600.0)
+#: Less than a fifth of a node's time limit, after which a stopped one is killed.
+STOPPED_S = 0.8
 
 
 def play(folder: Path) -> Iterator[int]:
@@ -130,6 +136,34 @@ def graph_memory(launch: Path, after_s: float, groups: list[str]) -> str:
     return "\n".join([*lines, f"In all: {_sum(sums)}."])
 
 
+def stopped_receiver(launch: Path) -> list[int]:
+    """Return the player's resident memory in MiB: before the RA former is stopped, at the end of that, every 2 s after.
+
+    It is stopped for `STOPPED_S`, for which its supervisor waits.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        graph = Graph(launch, f"stopped{os.getpid()}", Path(folder), options=["--headless"])
+        try:
+            graph.observe()
+            graph.first_view_s()
+            graph.listen(8.0)
+            sender, found = psutil.Process(graph.pids["player"]), []
+            for number, listen_s in ((signal.SIGSTOP, STOPPED_S), (signal.SIGCONT, 2.0)):
+                found.append(_resident_mib(sender))
+                os.kill(graph.pids["ra_former"], number)
+                graph.listen(listen_s)
+            for _ in range(3):
+                found.append(_resident_mib(sender))
+                graph.listen(2.0)
+        finally:
+            graph.stop()
+    return found
+
+
+def _resident_mib(process: psutil.Process) -> int:
+    return round(process.memory_info().rss / 2**20)
+
+
 class Share(NamedTuple):
     """Memory in MiB: resident, proportional, and pages that no file holds."""
 
@@ -164,12 +198,16 @@ def kind_of(path: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("node", choices=[*WORK, "graph"])
+    parser.add_argument("node", choices=[*WORK, "graph", "stopped"])
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--launch", type=Path, default=LAUNCHES[0])
     parser.add_argument("--after", type=float, default=60.0, metavar="S")
     parser.add_argument("--group", action="append", default=[], help="host these nodes in one process")
     arguments = parser.parse_args()
+    if arguments.node == "stopped":
+        hear_ctrl_c()
+        print(stopped_receiver(arguments.launch))
+        return
     if arguments.node == "graph":
         hear_ctrl_c()
         print(graph_memory(arguments.launch, arguments.after, arguments.group))
