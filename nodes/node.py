@@ -15,6 +15,7 @@ import json
 import logging
 import os
 import re
+import select
 import signal
 import sys
 import time
@@ -37,6 +38,7 @@ from msgs.bus.topics import topic_facts
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
+from nodes.process.memory import FreeHeap, release_unused
 from nodes.process.param_server import ParamServer
 from nodes.process.validation import convert_at
 
@@ -54,8 +56,10 @@ TURN_S = 0.1
 DRAINED_S = 0.15
 #: With a running foreign publisher the queue would never drain; this is enough for a queue of beams.
 DRAIN_LIMIT_S = 2.0
-#: Subscribers search for new publishers several times in this; messages of an earlier source would be lost.
-SETTLE_S = 0.25
+#: Subscribers search for new publishers at least once in this; messages of an earlier source would be lost.
+SETTLE_S = 0.15
+#: A node that has run so long has made what it keeps, and loaded the kernels that it needs.
+SETTLED_S = 5.0
 #: The bus drops messages in transit when it is closed; the last answers of a node get this long.
 FLUSH_S = 0.1
 _REASON_LIMIT = 500
@@ -285,12 +289,14 @@ class Heartbeat:
         self._bus.publish("diagnostics/node", status)
         self._publish_log()
 
-    def beat_if_due(self, node: Node) -> None:
-        """Publish the heartbeat of a running node, at most once per `HEARTBEAT_S`."""
-        if self.remaining_s() <= 0.0:
+    def beat_if_due(self, node: Node) -> bool:
+        """Publish the heartbeat of a running node, at most once per `HEARTBEAT_S`; return whether it did."""
+        is_due = self.remaining_s() <= 0.0
+        if is_due:
             self.beat(*node.health(), stages=node.stages.drain(), shed=node.shed.counts())
         else:
             self._publish_log()
+        return is_due
 
     def remaining_s(self) -> float:
         """Return time until the next heartbeat is due."""
@@ -319,10 +325,12 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
         heartbeat.beat(*node.health())
         if node.outputs and not node.inputs:
             bus.receive(SETTLE_S)
+        settled_s, heap = time.monotonic() + SETTLED_S, None
         while not (stop.requested or node.finished()):
             inputs = receive(min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
             _turn(node, bus, inputs)
-            heartbeat.beat_if_due(node)
+            if heartbeat.beat_if_due(node) and time.monotonic() > settled_s:
+                heap = _keep_small(heap)
         _drain(node, bus, stop, heartbeat)
     except Exception as error:
         reason = one_line(error)
@@ -332,6 +340,15 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
             node.close()
         finally:
             heartbeat.beat(NodeState.STOPPING, reason, node.stages.drain(), node.shed.counts())
+
+
+def _keep_small(heap: FreeHeap | None) -> FreeHeap:
+    """Give back memory that is not used any more: what the start needed at first, then free heap that has grown."""
+    if heap is None:
+        release_unused()
+        return FreeHeap()
+    heap.give_back()
+    return heap
 
 
 def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
@@ -473,6 +490,8 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         node = open_node(arguments.module, json.loads(arguments.params), arguments.name, bus, heartbeat)
         if isinstance(node, int):
             return node
+        if arguments.wait:
+            wait_to_begin([heartbeat], stop)
         _lower_priority(node.nice)
         run_loop(node, bus, stop, heartbeat, param_server(node, bus, arguments.name))
         if not stop.at_once:
@@ -489,14 +508,26 @@ def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, he
     """Make a node and open the topics that it publishes; return the exit code of its process where it cannot be."""
     if not _has_its_name(heartbeat):
         return EXIT_FAILED
+    start_ns = time.perf_counter_ns()
     node = _load_or_say_why(module, params, name, heartbeat)
     if node is None:
         return EXIT_BAD_INPUT
+    node.stages.add("make", time.perf_counter_ns() - start_ns)
     for topic in node.outputs:
         bus.advertise(topic, node.max_origins)
     if node.wants_all:
         bus.want_all()
     return node
+
+
+def wait_to_begin(heartbeats: Sequence[Heartbeat], stop: Stop) -> None:
+    """Return once the standard input ends, or `stop` asks for the end; say meanwhile that this process lives."""
+    while not stop.requested:
+        ready, _, _ = select.select([0], [], [], max(0.0, min(item.remaining_s() for item in heartbeats)))
+        if ready and not os.read(0, 1 << 12):
+            return
+        for heartbeat in heartbeats:
+            heartbeat.beat(NodeState.STARTING)
 
 
 def param_server(node: Node, bus: WaitingBus, name: str) -> ParamServer | None:
@@ -543,6 +574,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--params", default="{}", help="parameters as JSON")
     parser.add_argument("--json-log", action="store_true", help="log JSON records, for the supervisor")
     parser.add_argument("--die-with", type=int, metavar="PID", help="end with this parent process")
+    parser.add_argument("--wait", action="store_true", help="get ready, and begin when the standard input ends")
     return parser.parse_args(argv)
 
 

@@ -40,6 +40,8 @@ SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
 _KNOWN = (*SETUP_TOPICS, "vehicle/state")
 #: A scan of a LiDAR lasts seconds; the vehicle's motion is told this often meanwhile, or at every azimuth.
 _STATE_PERIOD_S = 0.02
+#: Least time for the last message to get through.
+END_REST_NS = ns_from_s(0.3)
 #: Most messages that one step may send: heartbeats and a stop come between steps.
 BURST = 8
 
@@ -54,8 +56,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     scans: int | None = None
     #: Speed of play; 1 is real time.
     rate: float = 1.0
-    #: Rest before the first beam, in which subscribers get ready, and after the last, in which it gets through.
-    settle_s: float = 0.3
+    #: Rest before the first beam, in which subscribers get ready. After the last, for its way, it is 0.3 s at least.
+    settle_s: float = 0.1
     #: Standard deviation of a random phase of each beam: the scene is then not coherent across a scan.
     phase_jitter_rad: float = 0.0
     chirps_per_beam: int | None = None
@@ -135,7 +137,7 @@ class Player(Node):
             return []
         if self._next is None:
             self._ended = self._end_ns is not None and now_ns >= self._end_ns
-            self._end_ns = self._end_ns or now_ns + self._settle_ns
+            self._end_ns = self._end_ns or now_ns + max(self._settle_ns, END_REST_NS)
             return []
         if self._start_ns is None:
             return self._open(now_ns)

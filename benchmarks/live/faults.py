@@ -54,10 +54,17 @@ STOP_WITHIN_S = 7.0
 class Graph:
     """A launched graph and an observer of it."""
 
-    def __init__(self, launch: Path, domain: str, folder: Path, overrides: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        launch: Path,
+        domain: str,
+        folder: Path,
+        overrides: Iterable[str] = (),
+        options: Iterable[str] = (),
+    ) -> None:
         self.domain = domain
         command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--domain", domain]
-        command += ["--runs-dir", str(folder), *(part for item in overrides for part in ("-p", item))]
+        command += ["--runs-dir", str(folder), *(part for item in overrides for part in ("-p", item)), *options]
         self.started_ns = time.monotonic_ns()
         self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True)
         self.pids: dict[str, int] = {}

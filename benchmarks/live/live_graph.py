@@ -66,12 +66,12 @@ class Usage(NamedTuple):
     proportional_mib: float
 
 
-def usage_of(status: dict[str, list[NodeStatus]]) -> Usage:
-    """Return what all processes that said something have taken so far."""
+def usage_of(graph_pid: int) -> Usage:
+    """Return what the supervisor's process and all that it started have taken so far."""
     cpu_s = resident = proportional = 0.0
-    for pid in {items[-1].pid for items in status.values()}:
+    supervisor = psutil.Process(graph_pid)
+    for process in (supervisor, *supervisor.children(recursive=True)):
         with contextlib.suppress(psutil.Error):
-            process = psutil.Process(pid)
             memory, times = process.memory_full_info(), process.cpu_times()
             cpu_s += times.user + times.system
             resident += memory.rss / 2**20
@@ -92,7 +92,7 @@ def _watch(
     end_ns, new_objects = None, NewObjects()
     while graph.poll() is None:
         if end_ns is not None and len(usage) < 1 + (time.monotonic_ns() >= end_ns):
-            usage.append(usage_of(status))
+            usage.append(usage_of(graph.pid))
         for received in bus.receive(0.05):
             now_ns = time.monotonic_ns()
             if isinstance(received.message, BevFrame):

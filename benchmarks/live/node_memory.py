@@ -1,32 +1,48 @@
-"""Resident memory of one node over hours of its own clock, as fast as it steps: what grows without end shows.
+"""Memory of the nodes: where it is in a running graph, and what grows without end.
 
+`graph`: a launch file at its real rate; after so many seconds each of its processes by what it maps, in MiB: resident,
+and in brackets proportional (a page that several share counts once) and what no file holds, shared or not.
+
+`stopped`: resident memory of a player whose receiver is stopped for a moment, and runs on.
+
+The others: resident memory of one node over hours of its own clock, as fast as it steps.
 `player`: the soak's scene with short beams (4 chirps). `recorder`: a map, peaks, a view, 15 vehicle states and 5
 heartbeats a scan into parts of 300 s, two of which are kept. Resident memory every ten minutes of that clock, in MiB.
 Usage: python -m benchmarks.live.node_memory player|recorder [--hours 2]
+       python -m benchmarks.live.node_memory stopped [--launch FILE]
+       python -m benchmarks.live.node_memory graph [--launch FILE] [--after 60] [--group PROCESS=NODE,NODE]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import re
+import signal
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import psutil
 
+from benchmarks.live.faults import LAUNCHES, Graph, hear_ctrl_c
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from nodes import player, recorder
+from nodes.process.memory import Mapping, mappings
 from tests.fuzz.cases import peaks, ra_map, view
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
 START_NS, SCAN_NS, STATE_NS = 10**12, ns_from_s(0.3), ns_from_s(0.02)
 LOOK_NS = ns_from_s(600.0)
+#: Less than a fifth of a node's time limit, after which a stopped one is killed.
+STOPPED_S = 0.8
 
 
 def play(folder: Path) -> Iterator[int]:
@@ -94,11 +110,108 @@ def resident_mib(name: str, hours: float) -> list[float]:
     return found
 
 
+def graph_memory(launch: Path, after_s: float, groups: list[str]) -> str:
+    """Return the memory of a running graph's processes, as a table."""
+    with tempfile.TemporaryDirectory() as folder:
+        options = ["--headless", *(part for group in groups for part in ("--group", group))]
+        graph = Graph(launch, f"memory{os.getpid()}", Path(folder), options=options)
+        try:
+            graph.observe()
+            graph.first_view_s()
+            graph.listen(after_s)
+            found = psutil.Process(graph.process.pid).children(recursive=True)
+            names = {pid: name for name, pid in graph.pids.items()} | {graph.process.pid: "supervisor"}
+            columns = {
+                names.get(pid, "fork server"): by_kind(mappings(pid))
+                for pid in (graph.process.pid, *(child.pid for child in found))
+            }
+        finally:
+            graph.stop()
+    kinds = dict.fromkeys(kind for column in columns.values() for kind in column)
+    lines = [f"| | {' | '.join(columns)} |", "| --- " * (len(columns) + 1) + "|"]
+    for kind in sorted(kinds, key=lambda kind: -sum(column[kind].resident for column in columns.values())):
+        lines.append(f"| {kind} | {' | '.join(str(column[kind]) for column in columns.values())} |")
+    sums = [_sum(column.values()) for column in columns.values()]
+    lines.append(f"| all | {' | '.join(map(str, sums))} |")
+    return "\n".join([*lines, f"In all: {_sum(sums)}."])
+
+
+def stopped_receiver(launch: Path) -> list[int]:
+    """Return the player's resident memory in MiB: before the RA former is stopped, at the end of that, every 2 s after.
+
+    It is stopped for `STOPPED_S`, for which its supervisor waits.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        graph = Graph(launch, f"stopped{os.getpid()}", Path(folder), options=["--headless"])
+        try:
+            graph.observe()
+            graph.first_view_s()
+            graph.listen(8.0)
+            sender, found = psutil.Process(graph.pids["player"]), []
+            for number, listen_s in ((signal.SIGSTOP, STOPPED_S), (signal.SIGCONT, 2.0)):
+                found.append(_resident_mib(sender))
+                os.kill(graph.pids["ra_former"], number)
+                graph.listen(listen_s)
+            for _ in range(3):
+                found.append(_resident_mib(sender))
+                graph.listen(2.0)
+        finally:
+            graph.stop()
+    return found
+
+
+def _resident_mib(process: psutil.Process) -> int:
+    return round(process.memory_info().rss / 2**20)
+
+
+class Share(NamedTuple):
+    """Memory in MiB: resident, proportional, and pages that no file holds."""
+
+    resident: float = 0.0
+    proportional: float = 0.0
+    anonymous: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.resident:.1f} ({self.proportional:.1f}, {self.anonymous:.1f})"
+
+
+def _sum(shares: Iterable[Share]) -> Share:
+    return Share(*(sum(values) for values in zip(*shares, strict=True)))
+
+
+def by_kind(found: Iterable[Mapping]) -> defaultdict[str, Share]:
+    """Return memory by what is mapped: a package's libraries, the interpreter and the system's, or none of them."""
+    shares: defaultdict[str, Share] = defaultdict(Share)
+    for item in found:
+        sizes = (item.rss, item.pss, item.anonymous)
+        shares[kind_of(item.path)] = _sum([shares[kind_of(item.path)], Share(*(size / 2**20 for size in sizes))])
+    return shares
+
+
+def kind_of(path: str) -> str:
+    """Return what a path belongs to."""
+    if not path.startswith("/"):
+        return "heap of the C library" if path == "[heap]" else "other memory of its own"
+    package = re.search(r"(?:site|dist)-packages/([^/.]+)", path)
+    return package[1] if package else "interpreter and system"
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("node", choices=WORK)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("node", choices=[*WORK, "graph", "stopped"])
     parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--launch", type=Path, default=LAUNCHES[0])
+    parser.add_argument("--after", type=float, default=60.0, metavar="S")
+    parser.add_argument("--group", action="append", default=[], help="host these nodes in one process")
     arguments = parser.parse_args()
+    if arguments.node == "stopped":
+        hear_ctrl_c()
+        print(stopped_receiver(arguments.launch))
+        return
+    if arguments.node == "graph":
+        hear_ctrl_c()
+        print(graph_memory(arguments.launch, arguments.after, arguments.group))
+        return
     print(json.dumps({"node": arguments.node, "resident_mib": resident_mib(arguments.node, arguments.hours)}))
 
 

@@ -5,74 +5,74 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
-from msgs.files.shipped import CHECKOUT
+from nodes.process.fork_server import ForkServer, environment, spawn
 from nodes.process.launch_file import GROUP_MODULE, NodeEntry
 from nodes.process.logs import LineSplitter
 
-#: Root of the checkout: children import nodes from here, wherever the graph was started.
 _READ_BYTES = 1 << 16
 #: Maximum reads of one pipe in a turn, so that a node that floods its output cannot delay the others.
 _READS_PER_TURN = 16
 #: Time for a process to end after SIGINT, and again after SIGTERM.
 PATIENCE_S = 2.0
 
-#: A node is one of several processes on few cores: BLAS threads that spin while they wait took a whole core from the
-#: others (RA former 1.1 against 0.2 cores), and malloc returned each 4 MiB beam to the system only to ask again.
-NODE_ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
-    "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
-}
-
 
 class Child:
-    """The process of a node; its own process group, one pipe for all its output."""
+    """The process of a node; its own process group, one pipe for all its output.
 
-    def __init__(self, name: str, entry: NodeEntry, run_dir: Path) -> None:
+    It gets ready but begins only when told to. `server`: forks it, where it can; otherwise it is started by itself.
+    """
+
+    def __init__(self, name: str, entry: NodeEntry, run_dir: Path, server: ForkServer | None = None) -> None:
         self._splitter = LineSplitter()
         #: When SIGINT, and when SIGTERM, was sent.
         self._asked_s: float | None = None
         self._terminated_s: float | None = None
-        self._process = subprocess.Popen(
-            _command(name, entry, run_dir),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=_environment(entry),
-            process_group=0,
-        )
-        assert self._process.stdout is not None
-        self._pipe = self._process.stdout.fileno()
-        os.set_blocking(self._pipe, False)
+        self._code: int | None = None
+        given, begin = os.pipe()
+        pipe, output = os.pipe()
+        os.set_blocking(pipe, False)
+        #: Ends of its standard input, until it may begin, and of its output, until all has been read.
+        self._begin: int | None = begin
+        self._pipe: int | None = pipe
+        words = _command(name, entry, run_dir)
+        try:
+            pid = server.fork(words, given, output) if server is not None and not entry.env else None
+            #: Process id, also of its process group.
+            self.pid = spawn(words, environment(entry.env), given, output) if pid is None else pid
+        except OSError:
+            self._close_pipes()
+            raise
+        finally:
+            os.close(given)
+            os.close(output)
         try:
             #: A file descriptor that can be read once the process has ended.
             self.ended = os.pidfd_open(self.pid)
         except OSError:
             self.kill()
-            self._process.wait()
-            self._process.stdout.close()
+            self._reap()
+            self._close_pipes()
             raise
 
-    @property
-    def pid(self) -> int:
-        """Process id, also of its process group."""
-        return self._process.pid
+    def begin(self) -> None:
+        """Let it begin as soon as it is ready to."""
+        if self._begin is not None:
+            os.close(self._begin)
+            self._begin = None
 
     def exit_code(self) -> int | None:
         """Return None while it runs; then its exit code, negative for a signal. Its own children are killed."""
-        if self._process.returncode is None and os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+        if self._code is None and os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
             # before the process is reaped its group's number cannot have been reused
             self._signal(signal.SIGKILL)
-            self._process.wait()
-        return self._process.returncode
+            self._reap()
+        return self._code
 
     def read_lines(self) -> list[str]:
         """Return the whole lines it has written since the last call; never waits."""
+        assert self._pipe is not None
         lines: list[str] = []
         for _ in range(_READS_PER_TURN):
             try:
@@ -107,30 +107,32 @@ class Child:
         """Kill it if it runs, wait for it, close its descriptors; return its remaining output."""
         if self.exit_code() is None:
             self.kill()
-            self._process.wait()
-        assert self._process.stdout is not None
-        if self._process.stdout.closed:
+            self._reap()
+        if self._pipe is None:
             return []
         lines = self.read_lines() + self._splitter.finish()
-        self._process.stdout.close()
+        self._close_pipes()
         os.close(self.ended)
         return lines
 
+    def _close_pipes(self) -> None:
+        self.begin()
+        if self._pipe is not None:
+            os.close(self._pipe)
+            self._pipe = None
+
+    def _reap(self) -> None:
+        self._code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
     def _signal(self, number: signal.Signals) -> None:
-        if self._process.returncode is None:
+        if self._code is None:
             os.killpg(self.pid, number)
 
 
 def _command(name: str, entry: NodeEntry, run_dir: Path) -> list[str]:
-    # -P: a file of the working directory must not replace a module
-    python, params = [sys.executable, "-P", "-m"], json.dumps(entry.params)
-    common = ["--run-dir", str(run_dir), "--die-with", str(os.getpid())]
+    """Return the module that the interpreter runs as a program, and its arguments."""
+    params = json.dumps(entry.params)
+    common = ["--run-dir", str(run_dir), "--die-with", str(os.getpid()), "--wait"]
     if entry.module == GROUP_MODULE:
-        return [*python, GROUP_MODULE, params, *common]
-    return [*python, "nodes.node", entry.module, "--name", name, "--params", params, "--json-log", *common]
-
-
-def _environment(entry: NodeEntry) -> dict[str, str]:
-    paths = [str(CHECKOUT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    own = {"PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(paths)}
-    return {**os.environ, **NODE_ENVIRONMENT, **own, **entry.env}
+        return [GROUP_MODULE, params, *common]
+    return ["nodes.node", entry.module, "--name", name, "--params", params, "--json-log", *common]

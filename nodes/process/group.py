@@ -35,6 +35,7 @@ from nodes.node import (
     param_server,
     run_loop,
     stop_by_signal,
+    wait_to_begin,
 )
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers, of_thread
 
@@ -60,10 +61,13 @@ class _Hosted(NamedTuple):
 
 
 class Group:
-    """Nodes that are driven by a thread each until one of them ends or `stop` asks for it."""
+    """Nodes that are driven by a thread each until one of them ends or `stop` asks for it.
 
-    def __init__(self, members: Mapping[str, Member], run_dir: Path, stop: Stop) -> None:
-        self._members, self._run_dir, self._stop = members, run_dir, stop
+    `waits`: they begin when the standard input ends.
+    """
+
+    def __init__(self, members: Mapping[str, Member], run_dir: Path, stop: Stop, waits: bool = False) -> None:
+        self._members, self._run_dir, self._stop, self._waits = members, run_dir, stop, waits
         self._exchange = Exchange(members)
         self._failed = threading.Event()
 
@@ -76,6 +80,8 @@ class Group:
                 if isinstance(opened, int):
                     return opened
                 hosted.append(opened)
+            if self._waits:
+                wait_to_begin([item.heartbeat for item in hosted], self._stop)
             # daemons: one that hangs must not keep a process that has failed
             threads = [
                 threading.Thread(target=self._drive, args=(node,), name=node.name, daemon=True) for node in hosted
@@ -150,6 +156,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("nodes", help="modules and parameters of the nodes by name, as JSON")
     parser.add_argument("--run-dir", required=True, type=Path, help="directory of the graph's sockets")
     parser.add_argument("--die-with", required=True, type=int, metavar="PID", help="end with this parent process")
+    parser.add_argument("--wait", action="store_true", help="get ready, and begin when the standard input ends")
     arguments = parser.parse_args(argv)
     die_with_parent(arguments.die_with)
     stop = stop_by_signal()
@@ -157,7 +164,7 @@ def main(argv: list[str] | None = None) -> int:
     stream.setFormatter(_ThreadFormatter("group"))
     install_handlers([stream])
     members = msgspec.convert(json.loads(arguments.nodes), dict[str, Member])
-    return Group(members, arguments.run_dir, stop).run()
+    return Group(members, arguments.run_dir, stop, arguments.wait).run()
 
 
 if __name__ == "__main__":

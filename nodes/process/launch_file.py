@@ -74,7 +74,8 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     #: under the entry points `mirrorwave.nodes`.
     module: str
     params: dict[str, Any] = {}
-    #: Nodes that must be ready before this one starts.
+    #: Nodes that must be ready before this one begins. It gets ready beside them, except after a recorder, which
+    #: records the others from their first word on.
     after: tuple[str, ...] = ()
     restart: Restart = Restart()
     #: A node that could have sent a heartbeat for longer is killed and restarted: time in which it waits for a core

@@ -1,7 +1,8 @@
 """Starts the processes of a graph, watches them, restarts what fails, and leaves nothing behind.
 
-One thread, one loop: receive heartbeats, read output, reap, restart, stop. A node is started when all of its `after`
-are ready. Children also ask the kernel to die with this process, so that not even SIGKILL leaves an orphan.
+One thread, one loop: receive heartbeats, read output, reap, restart, stop. Nodes get ready side by side; one begins
+when all of its `after` are ready. Children also ask the kernel to die with this process, so that not even SIGKILL
+leaves an orphan.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from msgs.values.node_params import ParamRequest
 from msgs.values.wording import counted
 from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
 from nodes.process.child import PATIENCE_S, Child
+from nodes.process.fork_server import ForkServer
 from nodes.process.launch_file import (
     RECORDER_MODULE,
     SUPERVISOR,
@@ -97,12 +99,12 @@ class _Watched:
             self.restarts.popleft()
         return len(self.restarts)
 
-    def start(self, name: str, run_dir: Path, now_s: float) -> None:
+    def start(self, name: str, run_dir: Path, now_s: float, server: ForkServer | None) -> None:
         self.phase, self.started_s = Phase.STARTING, now_s
         self.reason = self.killed_for = ""
         self.ready.clear()
         self.heard(now_s)
-        self.child = Child(name, self.entry, run_dir)
+        self.child = Child(name, self.entry, run_dir, server)
 
     def kill(self) -> None:
         if self.child is not None:
@@ -143,7 +145,7 @@ class _Watched:
         if self._is_stuck(by_hand):
             self.child.stop(now_s, min(patience_s, _STUCK_PATIENCE_S), _STUCK_LAST_S)
         else:
-            self.child.stop(now_s, patience_s, _RECORDER_LAST_S if self._records() else PATIENCE_S)
+            self.child.stop(now_s, patience_s, _RECORDER_LAST_S if self.records else PATIENCE_S)
 
     def _is_stuck(self, by_hand: bool) -> bool:
         """Return whether it will hardly answer its inputs; for a stop by hand a long step counts too."""
@@ -151,10 +153,16 @@ class _Watched:
             return False
         is_busy = self.silence.doing is Doing.BUSY and self.silence.answerable_s >= SILENT_S
         stands = self.silence.doing in (Doing.BLOCKED, Doing.STOPPED)
-        return stands or (by_hand and is_busy and not self._records())
+        return stands or (by_hand and is_busy and not self.records)
 
-    def _records(self) -> bool:
+    @property
+    def records(self) -> bool:
         return self.entry.module == RECORDER_MODULE
+
+    @property
+    def has_been_ready(self) -> bool:
+        """Return whether nodes that come after it need not wait for it."""
+        return self.was_ready or self.phase is Phase.ENDED
 
     def why(self, code: int) -> str:
         """Return why it ended, as far as known; a process killed by a foreign signal could not report it."""
@@ -186,6 +194,9 @@ class Supervisor:
             for process, entry in processes(launch).items()
         }
         self._runs_dir = runs_dir
+        #: Forks the nodes of a graph of several processes.
+        self._server: ForkServer | None = None
+        self._serves = False
         self._exit_code = EXIT_DONE
         self._stop_requests = 0
         #: Nodes still to be stopped one after the other; None while the graph runs.
@@ -208,6 +219,10 @@ class Supervisor:
         with contextlib.ExitStack() as stack:
             make_run_dir(self._run_dir)
             run_folder = stack.enter_context(self._locked())
+            if len(self._nodes) > 1:
+                # one process has nothing to share
+                self._server = ForkServer(self._run_dir)
+                stack.callback(self._server.close)
             self._log = JsonLog(run_folder / "log.jsonl")
             stack.callback(self._log.close)
             self._bus = ZmqBus(SUPERVISOR, self._run_dir)
@@ -215,6 +230,8 @@ class Supervisor:
             self._heartbeat = Heartbeat(self._bus, SUPERVISOR)
             self._bus.subscribe("diagnostics/node")
             self._restarts = RestartServer(self._bus)
+            if self._server is not None:
+                self._bus.watch(self._server.fileno())
             stack.callback(self._close_all)
             stack.enter_context(self._signals())
             self._say("info", f"graph {self._launch.name}: {counted(len(self._homes), 'node')}, log in {run_folder}")
@@ -225,6 +242,7 @@ class Supervisor:
         while not self._all_gone():
             messages = self._bus.receive(POLL_S)
             now_s = time.monotonic()
+            self._look_at_server()
             self._hear(messages, now_s)
             self._read_output()
             self._reap(now_s)
@@ -232,6 +250,18 @@ class Supervisor:
             self._check_end(now_s)
             self._start_or_stop(now_s)
             self._report()
+
+    def _look_at_server(self) -> None:
+        server = self._server
+        if server is None:
+            return
+        server.look()
+        if not server.is_starting and not self._serves:
+            self._serves = True
+            self._bus.unwatch(server.fileno())
+        if server.failure:
+            self._say("warning", f"nodes are started without the fork server from now on: {server.failure}")
+            self._server = None
 
     # messages of the nodes
 
@@ -403,13 +433,17 @@ class Supervisor:
             return
         if restart is not None and not restart.has_ended:
             self._stop(self._nodes[self._homes[restart.node]], now_s, PATIENCE_S, by_hand=True)
+        if self._server is not None and self._server.is_starting:
+            return
         for name, node in self._nodes.items():
             if node.phase is Phase.WAITING and node.start_at_s <= now_s and self._may_start(node):
                 self._start(name, node, now_s)
+            if node.child is not None and self._may_begin(node):
+                node.child.begin()
 
     def _start(self, name: str, node: _Watched, now_s: float) -> None:
         try:
-            node.start(name, self._run_dir, now_s)
+            node.start(name, self._run_dir, now_s, self._server)
         except OSError as error:
             # no memory, no file descriptor or no process is left: that may be transient, as a crash may
             node.reason = f"cannot be started: {error}"
@@ -419,8 +453,14 @@ class Supervisor:
         self._bus.watch(node.child.ended)
 
     def _may_start(self, node: _Watched) -> bool:
-        predecessors = [self._nodes[other] for other in node.entry.after]
-        return all(other.was_ready or other.phase is Phase.ENDED for other in predecessors)
+        """Return whether a node may get ready: a recorder records the others from their first word on."""
+        return all(other.has_been_ready for other in self._before(node) if other.records)
+
+    def _may_begin(self, node: _Watched) -> bool:
+        return all(other.has_been_ready for other in self._before(node))
+
+    def _before(self, node: _Watched) -> list[_Watched]:
+        return [self._nodes[other] for other in node.entry.after]
 
     def _check_end(self, now_s: float) -> None:
         if self._stop_requests > 1:

@@ -91,6 +91,52 @@ def test_a_graph_ends_with_the_node_that_ends_it(run_dir: Path) -> None:
     assert (run_folder / "launch.yaml").is_file()
 
 
+def test_nodes_get_ready_side_by_side_and_begin_in_order(run_dir: Path) -> None:
+    """The one that comes after lives while the one before is still being made, and begins when it is ready."""
+    log = _Log()
+    launch = _launch(
+        echo={"params": {"kind": "echo", "start_s": 2.0}},
+        tick={"params": {"ticks": 5}, "after": ["echo"], "ends_graph": True},
+    )
+    assert _run(launch, run_dir, log) == 0
+    took_s = {
+        name: float(found[1])
+        for entry in log.entries
+        for name in launch.nodes
+        if (found := re.match(rf"{name} ready after ([0-9.]+) s", entry["text"]))
+    }
+    assert list(took_s) == ["echo", "tick"]
+    # counted from the start of its own process
+    assert took_s["tick"] >= 2.0
+
+
+def test_a_recorder_is_ready_before_the_others_start(run_dir: Path) -> None:
+    log = _Log()
+    recorder = {"module": "nodes.recorder", "params": {"path": str(run_dir.parent / "a.mcap")}}
+    launch = _launch(recorder=recorder, tick={"params": {"ticks": 5}, "after": ["recorder"], "ends_graph": True})
+    supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
+    started: list[bool] = []
+    log.rules = [("recorder ready", 1, lambda: started.append(supervisor._nodes["tick"].child is not None))]
+    assert supervisor.run() == 0
+    assert started == [False]
+
+
+def test_a_graph_goes_on_without_its_fork_server(run_dir: Path) -> None:
+    log = _Log()
+    launch = _launch(echo={"params": {"kind": "echo"}}, tick={"after": ["echo"]})
+    supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
+
+    def kill_both() -> None:
+        assert supervisor._server is not None
+        for pid in (supervisor._server._pid, log.pid("tick")):
+            os.kill(pid or 0, signal.SIGKILL)
+
+    log.rules = [("tick ready", 1, kill_both), ("tick ready", 2, supervisor.request_stop)]
+    assert supervisor.run() == 0
+    assert log.count("nodes are started without the fork server from now on: ") == 1
+    assert log.count("tick was ended by SIGKILL") == 1
+
+
 def test_a_terminal_that_goes_is_one_request_to_stop(run_dir: Path) -> None:
     """Shell and kernel both send SIGHUP; a second request would kill the recorder."""
     supervisor = Supervisor(_launch(tick={}), run_dir)
@@ -193,18 +239,16 @@ def test_a_crash_wakes_the_supervisor(run_dir: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_what_cannot_be_started_is_tried_again(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import nodes.process.child
-
     log, tries = _Log(), []
-    popen = nodes.process.child.subprocess.Popen
+    spawn = os.posix_spawn
 
-    def refuse_once(*arguments: Any, **options: Any) -> Any:
+    def refuse_once(*arguments: Any, **options: Any) -> int:
         tries.append(1)
         if len(tries) == 1:
             raise BlockingIOError(11, "Resource temporarily unavailable")
-        return popen(*arguments, **options)
+        return spawn(*arguments, **options)
 
-    monkeypatch.setattr(nodes.process.child.subprocess, "Popen", refuse_once)
+    monkeypatch.setattr(os, "posix_spawn", refuse_once)
     assert _run(_launch(tick={"params": {"ticks": 1}, "ends_graph": True}), run_dir, log) == 0
     assert log.count("cannot be started: [Errno 11] Resource temporarily unavailable; restart in 0 s") == 1
 

@@ -117,7 +117,6 @@ def run_graph(
     from msgs.bus.zmq import run_dir
     from nodes.process.launch_file import with_origin, with_recorder, without_viewers
     from nodes.process.supervisor import Supervisor
-    from nodes.recording.files import recorded_files
 
     if headless:
         graph = without_viewers(graph)
@@ -126,14 +125,21 @@ def run_graph(
         require_new_recording(record, options or {})
         graph = with_recorder(graph, record, options)
     graph = with_origin(graph, command_line(), run_dir(domain))
-    earlier = [] if record is None else recorded_files(record)
+    earlier = [] if record is None else _recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
         supervisor = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer)
         with stopped_by_signal(supervisor.request_stop):
             code = supervisor.run()
             if record is not None and code == ExitCode.DONE:
-                code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
+                code = code_of_recordings([path for path in _recorded_files(record) if path not in earlier])
     return code
+
+
+def _recorded_files(record: Path) -> list[Path]:
+    # here: a graph that records nothing starts earlier and smaller without it
+    from nodes.recording.files import recorded_files
+
+    return recorded_files(record)
 
 
 def code_of_recordings(files: list[Path]) -> int:

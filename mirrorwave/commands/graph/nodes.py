@@ -101,7 +101,8 @@ def node_process(node: str, pid: int) -> dict[str, Any]:
     from nodes.process.launch_file import GROUP_MODULE
 
     try:
-        words = psutil.Process(pid).cmdline()
+        # a forked node's command is followed by the room that it leaves free
+        words = [word for word in psutil.Process(pid).cmdline() if word]
     except psutil.Error:
         return _NO_PROCESS
     params = None
