@@ -124,6 +124,8 @@ class Roughness:
     #: Mean field over draws, full wave and Kirchhoff's factor as the product has it [dB].
     mean_db: float
     kirchhoff_db: float
+    #: Standard error of the mean field, as a change of its level [dB].
+    mean_error_db: float
     #: Mean power, which holds what is scattered into the gate [dB].
     power_db: float
     #: Power between the gate and the wall's ends: full wave, and Lambert's lobe as the product has it [dB].
@@ -148,6 +150,7 @@ def roughness(draws: list[tuple[MiniScene, Waves]]) -> Roughness:
         len(draws),
         db(rms(flash.mean(axis=0))),
         db(rms(rays.field[is_flash][0] / smooth.field[0])),
+        db(1.0 + rms(flash.std(axis=0)) / np.sqrt(len(draws)) / rms(flash.mean(axis=0))),
         db(rms(flash)),
         db(rms(rest)),
         db(float(np.sqrt(lambert.mean()))),

@@ -25,6 +25,8 @@ from mirrorwave.plots.style import (
 
 #: Groups this far below the strongest of their run are beyond the aim, and drawn hollow.
 CONSIDERED_DB = -30.0
+#: Draws of the rough wall that have rows of their own.
+SHOWN_DRAWS = 4
 #: Errors are drawn as far as this.
 MAX_ERROR_DB = 4.0
 #: Aims for the level: diffracted groups, all others.
@@ -83,6 +85,9 @@ def as_table(found: list[Comparison]) -> Table:
 def page(wanted: list[MiniScene], found: list[Comparison], rough: Roughness | None, options: argparse.Namespace) -> str:
     """Return the page of results in Markdown."""
     command = f"python -m benchmarks.full_wave --cells {options.cells:g} --seed {options.seed} --seeds {options.seeds}"
+    draws = [scene.name for scene in wanted if scene.name.startswith("rough")][SHOWN_DRAWS:]
+    wanted = [scene for scene in wanted if scene.name not in draws]
+    found = [comparison for comparison in found if comparison.remainder.scene not in draws]
     parts = [INTRODUCTION.format(command=command, named=NAMED_DB)]
     parts += ["## Scenes\n", _markdown(("scene", "what", "cells", "steps"), _scene_rows(wanted, options.cells))]
     groups = [group for comparison in found for group in comparison.groups]
@@ -116,7 +121,11 @@ def _remainder_rows(found: list[Comparison]) -> list[tuple[str, ...]]:
 
 def _rough_text(rough: Roughness) -> str:
     rows = [
-        ("mirror, mean field of the draws", f"{rough.mean_db:.2f}", f"{rough.kirchhoff_db:.2f} (Kirchhoff)"),
+        (
+            "mirror, mean field of the draws",
+            f"{rough.mean_db:.2f} +- {rough.mean_error_db:.2f}",
+            f"{rough.kirchhoff_db:.2f} (Kirchhoff)",
+        ),
         ("mirror, mean power in its gate", f"{rough.power_db:.2f}", ""),
         ("all else up to the ends, power", f"{rough.diffuse_db:.1f}", f"{rough.lambert_db:.1f} (Lambert)"),
     ]

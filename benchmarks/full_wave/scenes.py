@@ -260,6 +260,21 @@ _HIDDEN = MiniScene(
     _m(254)[0],
     {"hidden": _at(50, 40)},
 )
+#: `hidden` twice as large and of metal: what bends, mirrors and mixes lies farther apart in delay.
+_STREET = MiniScene(
+    "street",
+    "6 x 6 m of metal: a block hides the target, a facade mirrors it",
+    (
+        _wall((160, -40), (160, 120), material="metal"),
+        _wall((50, 50), (80, 50), (80, 80), (50, 80), (50, 50), material="metal"),
+    ),
+    (_box(160, -40, 165, 120), _box(50, 50, 80, 80)),
+    "metal",
+    _at(-10, -60),
+    _at(170, 130),
+    _m(510)[0],
+    {"hidden": _at(100, 80)},
+)
 
 
 def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
@@ -269,6 +284,7 @@ def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
         _facade("facade", "concrete", THICKNESS, "a concrete facade with two ends", "lit", "border"),
         _CORNER,
         _HIDDEN,
+        _STREET,
         _arc("arc", -60.0, "a concrete arc that bulges towards the radar, radius 1.8 m"),
         _arc("hollow", 80.0, "a concrete arc that is hollow towards the radar, radius 2.4 m"),
         _facade("sheet", "metal", 0.1, "a metal sheet with two ends", "border"),
