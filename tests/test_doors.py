@@ -305,6 +305,9 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "what a link's peer may send up at once": _size(curve_link.MAX_UPWARD_BYTES),
         "publishers behind one peer": str(peer_messages.MAX_ORIGINS),
         "last messages kept of a latched topic": f"{tally.MAX_LATCHED} publishers",
+        "newest-only messages that wait for a peer of a link": (
+            f"{tally.MAX_LATCHED} publishers a topic, {curve_exporter._MAX_JOINED} peers"
+        ),
         "connections to a link that have not shown a key": (
             f"{curve_exporter._MAX_STRANGERS}, for {curve_link._HANDSHAKE_MS / 1000:g} s"
         ),

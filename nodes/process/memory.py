@@ -54,10 +54,10 @@ def parse_smaps(lines: Iterable[str]) -> Iterator[Mapping]:
     head: re.Match[str] | None = None
     sizes: dict[str, int] = {}
     for line in lines:
-        if found := _HEAD.match(line):
+        if match := _HEAD.match(line):
             if head is not None:
                 yield _mapping(head, sizes)
-            head, sizes = found, {}
+            head, sizes = match, {}
         else:
             name, _, value = line.partition(":")
             if name in _SIZES:

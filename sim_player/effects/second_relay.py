@@ -74,11 +74,11 @@ def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return where the flat walls that may be seen in each wall begin in a list [W + 1], the list [N] and the shares of
     them [N, 2]; of a view that knows no pairs all three empty.
     """
-    if view.seen is None:
+    if view.seen_pairs is None:
         return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))
-    flat = np.flatnonzero(view.world.is_flat[view.seen.second])
-    start = np.searchsorted(view.seen.first[flat], np.arange(len(view.world.wall_a) + 1))
-    return start, view.seen.second[flat], view.seen.share[flat]
+    flat = np.flatnonzero(view.world.is_flat[view.seen_pairs.second])
+    start = np.searchsorted(view.seen_pairs.first[flat], np.arange(len(view.world.wall_a) + 1))
+    return start, view.seen_pairs.second[flat], view.seen_pairs.share[flat]
 
 
 def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.ndarray, other: np.ndarray) -> Routes:
@@ -129,8 +129,8 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     world = view.world
     specks, point = world.structure
     wall, target, points = plane_bounces(view, view.antenna, point, world.is_flat)
-    seen = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
-    bounces = wall[seen], target[seen], points[seen]
+    visible = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
+    bounces = wall[visible], target[visible], points[visible]
     routes, occlusion = bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers)
     routes = routes.take(occlusion.free & (world.speck_wall[specks[routes.target]] != routes.wall))
     speck = specks[routes.target]
@@ -244,13 +244,13 @@ def _cut(start, end, line):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _search(origin, point, flat, walls, lit, seen):  # type: ignore[no-untyped-def]
+def _search(origin, point, flat, walls, lit, visible):  # type: ignore[no-untyped-def]
     """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3].
 
-    Only by what the radar sees of the first wall and, where `seen` says so, of the second wall in the first.
+    Only by what the radar sees of the first wall and, where `visible` says so, of the second wall in the first.
     """
     a, b, normal, offset, _ = walls
-    start, seconds, shares = seen
+    start, seconds, shares = visible
     pairs = np.empty((64, 3), np.int64)
     count = 0
     for first in flat:

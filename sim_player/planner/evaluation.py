@@ -21,8 +21,8 @@ from sim_player.signal.switches import sampled
 #: Steps of the grid in a range bin; width of the gridding kernel in steps and its shape.
 OVERSAMPLING, WIDTH, SHAPE = 2, 8, 18.4
 #: Rounding in single precision: of an echo where it stands, by its size; of a transform in all bins, by the root of all
-#: that is in it squared. Measured are 6e-7, and 6e-10 in the median bin.
-ROUNDING, SPREAD = 1e-6, 2e-8
+#: that is in it squared. Measured are 6e-7, and 6e-10 in the median bin, 4e-8 at most.
+ROUNDING, SPREAD = 1e-6, 1e-7
 #: The grid reaches so many bins beyond the range bins at most: echoes farther off fall under the window's skirts.
 BEYOND_BINS = 128
 #: Bins between two at which the overlapped start is evaluated, those beyond either end, taps to either side.
@@ -259,17 +259,18 @@ def _head_forms(tone, head, at, turn_rad, strength, swing, sample_rad):  # type:
         back_re, back_im = np.cos(2.0 * np.pi * step * share), -np.sin(2.0 * np.pi * step * share)
         side_re, side_im = np.cos(2.0 * np.pi * share), np.sin(2.0 * np.pi * share)
         turn_re, turn_im, more_re, more_im = 1.0, 0.0, np.cos(turn_rad), np.sin(turn_rad)
+        shift = 4.0 * np.pi * share * BESIDE_POLE
+        shift_re, shift_im = np.cos(shift), np.sin(shift)
         squared = swing[path] * swing[path] * share**3
         for index in range(len(at)):
             off = tone[path] - at[index]
             inexact = CLOSED_FORM + MIDPOINT * (off * sample_rad) ** 2
             now_re, now_im = re, im
             if min(abs(off), abs(off - 1.0), abs(off + 1.0)) < BESIDE_POLE:
-                # where the integral is smooth
+                # where the integrals are smooth; their forms cancel too much for an angle that is not exact
                 off += 2.0 * BESIDE_POLE
-                shift = 4.0 * np.pi * share * BESIDE_POLE
-                now_re, now_im = re - shift * im, im + shift * re
-                inexact += shift
+                now_re, now_im = re * shift_re - im * shift_im, im * shift_re + re * shift_im
+                inexact += 1.1 * shift
             sum_re, sum_im, slope_re, slope_im = 0.0, 0.0, 0.0, 0.0
             for side in range(-1, 2):
                 # (exp(2 pi j d X) - 1) / (2 pi j d) = e, and (X - e) / (2 pi j d)

@@ -91,7 +91,7 @@ def reachable_snapshot(
         view,
         blockers=replace(blockers, tree=True),
         lit=of_walls[0],
-        seen=SeenPairs(place[pairs[:, 0]], place[pairs[:, 1]], share),
+        seen_pairs=SeenPairs(place[pairs[:, 0]], place[pairs[:, 1]], share),
         ahead_only=ahead_only,
         distant=distant,
     )

@@ -277,7 +277,7 @@ class Snapshot:
     #: Share of each piece of wall that may be in direct sight, [W, 2]: on the rest of it no path has its first mirror.
     lit: np.ndarray
     #: Which pieces of wall may be seen in which; None: all in all.
-    seen: SeenPairs | None = None
+    seen_pairs: SeenPairs | None = None
     #: Whether routes that leave behind the antenna, where its elements neither send nor receive, are left out.
     ahead_only: bool = False
     #: Numbers of the pieces of wall beyond a part's reach that are there for their flashes.

@@ -121,18 +121,18 @@ def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarra
 
 def may_be_seen(view: Snapshot, mirror: np.ndarray, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     """Return which points [N, 3] of pieces of wall [N] may be seen in other pieces [N], bool [N]."""
-    seen = view.seen
-    if seen is None:
+    pairs = view.seen_pairs
+    if pairs is None:
         return np.ones(len(mirror), bool)
     walls = len(view.world.wall_a)
-    asked, known = mirror * walls + wall, seen.first * walls + seen.second
+    asked, known = mirror * walls + wall, pairs.first * walls + pairs.second
     if not len(known):
         return np.zeros(len(mirror), bool)
     at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
     start = view.world.wall_a[wall]
     along = view.world.wall_b[wall] - start
     share = dot(point_m[:, :2] - start, along) / dot(along, along)
-    low, high = seen.share[at].T
+    low, high = pairs.share[at].T
     # an arc's points are beside its chord, and all of it is taken for seen
     share = np.where(view.world.is_curved[wall], 0.5, share)
     return np.asarray((known[at] == asked) & (share >= low - LIT_MARGIN) & (share <= high + LIT_MARGIN))

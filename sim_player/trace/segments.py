@@ -115,9 +115,9 @@ def without(blockers: Blockers, index: int | np.ndarray) -> Blockers:
     return blockers.take(np.delete(np.arange(len(blockers.a)), index))
 
 
-def join_blockers(first: Blockers, *others: Blockers) -> Blockers:
+def join_blockers(first: Blockers, *more: Blockers) -> Blockers:
     """Return all blockers of several sets that share one table of `transmission`, in order."""
-    parts = first, *others
+    parts = first, *more
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_PIECE}
     return replace(first, **joined)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -65,6 +67,25 @@ def test_overlap_in_closed_form_stays_within_its_error(index: int) -> None:
         # the reference rounds at 1e-12 of the strongest
         assert (np.abs(change - reference) <= bound + 1e-10 * np.abs(some.amplitude).sum()).all()
         assert (bound < RMS).all()
+
+
+@pytest.mark.parametrize("off_bins", [0.0, 1e-9, 3e-4, 8e-4, 9.99e-4, 1.01e-3, 1e-2, 0.5])
+@pytest.mark.parametrize("near", [16, 120, 400])
+def test_overlap_beside_the_poles_of_its_closed_form(off_bins: float, near: int) -> None:
+    """The strongest echo of a place, moved beside a bin that is evaluated: within the bound, which is small.
+
+    The closed form divides by the distance from the tone to a bin twice. With an angle known to first order only, the
+    change was a tenth off within a thousandth of a bin.
+    """
+    paths, _ = place(0)
+    lone = paths.take(np.array([int(np.argmax(np.abs(paths.amplitude)))]))
+    length_m = np.array([2.0 * (near + 1.0 + off_bins) * SETUP.radar.range_bin_m])
+    lone = replace(lone, length_m=length_m)
+    terms = sweep_terms(SETUP, lone, STATIC, NO_FAULTS, 0.0)
+    reference = kernel_profiles(SETUP, lone, STATIC) - kernel_profiles(SETUP, lone, NO_OVERLAP)
+    change, bound = HeadChange(SETUP.radar, terms, BINS, 0.0)(np.ones(1, bool))
+    assert (np.abs(change - reference) <= bound + 1e-10 * np.abs(lone.amplitude)).all()
+    assert bound.max() < 1e-2 * np.abs(reference).max()
 
 
 def test_one_echo_stands_where_it_belongs() -> None:

@@ -35,7 +35,7 @@ def largest_change(world: World, plan: Plan) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["terraced", "detached"])
-@pytest.mark.parametrize(("walls", "seed"), [(200, 0), (400, 1), (1000, 2)])
+@pytest.mark.parametrize(("walls", "seed"), [(200, 0), (1000, 2)])
 def test_the_law_holds_against_the_whole_city(kind: CityKind, walls: int, seed: int) -> None:
     """Half of the paths are traced at most; no cell is off by more than the budget."""
     world = prepare(made_city(walls, kind, seed=seed), seed)

@@ -164,9 +164,9 @@ def test_of_a_small_world_nothing_is_left_out_behind() -> None:
 def test_pairs_of_walls_that_do_not_see_each_other_have_no_paths() -> None:
     """By what is seen in each mirror, or by all pairs of walls: the same echoes to the bit."""
     view = reachable_snapshot(prepare(made_city(200, "detached")))
-    assert view.seen is not None
-    assert len(view.seen.first) < 0.2 * len(view.world.wall_a) ** 2
-    every = trace_echoes(replace(view, seen=None), ALL_EFFECTS)
+    assert view.seen_pairs is not None
+    assert len(view.seen_pairs.first) < 0.2 * len(view.world.wall_a) ** 2
+    every = trace_echoes(replace(view, seen_pairs=None), ALL_EFFECTS)
     assert np.array_equal(trace_echoes(view, ALL_EFFECTS).rows, every.rows)
 
 
