@@ -7,6 +7,7 @@ import itertools
 import json
 import logging
 import os
+import select
 import subprocess
 import sys
 import time
@@ -562,6 +563,23 @@ def test_a_late_joiner_gets_the_latched_grid_with_type_and_hash(domain: int) -> 
     grid = first["message"]
     assert (grid["info"]["width"], grid["info"]["height"], grid["header"]["frame_id"]) == (5, 6, "radar")
     assert set(grid["data"]) == {50}
+
+
+@pytest.mark.graph
+@needs_dds
+@needs_rosbags
+def test_a_program_in_another_domain_hears_nothing(domain: int) -> None:
+    """It began to listen before one in the same domain, which has heard the latched grid meanwhile."""
+    node = create(Params(domain=domain))
+    words = "rt/visibility", "OccupancyGrid", "latched", "reliable"
+    try:
+        node.step([received(view(0, NOW_NS))], NOW_NS)
+        with peer("listen", own_domain(), *words) as stranger, peer("listen", domain, *words) as process:
+            lines_of(process, 2)
+            heard, _, _ = select.select([stranger.stdout], [], [], 1.0)
+    finally:
+        node.close()
+    assert not heard
 
 
 @pytest.mark.graph
