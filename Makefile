@@ -114,7 +114,7 @@ fdtd-figures: setup  ## the pictures of docs/explain/materials.md
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 
 full-wave: setup-dev  ## rays against a full-wave solution: docs/results/full-wave.md (half an hour; goes on if stopped)
-	$(BIN)/python -m benchmarks.full_wave --seeds 48 --table docs/results/full-wave.md --figure docs/images/full-wave.png
+	$(BIN)/python -m benchmarks.full_wave --seeds 24 --table docs/results/full-wave.md --figure docs/images/full-wave.png
 
 compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/explain/sensors.md (half an hour; goes on if stopped)
 	$(BIN)/mirrorwave compare --viewpoints 6 --jobs 2 --out runs/compare

@@ -17,8 +17,8 @@ from sim_player.scene.world import World
 
 #: The chirp's sweep; the full wave is read at so many frequencies.
 SWEEP_HZ = RADAR.carrier_hz + RADAR.bandwidth_hz * np.linspace(-0.5, 0.5, 29)
-#: A wider band for the picture, where groups shall stand apart.
-PICTURE_HZ = RADAR.carrier_hz + 4e9 * np.linspace(-0.5, 0.5, 161)
+#: A wider band for the picture, where groups shall stand apart; its steps tell delays up to 21 m apart.
+PICTURE_HZ = RADAR.carrier_hz + 4e9 * np.linspace(-0.5, 0.5, 281)
 #: Half length of a gate around an echo, and of its tapered ends: round trips.
 GATE_M, TAPER_M = 0.15, 0.03
 #: Half length of what must be recorded of a pulse, three deviations.

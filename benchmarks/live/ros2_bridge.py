@@ -148,13 +148,13 @@ def run(python: str, duration_s: float, domain: int) -> dict[str, Any]:
     subscriber = Subscriber(python, domain)
     try:
         graph.until(lambda: len(subscriber.messages("/hidden_objects")) >= 5, PATIENCE_S)
-        usage = [live_graph.usage_of(graph.status)]
+        usage = [live_graph.usage_of(graph.process.pid)]
         start_ns = time.monotonic_ns()
         graph.latency_ms.clear()
         graph.status.clear()
         graph.until(lambda: False, duration_s)
         end_ns = time.monotonic_ns()
-        usage.append(live_graph.usage_of(graph.status))
+        usage.append(live_graph.usage_of(graph.process.pid))
         figures = live_graph.report(graph.latency_ms, [], graph.status, usage, 0)
         graph.until(lambda: False, 1.0)
         known = [name for name in SOURCES if name in subscriber.topics()]
