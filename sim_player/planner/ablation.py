@@ -8,6 +8,7 @@ magnitudes; errors of the evaluation are bounded and booked with it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -68,10 +69,16 @@ class Answer:
 
 def _mirrored(echoes: np.ndarray) -> np.ndarray:
     """Bound of what echoes at +f leave at -f by the skirts of the window alone, [B, bins]."""
-    bins = np.arange(echoes.shape[1])
+    return np.asarray(echoes @ _mirror_skirts(echoes.shape[1]))
+
+
+@lru_cache(maxsize=2)
+def _mirror_skirts(count: int) -> np.ndarray:
+    """Return what an echo of each bin leaves in each bin at -f at most, float64 [bins, bins]."""
+    bins = np.arange(count)
     # an echo at bin b reaches bin i over i + b bins, its skirts fall as 1 / x^3
     away = bins[:, None] + bins[None]
-    return np.asarray(echoes @ np.where(away < 2, 1.0, 1.0 / np.maximum(away, 2.0) ** 3))
+    return np.where(away < 2, 1.0, 1.0 / np.maximum(away, 2.0) ** 3)
 
 
 def _crowd(radar: RadarParams, paths: Paths) -> np.ndarray:
