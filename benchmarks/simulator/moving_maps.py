@@ -116,7 +116,7 @@ class _Place:
             paths, ego = self.track.at(beam_middle_s(self.setup, beam)), self.ego(beam)
             sums = self.sums(paths, beam, ego), self.sums_of(self.beat_beam(paths, beam), ego)
             got, wanted = (
-                self.folder.strongest_doppler(one.astype(np.complex64), noise_mw, ego) * ego.bin_phase for one in sums
+                self.folder.resolved(one.astype(np.complex64), noise_mw, ego)[0] * ego.bin_phase for one in sums
             )
             yield got, wanted, ego.look_azimuth_rad, apart_db(*sums, self.floor, (1, 3))
 
@@ -176,7 +176,7 @@ class _Place:
         def kernel() -> None:
             sums = group_profiles(setup, terms, edges, signal, front_end, ego.sample_phase)
             noisy = (sums + group_noise(setup, edges, [0], signal, front_end)).astype(np.complex64)
-            self.folder.strongest_doppler(noisy, 1e-14, ego)
+            self.folder.resolved(noisy, 1e-14, ego)[0]
 
         def beat() -> None:
             codes = record_beam(setup, terms, bank, [0, 5, 0, 0], signal, front_end)

@@ -360,6 +360,18 @@ MAP_FAULTS = ("lost_chirps", "silent_beams", "drowned_beams", "spurs", "array_er
 NO_RADIAL_SPEED = -(1 << 15)
 
 
+def speed_codes(speed_mps: np.ndarray) -> np.ndarray:
+    """Return radial speeds in cm/s as int16, those out of its range at its ends, `NO_RADIAL_SPEED` where they are NaN."""
+    speed_cmps = np.rint(100.0 * np.nan_to_num(speed_mps))
+    codes = np.clip(speed_cmps, NO_RADIAL_SPEED + 1, -NO_RADIAL_SPEED - 1)
+    return np.where(np.isnan(speed_mps), NO_RADIAL_SPEED, codes).astype(np.int16)
+
+
+def mps_from_speed_codes(codes: np.ndarray) -> np.ndarray:
+    """Return the radial speeds that `speed_codes` wrote, m/s, NaN where there is none; float64."""
+    return np.where(codes == NO_RADIAL_SPEED, np.nan, 0.01 * codes)
+
+
 class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Complex range-azimuth map of one scan (topic `radar/ra_map`); |values|^2 is milliwatt per bin."""
 
@@ -427,8 +439,7 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         """Return the radial speed of cells, an index of `values`, in m/s, NaN where it is not known; float64."""
         if self.radial_speed_cmps is None:
             return np.full(self.values[cells].shape, np.nan)
-        codes = self.radial_speed_cmps[cells]
-        return np.where(codes == NO_RADIAL_SPEED, np.nan, 0.01 * codes)
+        return mps_from_speed_codes(self.radial_speed_cmps[cells])
 
     def stamps_at(self, azimuth_rad: np.ndarray) -> np.ndarray:
         """Return the acquisition times [N] of azimuths [N], those beyond the map at its edges; int64."""

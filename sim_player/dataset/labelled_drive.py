@@ -53,6 +53,8 @@ class DriveScan:
 
     stamp_ns: int
     profiles: np.ndarray
+    #: As the former measures it from these, over ground by the odometry; float32 [beams, 512], NaN in noise.
+    radial_speed_mps: np.ndarray
     labels: Labels
     #: Of each label: over ground in the frame of the scan's first pose, float32 [N, 2]; when its beam looked, after the
     #: scan's stamp, float32 [N].
@@ -109,7 +111,7 @@ class LabelledDrive:
         """Return one scan of the drive."""
         odometry = self._odometry(scan)
         beams = list(self._beams(scan, state_of(odometry)))
-        profiles, objection = self._profiles(scan, beams)
+        profiles, radial_speed_mps, objection = self._profiles(scan, beams)
         shown, elapsed_s = self._shown([beam.paths for beam in beams])
         visible = visible_paths(self._setup, shown)
         classes = tuple(road_user.object_class for road_user in self._scene.objects)
@@ -120,6 +122,7 @@ class LabelledDrive:
         return DriveScan(
             stamp_ns=self._player.stamp_ns(scan),
             profiles=profiles,
+            radial_speed_mps=radial_speed_mps,
             labels=labels,
             # walls are number -1
             velocity_mps=velocity_mps[labels.object_index].astype(np.float32),
@@ -155,20 +158,24 @@ class LabelledDrive:
                 objection=converter_objection(self._setup, terms, signal, front_end) if signal.adc else None,
             )
 
-    def _profiles(self, scan: int, beams: list[_Beam]) -> tuple[np.ndarray, str | None]:
-        """Return the profiles complex64 [beams, 512], and why the converter is ideal."""
+    def _profiles(self, scan: int, beams: list[_Beam]) -> tuple[np.ndarray, np.ndarray, str | None]:
+        """Return the profiles complex64 [beams, 512], their radial speeds, and why the converter is ideal."""
         objection = next((beam.objection for beam in beams if beam.objection is not None), None)
         signal, front_end = self._player.signal(scan), self._scene.radar.front_end
         if objection is not None:
             signal = msgspec.structs.replace(signal, adc=False)
         floor_mw = self._floor_mw(signal)
         profiles = np.empty((len(beams), RANGE_BINS), np.complex64)
+        radial_speed_mps = np.full(profiles.shape, np.nan, np.float32)
         for index, beam in enumerate(beams):
             seed, shift_bins = [self._seed, 5, scan, index], beam.ego.shift_m / self._setup.radar.range_bin_m
             noise = group_noise(self._setup, self._folder.group_edges, seed, signal, front_end, shift_bins)
             noisy = (beam.sums + noise).astype(np.complex64)
-            profiles[index] = self._folder.strongest_doppler(noisy, floor_mw, beam.ego) * beam.ego.bin_phase
-        return profiles, objection
+            profile, speed_mps = self._folder.resolved(noisy, floor_mw, beam.ego)
+            profiles[index] = profile * beam.ego.bin_phase
+            if speed_mps is not None:
+                radial_speed_mps[index] = speed_mps
+        return profiles, radial_speed_mps, objection
 
     def _floor_mw(self, signal: SignalEffects) -> float:
         """Return the noise power of a profile's bin where the former measures it, far from the carrier."""

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
+from msgs.values.radar import speed_codes
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_drive import DriveScan, LabelledDrive
 from sim_player.dataset.labelled_scan import (
@@ -170,6 +171,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             plain["truth"] = True
         if self.scans is not None:
             plain |= {"generator": "random_drive", "motion": True, "scans": self.scans, "class_mix": STREET_MIX}
+            plain["radial_speeds"] = True
         if self.shift == "hard":
             # as JSON gives it back: lists, no tuples
             plain["shift"] = {"name": self.shift} | msgspec.json.decode(msgspec.json.encode(HARD))
@@ -317,6 +319,7 @@ def _drive_arrays(recipe: Recipe, scans: int, seed: int, first: int, count: int)
             facts = {"place": place.kind, "relays": place.relays, "hidden": scan.hidden} | scene_facts(scene)
             row = {
                 "profiles": scan.profiles,
+                "radial_speed_cmps": speed_codes(scan.radial_speed_mps),
                 "noise_power_mw": noise_power_mw(setup),
                 "gain_db": gain_db,
                 "scene_yaml": scene_to_yaml(scene),

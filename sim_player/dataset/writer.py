@@ -19,7 +19,8 @@ and `manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n 
   and yaw rate, both true; odometry [n, 15, 3] the states (time after the stamp, speed, yaw rate) of its noisy bus. The
   first of them took the vehicle's motion out of the profiles. `truth` in the facts lists all objects at the stamp with
   their velocities; object_index is their number in every scan. Labels say where the scan's map shows an echo, at the
-  time of the beam that looks at it: elapsed_s after the stamp, velocity_mps [.., 2] over ground in the radar's frame;
+  time of the beam that looks at it: elapsed_s after the stamp, velocity_mps [.., 2] over ground in the radar's frame.
+  radial_speed_cmps int16 [n, beams, 512] is what the former measures of each bin (`msgs.values.radar.speed_codes`);
 - of a shifted series alone: missing_beams bool [n, beams], whose profiles hold zeros; beam_gain c16 [n, beams], the
   board's errors, which a receiver does not know.
 

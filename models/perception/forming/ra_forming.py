@@ -274,9 +274,7 @@ class BeamFolder:
         else:
             noise_power_mw = self._noise_power_mw(spectra)
             profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
-            profile, row, power = self._strongest(self._doppler(profiles, ego), noise_power_mw)
-            if self.measures_speed:
-                speed_mps = self._radial_speed_mps(profiles, row, power > HEARD * noise_power_mw, ego)
+            profile, speed_mps = self.resolved(profiles, noise_power_mw, ego)
         if self.params.decimation > 1:
             profile = profile * self._undrooped
         return FoldedBeam(profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated, speed_mps)
@@ -319,15 +317,18 @@ class BeamFolder:
         """Return the square root of milliwatt per code, over all that was summed."""
         return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
 
-    def strongest_doppler(
+    def resolved(
         self, profiles: np.ndarray, noise_power_mw: float, ego: EgoCorrection | None = None
-    ) -> np.ndarray:
-        """Return the strongest Doppler bin of each range bin, the coherent mean wherever none stands out; complex64
-        [range].
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the strongest Doppler bin of each range bin, complex64 [range], the coherent mean wherever none stands
+        out; and the radial speed there, float32 [range], NaN in noise, None where slow time is not resolved.
 
         `profiles` [groups, range] are those of the slow-time sums, windowed; they add up to the beam's mean.
         """
-        return self._strongest(self._doppler(profiles, ego), noise_power_mw)[0]
+        profile, row, power = self._strongest(self._doppler(profiles, ego), noise_power_mw)
+        if not self.measures_speed:
+            return profile, None
+        return profile, self._radial_speed_mps(profiles, row, power > HEARD * noise_power_mw, ego)
 
     def _doppler(self, profiles: np.ndarray, ego: EgoCorrection | None) -> np.ndarray:
         transform = self._doppler_matrix if ego is None else self._doppler_matrix * ego.group_phase

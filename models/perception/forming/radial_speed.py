@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from msgs.values.radar import NO_RADIAL_SPEED
+from msgs.values.radar import speed_codes
 from msgs.values.units import ratio_from_db
 
 #: Fewer slow-time sums say nothing of a speed that is not ambiguous.
@@ -63,6 +63,5 @@ def cell_speeds(speed_mps: np.ndarray, power_mw: np.ndarray, noise_power_mw: flo
     shares = near.astype(np.float32)
     power, moment = shares @ weight, shares @ (weight * np.nan_to_num(speed_mps))
     heard = (power > ratio_from_db(LEAST_SNR_DB) * noise_power_mw) & (power > 0.0)
-    speed_cmps = np.rint(100.0 * np.divide(moment, power, out=np.zeros_like(power), where=heard))
-    codes = np.where(heard, np.clip(speed_cmps, NO_RADIAL_SPEED + 1, -NO_RADIAL_SPEED - 1), NO_RADIAL_SPEED)
-    return np.ascontiguousarray(codes.T.astype(np.int16))
+    mean_mps = np.divide(moment, power, out=np.full_like(power, np.nan), where=heard)
+    return np.ascontiguousarray(speed_codes(mean_mps).T)

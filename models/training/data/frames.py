@@ -18,11 +18,12 @@ import numpy as np
 
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, beam_middle_s, form_map, look_azimuths
+from models.perception.forming.radial_speed import unit_std_mps
 from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
 from msgs.values.array_table import ArrayTable
 from msgs.values.perception import PathClass, TruthObject
-from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, mps_from_speed_codes
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 
@@ -80,6 +81,8 @@ class Scan:
     places_m: np.ndarray | None = None
     #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
     ego: VehicleState | None = None
+    #: Radial speed of each bin of the profiles, [beams, bins], NaN in noise; None: not measured.
+    radial_speed_mps: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,6 +215,7 @@ ARRAYS = {
     **dict.fromkeys(("scene_yaml", "sequence", "object_class", "facts"), ("SU", 1)),
     "missing_beams": ("b", 2),
     "odometry": ("f", 3),
+    "radial_speed_cmps": ("i", 3),
 }
 
 
@@ -238,6 +242,8 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
                 beam_stamp_ns=_beam_stamps(scan, interpolator.setup),
                 missing_beams=scan.missing_beams,
                 look_azimuth_rad=None if scan.ego is None else look_azimuths(interpolator.setup, grid, scan.ego),
+                radial_speed_mps=scan.radial_speed_mps,
+                radial_speed_unit_std_mps=_unit_std_mps(interpolator.setup),
             ),
             interpolator,
         )
@@ -253,6 +259,11 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
         # power alone does not show it; a complex map made elsewhere counts as coherent
         incoherent=np.full(grid.range_bins, not np.any(scan.values.imag), np.bool_),
     )
+
+
+def _unit_std_mps(setup: RadarSetup) -> float:
+    """Return the standard deviation of a beam's radial speed at an SNR of 1."""
+    return unit_std_mps(setup.radar.wavelength_m, setup.radar.chirps_per_beam * setup.radar.repetition_interval_s)
 
 
 def _beam_stamps(scan: Scan, setup: RadarSetup) -> np.ndarray:
@@ -313,7 +324,16 @@ def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     _check_offset(path, "offset", offset, scenes, points)
     if "places_m" in arrays:
         _check_offset(path, "place_offset", arrays.get("place_offset", np.zeros(0)), scenes, len(arrays["places_m"]))
-    per_scene = ("profiles", "values", "facts", "scene_yaml", "sequence", "missing_beams", "odometry")
+    per_scene = (
+        "profiles",
+        "values",
+        "facts",
+        "scene_yaml",
+        "sequence",
+        "missing_beams",
+        "odometry",
+        "radial_speed_cmps",
+    )
     lengths = dict.fromkeys(per_scene, scenes)
     lengths |= {field.name: points for field in fields(FrameLabels)}
     for name, length in lengths.items():
@@ -369,8 +389,19 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         if "places_m" in arrays
         else None,
         ego=_ego(path, arrays["odometry"][scene], scene) if "odometry" in arrays else None,
+        radial_speed_mps=_speeds(path, arrays, scene),
         **measured,
     )
+
+
+def _speeds(path: Path, arrays: dict[str, np.ndarray], scene: int) -> np.ndarray | None:
+    """Return the radial speeds of a scan's profiles, float32 [beams, bins]; None where the shard has none."""
+    if "radial_speed_cmps" not in arrays:
+        return None
+    codes = arrays["radial_speed_cmps"][scene]
+    if "profiles" not in arrays or codes.shape != arrays["profiles"][scene].shape:
+        raise ValueError(f"{path}: radial_speed_cmps must have the shape of the profiles, got {codes.shape} a scene")
+    return mps_from_speed_codes(codes).astype(np.float32)
 
 
 def _ego(path: Path, odometry: np.ndarray, scene: int) -> VehicleState:
