@@ -19,6 +19,7 @@ from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.training.data.object_samples import ObjectSample
 from models.training.data.object_store import count_samples, load_samples, shuffled
+from models.training.exported_weights import freeze_norms, load_exported
 from models.training.object_scoring import WATCHED_THRESHOLDS, ObjectTally
 from models.training.objectives.objects import ObjectLossConfig, TrueHypotheses, object_loss
 from models.training.ranks import Ranks
@@ -43,6 +44,8 @@ class TrainObjectsConfig:
     mixed_precision: bool = True
     #: A false report costs so many missed objects in the score that selects the checkpoint.
     false_cost: float = 1.0
+    #: Exported network (ONNX) whose weights are the first ones; its norms stay as they were exported.
+    start: str = ""
 
     def __post_init__(self) -> None:
         if self.threads < 1:
@@ -129,6 +132,8 @@ class ObjectTraining:
         adopt_config(run_dir, config)
         if (run_dir / LAST).exists():
             self._resume()
+        elif self.config.start:
+            load_exported(self.network, Path(self.config.start))
 
     def run(
         self,
@@ -148,6 +153,8 @@ class ObjectTraining:
 
     def _train_epoch(self, epoch: int, on_step: Callable[[], None]) -> float:
         self.network.train()
+        if self.config.start:
+            freeze_norms(self.network)
         # the epoch's own seed: a resumed run draws the same numbers
         rng = np.random.default_rng((self.config.seed, epoch))
         samples = self._augmented(shuffled(self._train, rng), rng)

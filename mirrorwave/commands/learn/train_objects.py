@@ -34,6 +34,10 @@ def objects(
     model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
     ] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Train on from the weights of this object network (ONNX), with a small rate."),
+    ] = None,
     epochs: Annotated[int, typer.Option(min=1)] = 12,
     batch_size: Annotated[int, typer.Option(min=1)] = 8,
     learning_rate: Annotated[float, typer.Option()] = 3e-3,
@@ -53,6 +57,7 @@ def objects(
     from mirrorwave.plots.training_curves import draw_object_curves
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.encoding import ObjectEncoding
+    from models.perception.objects.predictor import load_object_card
     from models.training.data.frames import DataSet
     from models.training.export.objects import export_objects_run
     from models.training.ranks import joined_ranks
@@ -65,13 +70,20 @@ def objects(
         epochs=epochs, batch_size=batch_size, learning_rate=learning_rate, weight_decay=1e-2, clip_norm=5.0
     )
     config = ObjectRunConfig(
-        training=TrainObjectsConfig(schedule=schedule, seed=seed, threads=threads, mixed_precision=not full_precision),
-        encoding=ObjectEncoding(grid=scenes[0].grid),
+        training=TrainObjectsConfig(
+            schedule=schedule,
+            seed=seed,
+            threads=threads,
+            mixed_precision=not full_precision,
+            start="" if start is None else str(start),
+        ),
+        encoding=ObjectEncoding(grid=scenes[0].grid, speeds=True),
         data={
             "train": " ".join(map(str, data)),
             "validation": " ".join(map(str, validation)),
             "detector": detector.name,
             "detector_sha256": load_card(detector).sha256,
+            **({} if start is None else {"start_sha256": load_object_card(start).sha256}),
         },
     )
     _check_data(scenes, judges)

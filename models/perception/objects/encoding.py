@@ -24,6 +24,12 @@ from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 #: Channels of the peaks of one class in each cell: score of the strongest, its place along and across, in cells.
 PEAK_CHANNELS = ("score", "along", "across")
+#: Channels of the radial speed of a cell's loudest echo, last of all: over ground, along the ray; how surely it moves;
+#: how exactly the speed is known. Zero where it is not: in noise, or where the vehicle's own motion is.
+SPEED_CHANNELS = ("speed", "moves", "known")
+#: Unit of speeds and their bound in it; what stands may seem to move by this, rms (odometry, sway); a speed of so many
+#: standard deviations is as likely motion as not.
+SPEED_MPS, SPEED_LIMIT, SWAY_MPS, MOVES_SIGMAS = 5.0, 3.0, 0.2, 3.0
 #: Range bins of the map in one row of cells.
 BINS = 2
 #: Walls that may have mirrored: weaker ones than clusters of positions can be trusted to, since the network weighs each
@@ -46,6 +52,8 @@ class ObjectEncoding(msgspec.Struct, frozen=True, kw_only=True):
     grid: RangeAzimuthGrid = RangeAzimuthGrid()
     #: Which walls are fitted.
     walls: WallParams = CANDIDATE_WALLS
+    #: Radial speeds are shown.
+    speeds: bool = False
 
     def __post_init__(self) -> None:
         self.levels.check_grid(self.grid)
@@ -63,7 +71,7 @@ class ObjectEncoding(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def shape(self) -> tuple[int, int, int]:
         """(channels, rows, columns) of one input."""
-        channels = BINS * self.map_channels + HYPOTHESES * len(FEATURES)
+        channels = BINS * self.map_channels + HYPOTHESES * len(FEATURES) + self.speeds * len(SPEED_CHANNELS)
         return channels, self.levels.range_bins // BINS, self.levels.columns
 
     @property
@@ -97,9 +105,10 @@ def encode_objects(
     hypotheses = cell_hypotheses(encoding.cells, arrays, returns, _strongest_of_row(levels[0]), scores)
     _, rows, columns = encoding.shape
     of_map = np.concatenate([levels, drawn]).reshape(-1, rows, BINS, columns).transpose(0, 2, 1, 3)
-    return np.concatenate(
-        [of_map.reshape(-1, rows, columns), hypotheses.features.reshape(-1, rows, columns)]
-    ), hypotheses
+    parts = [of_map.reshape(-1, rows, columns), hypotheses.features.reshape(-1, rows, columns)]
+    if encoding.speeds:
+        parts.append(speed_channels(encoding, ra_map))
+    return np.concatenate(parts), hypotheses
 
 
 def drawn_peaks(encoding: ObjectEncoding, peaks: Peaks) -> np.ndarray:
@@ -119,6 +128,36 @@ def drawn_peaks(encoding: ObjectEncoding, peaks: Peaks) -> np.ndarray:
     # in order of their scores: the last one written to a cell is the strongest
     channels[at] = drawn[inside]
     return channels.reshape(-1, bins, columns)
+
+
+def speed_channels(encoding: ObjectEncoding, ra_map: RangeAzimuthMap) -> np.ndarray:
+    """Return the radial speeds of a map's cells, float32 [`SPEED_CHANNELS`, rows, columns]."""
+    _, rows, columns = encoding.shape
+    channels = np.zeros((len(SPEED_CHANNELS), rows, columns), np.float32)
+    if ra_map.radial_speed_cmps is None or not ra_map.ego_compensated:
+        return channels
+    bins = encoding.levels.range_bins
+    speed_mps = _in_cells(ra_map.radial_speed_mps(np.s_[:bins]), rows, columns)
+    values = _in_cells(ra_map.values[:bins], rows, columns)
+    power = np.where(np.isfinite(speed_mps), values.real**2 + values.imag**2, 0.0)
+    loudest = power.argmax(axis=-1)[..., None]
+    known = np.flatnonzero(np.take_along_axis(power, loudest, axis=-1))
+    speed = np.take_along_axis(speed_mps, loudest, axis=-1).ravel()[known]
+    snr = np.take_along_axis(power, loudest, axis=-1).ravel()[known] / ra_map.noise_power_mw
+    std_mps = np.hypot(ra_map.radial_speed_unit_std_mps / np.sqrt(snr), SWAY_MPS)
+    sigmas = (speed / (MOVES_SIGMAS * std_mps)) ** 2
+    channels.reshape(len(SPEED_CHANNELS), -1)[:, known] = (
+        np.clip(speed / SPEED_MPS, -SPEED_LIMIT, SPEED_LIMIT),
+        sigmas / (1.0 + sigmas),
+        SWAY_MPS / std_mps,
+    )
+    return channels
+
+
+def _in_cells(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Return the bins and azimuths [range, azimuth] of each cell [rows, columns, of a cell]."""
+    cells = values.reshape(rows, BINS, columns, -1).transpose(0, 2, 1, 3)
+    return cells.reshape(rows, columns, -1)
 
 
 def _strongest_of_row(values: np.ndarray) -> np.ndarray:

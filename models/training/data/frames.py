@@ -243,7 +243,7 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
                 missing_beams=scan.missing_beams,
                 look_azimuth_rad=None if scan.ego is None else look_azimuths(interpolator.setup, grid, scan.ego),
                 radial_speed_mps=scan.radial_speed_mps,
-                radial_speed_unit_std_mps=_unit_std_mps(interpolator.setup),
+                radial_speed_unit_std_mps=speed_unit_std_mps(interpolator.setup),
             ),
             interpolator,
         )
@@ -261,7 +261,7 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
     )
 
 
-def _unit_std_mps(setup: RadarSetup) -> float:
+def speed_unit_std_mps(setup: RadarSetup) -> float:
     """Return the standard deviation of a beam's radial speed at an SNR of 1."""
     return unit_std_mps(setup.radar.wavelength_m, setup.radar.chirps_per_beam * setup.radar.repetition_interval_s)
 

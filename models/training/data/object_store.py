@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 
 from models.perception.geometry.mirrors import WallArrays
-from models.training.data.frames import DataSet, Frame, FrameLabels
+from models.training.data.frames import DataSet, Frame, FrameLabels, Scan
 from models.training.data.object_samples import ObjectSample, ObjectTargets, SampleMaker
-from models.training.data.samples import Perturbation, perturb_scan
+from models.training.data.samples import Perturbation, perturb_scan, standing
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.array_table import ArrayTable
@@ -61,7 +61,7 @@ def sample_files(scans: int, folder: Path) -> dict[Path, range]:
 
 def make_file(data: DataSet, indices: Sequence[int], maker: SampleMaker, path: Path, seed: int | None) -> None:
     """Write the samples of some scans where the file is missing; with a seed, half of all scans are recorded by an
-    imperfect radar.
+    imperfect radar, and half of those at rest have speeds where the network reads them.
 
     Raises `ValueError` where a scan does not say its objects.
     """
@@ -85,9 +85,14 @@ def refuse_shared_places(train: DataSet, validation: DataSet) -> None:
 def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> StoredSample:
     rng = np.random.default_rng((seed or 0, index))
     imperfect = seed is not None and rng.random() < 0.5
-    frame = data.frame(index, lambda scan: perturb_scan(scan, Perturbation(), rng) if imperfect else scan)
+    stands = seed is not None and maker.encoding.speeds and rng.random() < 0.5
+
+    def recorded(scan: Scan) -> Scan:
+        scan = perturb_scan(scan, Perturbation(), rng, data.setup) if imperfect else scan
+        return standing(scan, data.setup, rng) if stands and scan.ego is None else scan
+
     try:
-        return stored_sample(frame, maker)
+        return stored_sample(data.frame(index, recorded), maker)
     except ValueError as error:
         raise ValueError(f"{data.directory}: {error}") from None
 

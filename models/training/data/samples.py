@@ -14,9 +14,19 @@ import numpy as np
 
 from models.perception.detection.encoding import Encoding, encode_columns, sample_columns
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix
-from models.training.data.frames import DataSet, FrameLabels, Scan, Splits, fixed_splits, scan_map
+from models.perception.forming.radial_speed import HEARD
+from models.training.data.frames import (
+    DataSet,
+    FrameLabels,
+    Scan,
+    Splits,
+    fixed_splits,
+    scan_map,
+    speed_unit_std_mps,
+)
 from models.training.data.selection import Selection, select
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.vehicle import VehicleState
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +195,7 @@ def perturb_scan(
     """Return the same scene recorded by a less perfect radar: beam gains, phases and receiver noise differ.
 
     For a digital array (`setup`) they are those of its columns, no single beam is missing, and nothing moves between
-    beams, which have one time.
+    beams, which have one time. Speeds of a scan that has them are less exact by that noise (`setup` must be given).
     """
     if scan.profiles is None:
         raise ValueError(f"scene {scan.index} must hold beam profiles to be perturbed, holds a map")
@@ -202,9 +212,13 @@ def perturb_scan(
     noise = np.sqrt(added_mw / 2.0) * rng.standard_normal((*scan.profiles.shape, 2)) @ (1.0, 1.0j)
     profiles = gain[:, None] * np.exp(1j * phase_rad) * scan.profiles + noise
     missing = (int(rng.integers(beams)),) if rng.random() < perturbation.missing_share else ()
+    speed_mps = scan.radial_speed_mps
+    if speed_mps is not None and setup is not None:
+        speed_mps = speed_mps + _speed_errors(profiles, added_mw, setup, rng)
     return replace(
         scan,
         profiles=profiles.astype(np.complex64),
+        radial_speed_mps=speed_mps,
         noise_power_mw=scan.noise_power_mw + added_mw,
         missing_beams=tuple(sorted({*scan.missing_beams, *missing})),
     )
@@ -221,6 +235,24 @@ def _perturb_columns(scan: Scan, perturbation: Perturbation, rng: np.random.Gene
     matrix = beam_matrix(setup)
     profiles = (matrix * factor) @ (np.linalg.pinv(matrix) @ scan.profiles) + noise
     return replace(scan, profiles=profiles.astype(np.complex64), noise_power_mw=float(scan.noise_power_mw + added_mw))
+
+
+def standing(scan: Scan, setup: RadarSetup, rng: np.random.Generator) -> Scan:
+    """Return a scan in which nothing moves as one of a vehicle that says it stands: with speeds, which are noise."""
+    if scan.profiles is None:
+        raise ValueError(f"scene {scan.index} must hold beam profiles to have speeds, holds a map")
+    speed_mps = _speed_errors(scan.profiles, scan.noise_power_mw, setup, rng)
+    heard = np.abs(scan.profiles) ** 2 > HEARD * scan.noise_power_mw
+    ego = VehicleState(stamp_ns=0, speed_mps=0.0, yaw_rate_rps=0.0)
+    return replace(scan, radial_speed_mps=np.where(heard, speed_mps, np.nan).astype(np.float32), ego=ego)
+
+
+def _speed_errors(
+    profiles: np.ndarray, noise_power_mw: float, setup: RadarSetup, rng: np.random.Generator
+) -> np.ndarray:
+    """Return errors [beams, bins] of radial speeds by so much noise."""
+    snr = np.maximum(np.abs(profiles) ** 2, noise_power_mw) / max(noise_power_mw, np.finfo(np.float64).tiny)
+    return speed_unit_std_mps(setup) / np.sqrt(snr) * rng.standard_normal(profiles.shape)
 
 
 def imperfect(scan: Scan, seed: int, setup: RadarSetup | None = None) -> Scan:

@@ -127,6 +127,7 @@ def _command(run: ObjectRunConfig, run_dir: Path) -> str:
     options = (
         f" --epochs {schedule.epochs} --batch-size {schedule.batch_size} --learning-rate {schedule.learning_rate:g}"
     )
+    options += f" --start {run.training.start}" if run.training.start else ""
     options += f" --seed {run.training.seed}{'' if run.training.mixed_precision else ' --full-precision'}"
     return f"mirrorwave train objects{folders} --out {run_dir} --model {data['detector']}{options}"
 
