@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
 
 from models.evaluation.object_rows import ReportRow, ScanRow
 from models.perception.detection.encoding import Encoding
+from models.networks.object_unet import ObjectUNet
 from models.perception.detection.score_calibration import calibrated
 from models.perception.geometry.mirrors import WallArrays
 from models.perception.objects.answers import ANSWERS
@@ -20,6 +23,7 @@ from models.training.data.frames import FrameLabels
 from models.training.data.object_samples import ObjectSample, ObjectTargets
 from models.training.data.object_store import StoredSample, save_samples
 from models.training.export.objects import calibration, export_objects_run
+from models.training.exported_weights import load_exported
 from models.training.object_scoring import ObjectTally
 from models.training.objectives.objects import (
     ObjectLossConfig,
@@ -111,6 +115,49 @@ def test_it_learns_where_objects_are(files: list[Path], tmp_path: Path) -> None:
     # finer thresholds than the run's own choose at least as well
     assert card.scores["loss_per_scan"] <= best.loss_per_scan + 1e-4
     assert ObjectPredictor(exported).card == card == load_object_card(exported)
+
+
+def exported_network(files: list[Path], folder: Path) -> Path:
+    """A network of one epoch, exported."""
+    ObjectTraining(config(1), files[:1], files[1:], folder / "run").run()
+    path = folder / "object_unet.onnx"
+    export_objects_run(folder / "run", files[1:], path)
+    return path
+
+
+def object_network(run: ObjectRunConfig) -> ObjectUNet:
+    torch.manual_seed(5)
+    return ObjectUNet(run.network)
+
+
+def test_a_training_goes_on_from_an_exported_network(files: list[Path], tmp_path: Path) -> None:
+    """Before the first step it answers what the file answers, whatever new channels show; norms stay while it learns."""
+    path = exported_network(files, tmp_path)
+    wider = msgspec.structs.replace(ENCODING, speeds=True)
+    run = replace(config(1), encoding=wider)
+    network = object_network(run)
+    load_exported(network, path)
+    cells = np.random.default_rng(2).standard_normal(wider.shape).astype(np.float32)
+    with torch.no_grad():
+        said = network.eval()(torch.from_numpy(cells[None]))[0].numpy()
+    np.testing.assert_allclose(said, ObjectPredictor(path).answer(cells[: ENCODING.shape[0]]), atol=1e-4)
+
+    started = replace(config(1), training=replace(config(1).training, start=str(path)))
+    training = ObjectTraining(started, files[:1], files[1:], tmp_path / "more")
+    before = {name: tensor.clone() for name, tensor in training.network.state_dict().items()}
+    training.run()
+    after = training.network.state_dict()
+    assert all(torch.equal(before[name], after[name]) for name in before if "running" in name)
+    assert not torch.equal(before["stem.0.weight"], after["stem.0.weight"])
+
+
+def test_a_start_of_another_shape_is_refused(files: list[Path], tmp_path: Path) -> None:
+    path = exported_network(files, tmp_path)
+    narrow = replace(config(1), training=replace(config(1).training, widths=(8, 8, 8, 8)))
+    with pytest.raises(ValueError, match=r"object_unet\.onnx: start must be an object network of this shape"):
+        load_exported(object_network(narrow), path)
+    with pytest.raises(ValueError, match=r"nothing\.json: No such file"):
+        load_exported(object_network(config(1)), tmp_path / "nothing.onnx")
 
 
 @pytest.mark.slow

@@ -12,10 +12,19 @@ import pytest
 
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import ScanProfiles, form_map, look_azimuths
+from models.perception.forming.ra_forming import (
+    BeamFolder,
+    FormingParams,
+    ScanProfiles,
+    beam_middle_s,
+    ego_correction,
+    form_map,
+    look_azimuths,
+)
 from models.training.data.frames import DataSet, fixed_splits
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
+from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.vehicle import ego_motion
 from sim_player.dataset.labelled_drive import LabelledDrive, carried, state_of
 from sim_player.dataset.labelled_scan import label_points, labelled_scan, noise_power_mw
@@ -96,6 +105,27 @@ def test_maps_are_those_of_the_drive_s_beats() -> None:
     strong &= (got.incoherent == wanted.incoherent)[:, None]
     error = np.abs(np.abs(got.values) - np.abs(wanted.values))[strong] / np.abs(wanted.values)[strong]
     assert np.quantile(error, 0.99) < 0.02
+
+
+def test_speeds_are_those_of_the_drive_s_beats() -> None:
+    """A drive's scan against the former on all its codes: where bins stand 40 dB over the noise, speeds of both agree to
+    0.2 m/s in 9 of 10 cases (each has its own noise, at most 0.08 m/s rms there).
+    """
+    scene = draw_drive(7, 2, "xband", 1.2).scene
+    effects = "los_objects,los_surfaces,specular_relay,motion,chirp_overlap,thermal_noise,adc"
+    scan = LabelledDrive(scene, 9, scene.setup, effects).scan(1)
+    state = state_of(scan.odometry)
+    folder = BeamFolder(scene.setup, FormingParams(), RangeAzimuthGrid())
+    player = ScenePlayer(scene, 9, effects=effects)
+    off_mps = []
+    for beam in range(0, 25, 3):
+        ego = ego_correction(folder, beam, beam_middle_s(scene.setup, beam), state)
+        wanted = folder.fold(player.beam(1, beam), ego)
+        assert wanted.radial_speed_mps is not None
+        loud = np.abs(scan.profiles[beam]) ** 2 > 1e4 * noise_power_mw(scene.setup)
+        off_mps.append((scan.radial_speed_mps[beam] - wanted.radial_speed_mps)[loud])
+    assert len(np.concatenate(off_mps)) > 100
+    assert np.quantile(np.abs(np.concatenate(off_mps)), 0.9) < 0.2
 
 
 def test_noise_stays_that_of_a_beam() -> None:
