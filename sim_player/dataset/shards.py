@@ -15,6 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
+from msgs.values.environment import PriorWall
+from msgs.values.frames import Pose2
 from msgs.values.radar import speed_codes
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_drive import DriveScan, LabelledDrive
@@ -45,6 +47,7 @@ from sim_player.generate.wall_kinds import Preset
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import PRESETS, Scene, scene_to_yaml
 from sim_player.signal.levels import RANGE_BINS
+from sim_player.wall_priors import POOR, scene_walls
 
 #: Any type of place or one of them; `street_v1` is the first series, of `sim_player.generate.streets.random_street`.
 Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection", "street_v1"]
@@ -168,7 +171,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if self.purpose != Purpose.SAMPLES:
             plain["purpose"] = self.purpose
         if self.truth:
-            plain["truth"] = True
+            plain |= {"truth": True, "walls": True}
         if self.scans is not None:
             plain |= {"generator": "random_drive", "motion": True, "scans": self.scans, "class_mix": STREET_MIX}
             plain["radial_speeds"] = True
@@ -289,7 +292,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         texts.append(scene_to_yaml(scene))
         gains.append(gain_db)
         noise.append(noise_power_mw(scene.setup))
-        listed = {"truth": scan.objects} if recipe.truth else {}
+        listed = {"truth": scan.objects} | _walls(scene, scan_seed) if recipe.truth else {}
         facts.append(msgspec.json.encode(place | {"hidden": scan.hidden} | scene_facts(scene) | listed))
         plans.append(_plan_line(recipe, scan))
     return {
@@ -301,6 +304,14 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         "plan": np.array(plans),
         **_label_arrays(labels),
         **_board_arrays(boards),
+    }
+
+
+def _walls(scene: Scene, seed: int) -> dict[str, tuple[PriorWall, ...]]:
+    """Return the walls of a place at rest in the radar's frame: exact, and as a poor map has them."""
+    return {
+        name: scene_walls(scene, Pose2(), 0, seed, errors).walls
+        for name, errors in (("walls", None), ("map_walls", POOR))
     }
 
 

@@ -10,7 +10,8 @@ and `manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n 
 
 - profiles c8 [n, beams, 512], noise_power_mw [n] (thermal, a bin), gain_db [n] of the echoes, scene_yaml [n];
 - facts [n]: JSON with place, relays, objects (classes), hidden (indices of those seen in mirrors alone), surfaces, and
-  where asked (`Recipe.truth`) truth, all objects with their boxes;
+  where asked (`Recipe.truth`) truth, all objects with their boxes, walls and map_walls (`environment/walls`), those of
+  the scene as they are and as a poor map has them;
 - plan [n]: JSON with the effects used, the number of paths and, for planned scenes, bound and reason of every effect;
 - offset int64 [n + 1] into the points of all scenes: range_m, azimuth_rad, path_class, hidden_xy_m, power_mw, order,
   range_bin, azimuth_bin, point_m, image_m, object_index, object_class (`sim_player.dataset.labelled_scan.Labels`);

@@ -22,6 +22,7 @@ from models.perception.forming.radial_speed import unit_std_mps
 from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
 from msgs.values.array_table import ArrayTable
+from msgs.values.environment import PriorWall
 from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, mps_from_speed_codes
 from msgs.values.units import ns_from_s
@@ -81,6 +82,9 @@ class Scan:
     places_m: np.ndarray | None = None
     #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
     ego: VehicleState | None = None
+    #: Walls in the radar's frame, exact and as a poor map has them; empty: the data set does not say.
+    walls: tuple[PriorWall, ...] = ()
+    map_walls: tuple[PriorWall, ...] = ()
     #: Radial speed of each bin of the profiles, [beams, bins], NaN in noise; None: not measured.
     radial_speed_mps: np.ndarray | None = None
 
@@ -102,6 +106,8 @@ class Frame:
     truth: tuple[TruthObject, ...] | None = None
     #: Of a beam for profiles, of a cell for values; per bin.
     noise_power_mw: float = 0.0
+    walls: tuple[PriorWall, ...] = ()
+    map_walls: tuple[PriorWall, ...] = ()
 
 
 #: A finite number of an array.
@@ -179,6 +185,8 @@ class DataSet:
             "places_m",
             "truth",
             "noise_power_mw",
+            "walls",
+            "map_walls",
         )
         return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
 
@@ -227,6 +235,8 @@ class _Facts(msgspec.Struct):
     objects: tuple[Any, ...] = ()
     hidden: tuple[Any, ...] = ()
     truth: tuple[TruthObject, ...] | None = None
+    walls: tuple[PriorWall, ...] = ()
+    map_walls: tuple[PriorWall, ...] = ()
 
 
 def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
@@ -383,6 +393,8 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         objects=facts.objects,
         hidden=facts.hidden,
         truth=facts.truth,
+        walls=facts.walls,
+        map_walls=facts.map_walls,
         scene_yaml=str(arrays["scene_yaml"][scene]) if "scene_yaml" in arrays else "",
         sequence=str(arrays["sequence"][scene]) if "sequence" in arrays else "",
         places_m=arrays["places_m"][slice(*arrays["place_offset"][scene : scene + 2])]

@@ -9,19 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from models.perception.detection.detectors import Detector
 from models.perception.geometry.mirrors import WallArrays, mirrors_met, wall_arrays
-from models.perception.geometry.stage import GeometryParams, direct_structure
+from models.perception.geometry.stage import GeometryParams, WallPrior, direct_structure
 from models.perception.objects.answers import CLASSES
 from models.perception.objects.encoding import ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES, CellGrid, CellHypotheses
+from models.perception.tracking.wall_priors import WallPriorStore
 from models.physics.mirror import reflect
 from models.training.data.frames import FrameLabels
 from msgs.values.array_table import ArrayTable
-from msgs.values.frames import polar_from_xy, xy_from_polar
+from msgs.values.environment import PriorWall, WallPriors
+from msgs.values.frames import Pose2, polar_from_xy, xy_from_polar
 from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import RangeAzimuthMap
 
@@ -96,16 +99,31 @@ class SampleMaker:
         self.encoding, self._detector, self._geometry = encoding, detector, GeometryParams(walls=encoding.walls)
 
     def sample(
-        self, ra_map: RangeAzimuthMap, labels: FrameLabels, truth: Sequence[TruthObject]
+        self,
+        ra_map: RangeAzimuthMap,
+        labels: FrameLabels,
+        truth: Sequence[TruthObject],
+        known_walls: Sequence[PriorWall] = (),
     ) -> tuple[ObjectSample, WallArrays]:
-        """Return the sample of one map, in which objects that are not `hidden` are no targets, and the walls found."""
+        """Return the sample of one map, in which objects that are not `hidden` are no targets, and its walls: those in
+        the map, fused with those known of its place.
+        """
         peaks = self._detector.detect(ra_map)
-        returns, walls = direct_structure(peaks, self._geometry)
+        returns, walls = direct_structure(peaks, self._geometry, _wall_prior(known_walls))
         cells, hypotheses = encode_objects(self.encoding, ra_map, peaks, walls, returns)
         arrays = wall_arrays(walls)
         elapsed_s = 1e-9 * (ra_map.stamps_at(labels.azimuth_rad) - ra_map.stamp_ns)
         targets = true_hypotheses(hypotheses, self.encoding.cells, arrays, labels, truth, elapsed_s)
         return ObjectSample(cells.astype(np.float16), hypotheses.wall, hypotheses.second, targets), arrays
+
+
+def _wall_prior(walls: Sequence[PriorWall]) -> WallPrior | None:
+    """Return the fusion with walls known in the radar's frame, as a view of one scan makes it; None without any."""
+    if not walls:
+        return None
+    store = WallPriorStore()
+    store.add(WallPriors(stamp_ns=0, source="map", walls=tuple(walls)))
+    return partial(store.fused, store.at(0, lambda stamp_ns: None, Pose2()))
 
 
 def true_hypotheses(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,9 +18,15 @@ from models.training.data.samples import Perturbation, perturb_scan, standing
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.array_table import ArrayTable
+from msgs.values.environment import PriorWall
+from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
 
 SAMPLES_PER_FILE = 50
+#: Shares of the training scans of which the walls are known, where the data set says them; and how far off the vehicle
+#: believes to be where they are misplaced.
+EXACT_WALLS_SHARE, MAP_WALLS_SHARE, MISPLACED_WALLS_SHARE = 0.1, 0.15, 0.1
+MISPLACED_STD_M, MISPLACED_STD_RAD = 1.5, math.radians(2.0)
 #: Files whose samples are mixed before they are drawn.
 MIXED_FILES = 8
 
@@ -61,7 +68,7 @@ def sample_files(scans: int, folder: Path) -> dict[Path, range]:
 
 def make_file(data: DataSet, indices: Sequence[int], maker: SampleMaker, path: Path, seed: int | None) -> None:
     """Write the samples of some scans where the file is missing; with a seed, half of all scans are recorded by an
-    imperfect radar, and half of those at rest have speeds where the network reads them.
+    imperfect radar, half of those at rest have speeds where the network reads them, and of some the walls are known.
 
     Raises `ValueError` where a scan does not say its objects.
     """
@@ -91,17 +98,39 @@ def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> St
         scan = perturb_scan(scan, Perturbation(), rng, data.setup) if imperfect else scan
         return standing(scan, data.setup, rng) if stands and scan.ego is None else scan
 
+    frame = data.frame(index, recorded)
     try:
-        return stored_sample(data.frame(index, recorded), maker)
+        return stored_sample(frame, maker, () if seed is None else drawn_walls(frame, rng))
     except ValueError as error:
         raise ValueError(f"{data.directory}: {error}") from None
 
 
-def stored_sample(frame: Frame, maker: SampleMaker) -> StoredSample:
+def drawn_walls(frame: Frame, rng: np.random.Generator) -> Sequence[PriorWall]:
+    """Return what is known of the walls of a scan, if anything: as they are, as a poor map has them, or about another
+    place than the vehicle's.
+    """
+    kind = rng.random()
+    if kind < EXACT_WALLS_SHARE:
+        return frame.walls
+    if kind < EXACT_WALLS_SHARE + MAP_WALLS_SHARE:
+        return frame.map_walls
+    if kind < EXACT_WALLS_SHARE + MAP_WALLS_SHARE + MISPLACED_WALLS_SHARE:
+        x_m, y_m, turn = rng.standard_normal(3)
+        pose = Pose2(MISPLACED_STD_M * x_m, MISPLACED_STD_M * y_m, MISPLACED_STD_RAD * turn)
+        return [_moved(wall, pose) for wall in frame.walls]
+    return ()
+
+
+def _moved(wall: PriorWall, pose: Pose2) -> PriorWall:
+    (ax, ay), (bx, by) = pose.apply(np.array(wall.ends_m)).tolist()
+    return msgspec.structs.replace(wall, ends_m=((ax, ay), (bx, by)))
+
+
+def stored_sample(frame: Frame, maker: SampleMaker, known_walls: Sequence[PriorWall] = ()) -> StoredSample:
     """Return the sample of one frame; raises `ValueError` where it does not say its objects."""
     if frame.truth is None:
         raise ValueError(f"scan {frame.index} must say its objects, as drives and `sim dataset --truth` do")
-    sample, walls = maker.sample(frame.ra_map, frame.labels, frame.truth)
+    sample, walls = maker.sample(frame.ra_map, frame.labels, frame.truth, known_walls)
     column_stamp_ns = frame.ra_map.stamps_at(maker.encoding.cells.azimuth_rad) - frame.ra_map.stamp_ns
     moving = frame.ra_map.ego_compensated
     return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw, column_stamp_ns, moving)
