@@ -1,7 +1,7 @@
 """Weights of an exported object network as the first ones of a training that goes on from it.
 
 An exported file holds its norms within its convolutions. Here each convolution gets the file's weights and its norm
-the file's bias, with mean 0 and variance 1, and stays so: the network answers what the file answers from the first step.
+the file's bias, with mean 0 and variance 1, and stays so: before the first step it answers what the file answers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PARITY = 1e-4
 
 
 def load_exported(network: ObjectUNet, path: Path) -> None:
-    """Fill a network with the weights of an exported one; channels that only the network reads, the last, weigh nothing.
+    """Fill a network with the weights of an exported one; channels that it alone reads, the last, weigh nothing.
 
     Raises `ValueError` naming a file that is none, is of another shape, or answers otherwise than its weights say.
     """

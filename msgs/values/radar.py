@@ -361,7 +361,7 @@ NO_RADIAL_SPEED = -(1 << 15)
 
 
 def speed_codes(speed_mps: np.ndarray) -> np.ndarray:
-    """Return radial speeds in cm/s as int16, those out of its range at its ends, `NO_RADIAL_SPEED` where they are NaN."""
+    """Return radial speeds in cm/s, those beyond int16 at its ends, `NO_RADIAL_SPEED` where they are NaN; int16."""
     speed_cmps = np.rint(100.0 * np.nan_to_num(speed_mps))
     codes = np.clip(speed_cmps, NO_RADIAL_SPEED + 1, -NO_RADIAL_SPEED - 1)
     return np.where(np.isnan(speed_mps), NO_RADIAL_SPEED, codes).astype(np.int16)

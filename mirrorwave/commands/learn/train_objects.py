@@ -36,7 +36,7 @@ def objects(
     ] = None,
     start: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Train on from the weights of this object network (ONNX), with a small rate."),
+        typer.Option(metavar="FILE", help="Train on from this object network (ONNX), at a small rate."),
     ] = None,
     epochs: Annotated[int, typer.Option(min=1)] = 12,
     batch_size: Annotated[int, typer.Option(min=1)] = 8,

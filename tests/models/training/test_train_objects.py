@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from models.evaluation.object_rows import ReportRow, ScanRow
-from models.perception.detection.encoding import Encoding
 from models.networks.object_unet import ObjectUNet
+from models.perception.detection.encoding import Encoding
 from models.perception.detection.score_calibration import calibrated
 from models.perception.geometry.mirrors import WallArrays
 from models.perception.objects.answers import ANSWERS

@@ -317,6 +317,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from nap import nap
 from sim_player.dataset.executors import Executor, map_jobs
+from sim_player.wall_priors import POOR
 for number in map_jobs(nap, [0.0, 600.0, 600.0, 600.0], workers=2):
     print(number, flush=True)
 """
@@ -557,7 +558,9 @@ def test_statistics_of_no_data_set(tmp_path: Path, streets: Path) -> None:
 
 
 def test_truth_lists_all_objects_and_changes_nothing_else() -> None:
-    """A place's boxes as its scene has them, hidden where mirrors alone show them; all other arrays stay."""
+    """A place's boxes as its scene has them, hidden where mirrors alone show them, and its walls, as they are and as a
+    poor map has them; all other arrays stay.
+    """
     plain = shards.shard_arrays(Recipe(effects="basic"), 5, 0, 2)
     listed = shards.shard_arrays(Recipe(effects="basic", truth=True), 5, 0, 2)
     for name in plain.keys() - {"facts"}:
@@ -569,4 +572,9 @@ def test_truth_lists_all_objects_and_changes_nothing_else() -> None:
             (one.object_class, pytest.approx(one.x_m), pytest.approx(one.y_m)) for one in scene.objects
         ]
         assert [one["id"] for one in facts["truth"] if one["hidden"]] == facts["hidden"]
+        walls, poor = facts.pop("walls"), facts.pop("map_walls")
+        straight = [surface for surface in scene.surfaces if surface.role != "ground" and not surface.curvature_per_m]
+        ends_m = [[list(point) for point in surface.polyline_m[:2]] for surface in straight]
+        assert len(walls) >= len(straight) and [wall["ends_m"] for wall in walls if wall["ends_m"] in ends_m]
+        assert 0 < len(poor) <= len(walls) and poor[0]["offset_std_m"] == POOR.offset_std_m
         assert facts | {"truth": None} == msgspec.json.decode(plain["facts"][index]) | {"truth": None}

@@ -9,10 +9,22 @@ import pytest
 
 from models.perception.detection.cfar import CfarParams
 from models.perception.detection.detectors import CfarDetector
+from models.perception.forming.radial_speed import HEARD
 from models.perception.objects.encoding import ObjectEncoding
-from models.training.data.frames import DataSet
+from models.training.data.frames import DataSet, speed_unit_std_mps
 from models.training.data.object_samples import ObjectSample, SampleMaker
-from models.training.data.object_store import load_samples, make_samples, refuse_shared_places, shuffled
+from models.training.data.object_store import (
+    EXACT_WALLS_SHARE,
+    MAP_WALLS_SHARE,
+    MISPLACED_WALLS_SHARE,
+    drawn_walls,
+    load_samples,
+    make_samples,
+    refuse_shared_places,
+    shuffled,
+    stored_sample,
+)
+from models.training.data.samples import Perturbation, perturb_scan, standing
 from msgs.values.radar import RadarSetup
 from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
@@ -112,3 +124,65 @@ def test_scans_that_do_not_say_their_objects_are_refused(tmp_path: Path) -> None
     maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
     with pytest.raises(ValueError, match="scan 0 must say its objects"):
         make_samples(DataSet(tmp_path), maker, tmp_path / "samples", seed=None)
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    """Three places at rest with their walls."""
+    folder = tmp_path_factory.mktemp("places")
+    write_dataset(folder, 3, 11, Recipe(effects="basic", truth=True))
+    return DataSet(folder)
+
+
+def test_known_walls_are_mirrors_too(places: DataSet) -> None:
+    """Walls of a place that the scan shows weakly or not at all lead to objects as those in its map do."""
+    maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
+    for frame in places.frames(range(len(places))):
+        plain, knowing = stored_sample(frame, maker), stored_sample(frame, maker, frame.walls)
+        assert len(knowing.walls) > len(plain.walls)
+        assert (knowing.sample.wall >= 0).sum() > (plain.sample.wall >= 0).sum()
+
+
+def test_what_is_known_of_walls_is_drawn(places: DataSet) -> None:
+    """Over many draws walls are as they are, as a poor map has them, misplaced, and mostly not known at all."""
+    frame, rng = places.frame(0), np.random.default_rng(3)
+    drawn = [drawn_walls(frame, rng) for _ in range(400)]
+    shares = [
+        np.mean([walls is frame.walls for walls in drawn]),
+        np.mean([walls is frame.map_walls for walls in drawn]),
+        np.mean([bool(walls) and walls is not frame.walls and walls is not frame.map_walls for walls in drawn]),
+    ]
+    np.testing.assert_allclose(shares, [EXACT_WALLS_SHARE, MAP_WALLS_SHARE, MISPLACED_WALLS_SHARE], atol=0.05)
+    moved = next(walls for walls in drawn if walls and walls is not frame.walls and walls is not frame.map_walls)
+    lengths = [[np.hypot(*np.subtract(*wall.ends_m)) for wall in walls] for walls in (moved, frame.walls)]
+    np.testing.assert_allclose(*lengths)
+
+
+def test_speeds_of_a_scan_at_rest_are_noise(places: DataSet) -> None:
+    """By maximum likelihood a speed errs by sqrt(6 / SNR) / T times lambda / 4 pi, rms: in those units it is 1."""
+    scan, setup = places.scan(0), places.setup
+    stands = standing(scan, setup, np.random.default_rng(0))
+    assert stands.radial_speed_mps is not None and scan.profiles is not None
+    known = np.isfinite(stands.radial_speed_mps)
+    snr = np.abs(scan.profiles) ** 2 / scan.noise_power_mw
+    assert snr[known].min() > HEARD >= snr[~known].max()
+    in_units = stands.radial_speed_mps[known] * np.sqrt(snr[known]) / speed_unit_std_mps(setup)
+    assert np.sqrt(np.mean(in_units**2)) == pytest.approx(1.0, abs=0.05)
+    worse = perturb_scan(stands, Perturbation(), np.random.default_rng(1), setup)
+    assert worse.radial_speed_mps is not None
+    assert np.nanstd(worse.radial_speed_mps) > np.nanstd(stands.radial_speed_mps)
+
+
+def test_half_of_the_scans_at_rest_have_speeds(places: DataSet, tmp_path: Path) -> None:
+    """Where the network reads them; without a seed none has."""
+    encoding = ObjectEncoding(speeds=True)
+    maker = SampleMaker(encoding, CfarDetector(RadarSetup(), CfarParams()))
+    shown = [
+        [
+            bool(one.sample.cells[-3:].any())
+            for one in load_samples(make_samples(places, maker, tmp_path / name, seed)[0])
+        ]
+        for name, seed in (("training", 2), ("validation", None))
+    ]
+    assert 0 < sum(shown[0]) < 3
+    assert not any(shown[1])
