@@ -131,7 +131,7 @@ def object_network(run: ObjectRunConfig) -> ObjectUNet:
 
 
 def test_a_training_goes_on_from_an_exported_network(files: list[Path], tmp_path: Path) -> None:
-    """Before the first step it answers what the file answers, whatever new channels show; norms stay while it learns."""
+    """Before the first step it answers what the file answers, whatever new channels show; norms stay as it learns."""
     path = exported_network(files, tmp_path)
     wider = msgspec.structs.replace(ENCODING, speeds=True)
     run = replace(config(1), encoding=wider)

@@ -108,8 +108,8 @@ def test_maps_are_those_of_the_drive_s_beats() -> None:
 
 
 def test_speeds_are_those_of_the_drive_s_beats() -> None:
-    """A drive's scan against the former on all its codes: where bins stand 40 dB over the noise, speeds of both agree to
-    0.2 m/s in 9 of 10 cases (each has its own noise, at most 0.08 m/s rms there).
+    """A drive's scan against the former on all its codes: where bins stand 40 dB over the noise, speeds of both agree
+    to 0.2 m/s in 9 of 10 cases (each has its own noise, at most 0.08 m/s rms there).
     """
     scene = draw_drive(7, 2, "xband", 1.2).scene
     effects = "los_objects,los_surfaces,specular_relay,motion,chirp_overlap,thermal_noise,adc"

@@ -162,7 +162,8 @@ def test_speeds_of_a_scan_at_rest_are_noise(places: DataSet) -> None:
     """By maximum likelihood a speed errs by sqrt(6 / SNR) / T times lambda / 4 pi, rms: in those units it is 1."""
     scan, setup = places.scan(0), places.setup
     stands = standing(scan, setup, np.random.default_rng(0))
-    assert stands.radial_speed_mps is not None and scan.profiles is not None
+    assert stands.radial_speed_mps is not None
+    assert scan.profiles is not None
     known = np.isfinite(stands.radial_speed_mps)
     snr = np.abs(scan.profiles) ** 2 / scan.noise_power_mw
     assert snr[known].min() > HEARD >= snr[~known].max()
