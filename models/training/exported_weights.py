@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -58,20 +59,17 @@ def freeze_norms(network: nn.Module) -> None:
 
 
 def _convolutions(network: ObjectUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
-    """Yield convolutions with their norms, in the order in which they are passed."""
-    parts: list[nn.Sequential] = [network.stem]
+    """Return convolutions with their norms, in the order in which they are passed."""
+    pairs: list[nn.Module] = []
     for encode, down in zip(network.encode, network.down, strict=True):
-        parts += [encode.convolve, down]  # type: ignore[list-item]
-    parts += [decode.convolve for decode in network.decode]  # type: ignore[misc]
-    parts.append(network.head[0])  # type: ignore[arg-type]
-    for part in parts:
-        layers = list(part)
-        for at, layer in enumerate(layers):
-            if isinstance(layer, nn.Conv2d):
-                yield layer, layers[at + 1]  # type: ignore[misc]
+        pairs += [encode, down]
+    layers = [layer for part in (network.stem, *pairs, network.decode, network.head[0]) for layer in part.modules()]
+    convolutions = [layer for layer in layers if isinstance(layer, nn.Conv2d)]
+    norms = [layer for layer in layers if isinstance(layer, nn.BatchNorm2d)]
+    return zip(convolutions, norms, strict=True)
 
 
-def _fill_convolutions(network: ObjectUNet, nodes: list, values: dict[str, np.ndarray]) -> None:  # type: ignore[type-arg]
+def _fill_convolutions(network: ObjectUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
     """Fill all convolutions whose norms the file holds within them, the last one of the head apart."""
     for (convolve, norm), node in zip(_convolutions(network), nodes[:-1], strict=True):
         weight, bias = (_tensor(values[name]) for name in node.input[1:])
@@ -81,7 +79,7 @@ def _fill_convolutions(network: ObjectUNet, nodes: list, values: dict[str, np.nd
         norm.bias.copy_(bias)
 
 
-def _fill_products(network: ObjectUNet, nodes: list, values: dict[str, np.ndarray]) -> None:  # type: ignore[type-arg]
+def _fill_products(network: ObjectUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
     """Fill the linear layers, which the file holds as products with constants."""
     weights = [values[node.input[1]] for node in nodes if node.input[1] in values]
     layers = [layer for layer in network.context.modules() if isinstance(layer, nn.Linear)]

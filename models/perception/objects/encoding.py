@@ -137,7 +137,7 @@ def speed_channels(encoding: ObjectEncoding, ra_map: RangeAzimuthMap) -> np.ndar
     if ra_map.radial_speed_cmps is None or not ra_map.ego_compensated:
         return channels
     bins = encoding.levels.range_bins
-    speed_mps = _in_cells(ra_map.radial_speed_mps(np.s_[:bins]), rows, columns)
+    speed_mps = _in_cells(ra_map.radial_speed_mps((slice(bins),)), rows, columns)
     values = _in_cells(ra_map.values[:bins], rows, columns)
     power = np.where(np.isfinite(speed_mps), values.real**2 + values.imag**2, 0.0)
     loudest = power.argmax(axis=-1)[..., None]

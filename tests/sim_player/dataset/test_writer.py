@@ -46,6 +46,7 @@ from sim_player.signal.levels import noise_rms
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import labelled, scene_truth
+from sim_player.wall_priors import POOR
 
 ROOT = CHECKOUT
 #: Cheap scenes in small shards.
@@ -317,7 +318,6 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from nap import nap
 from sim_player.dataset.executors import Executor, map_jobs
-from sim_player.wall_priors import POOR
 for number in map_jobs(nap, [0.0, 600.0, 600.0, 600.0], workers=2):
     print(number, flush=True)
 """
