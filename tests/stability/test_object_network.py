@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
 from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, LOG_STD, OBJECT, _half_angle, detections
+from models.perception.objects.encoding import speed_channels
 from models.perception.objects.hypotheses import HYPOTHESES, SINGLES
-from tests.models.perception.objects.object_scenes import ACROSS, ALONG, GRID, cell, hypotheses, walls
+from tests.models.perception.objects.object_scenes import (
+    ACROSS,
+    ALONG,
+    COLUMN,
+    GRID,
+    ROW,
+    SPEEDS,
+    cell,
+    hypotheses,
+    speed_map,
+    walls,
+)
 from tests.stability.catalogue import Errors
 
 ROWS, COLUMNS = len(GRID.range_m), len(GRID.azimuth_rad)
@@ -53,6 +66,23 @@ def test_half_of_a_very_small_angle(errors: Errors) -> None:
     doubled = np.array([[math.cos(2.0 * half_rad), math.sin(2.0 * half_rad)]])
     (unit,) = _half_angle(doubled)
     errors(naive=abs(0.5 * math.acos(doubled[0, 0]) - half_rad), ours=abs(math.atan2(unit[1], unit[0]) - half_rad))
+
+
+@pytest.mark.hard(
+    where="models.perception.objects.encoding", naive="square of a speed in its standard deviations", bound=1e-6,
+    unit="", source="single precision of the channel",
+)  # fmt: skip
+def test_a_speed_known_exactly(errors: Errors) -> None:
+    """The fastest speed that a map can say in a map without noise: it moves, with 0.2 m/s of sway 1 - 3.4e-6."""
+    ra_map = speed_map(327.67)
+    silent = msgspec.structs.replace(ra_map, noise_power_mw=0.0)
+    speed, moves, known = speed_channels(SPEEDS, silent)[:, ROW, COLUMN]
+    assert (speed, known) == (3.0, 1.0)
+    wanted = 1.0 / (1.0 + (0.6 / 327.67) ** 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigmas = (np.float64(327.67) / (3.0 * np.float64(0.0))) ** 2
+        naive = float(sigmas / (1.0 + sigmas))
+    errors(naive=abs(naive - wanted), ours=abs(float(moves) - wanted))
 
 
 @pytest.mark.hard(

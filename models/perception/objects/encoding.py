@@ -139,18 +139,17 @@ def speed_channels(encoding: ObjectEncoding, ra_map: RangeAzimuthMap) -> np.ndar
     bins = encoding.levels.range_bins
     speed_mps = _in_cells(ra_map.radial_speed_mps((slice(bins),)), rows, columns)
     values = _in_cells(ra_map.values[:bins], rows, columns)
-    power = np.where(np.isfinite(speed_mps), values.real**2 + values.imag**2, 0.0)
-    loudest = power.argmax(axis=-1)[..., None]
-    known = np.flatnonzero(np.take_along_axis(power, loudest, axis=-1))
-    speed = np.take_along_axis(speed_mps, loudest, axis=-1).ravel()[known]
-    snr = np.take_along_axis(power, loudest, axis=-1).ravel()[known] / ra_map.noise_power_mw
-    std_mps = np.hypot(ra_map.radial_speed_unit_std_mps / np.sqrt(snr), SWAY_MPS)
-    sigmas = (speed / (MOVES_SIGMAS * std_mps)) ** 2
-    channels.reshape(len(SPEED_CHANNELS), -1)[:, known] = (
-        np.clip(speed / SPEED_MPS, -SPEED_LIMIT, SPEED_LIMIT),
-        sigmas / (1.0 + sigmas),
-        SWAY_MPS / std_mps,
+    heard_mw = np.where(np.isfinite(speed_mps), values.real**2 + values.imag**2, 0.0)
+    loudest = heard_mw.argmax(axis=-1)[..., None]
+    power_mw, speed_mps = (
+        np.take_along_axis(of_cells, loudest, axis=-1)[..., 0].astype(np.float64) for of_cells in (heard_mw, speed_mps)
     )
+    known = power_mw > 0.0
+    speed_mps, power_mw = speed_mps[known], power_mw[known]
+    std_mps = np.hypot(ra_map.radial_speed_unit_std_mps * np.sqrt(ra_map.noise_power_mw / power_mw), SWAY_MPS)
+    # of the variance that motion and errors together have, the share of motion
+    moves = 1.0 / (1.0 + (MOVES_SIGMAS * std_mps) ** 2 / np.maximum(speed_mps**2, 1e-6))
+    channels[:, known] = np.clip(speed_mps / SPEED_MPS, -SPEED_LIMIT, SPEED_LIMIT), moves, SWAY_MPS / std_mps
     return channels
 
 

@@ -16,7 +16,7 @@ from models.perception.objects.predictor import ObjectCard
 from models.training.export.onnx import write_card, write_onnx
 from models.training.files import file_sha256
 from msgs.values.perception import PathClass
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.radar import RangeAzimuthMap, speed_codes
 
 ENCODING = ObjectEncoding()
 GRID = ENCODING.cells
@@ -95,3 +95,25 @@ def empty_map(**values: object) -> RangeAzimuthMap:
         "azimuth_stamp_ns": np.arange(256) * 1_000_000, "incoherent": np.zeros(512, bool),
     }  # fmt: skip
     return RangeAzimuthMap(**plain | values)  # type: ignore[arg-type]
+
+
+SPEEDS = ObjectEncoding(speeds=True)
+#: A cell of the map, and the one of the network that holds it: two range bins, eight azimuths.
+BIN, AZIMUTH = 101, 130
+ROW, COLUMN = 50, 16
+NOISE_MW, UNIT_STD_MPS = 1e-12, 8.0
+
+
+def speed_map(speed_mps: float, snr_db: float = 40.0, ego_compensated: bool = True) -> RangeAzimuthMap:
+    """A map with one echo that has a radial speed; around it noise without speeds."""
+    values = np.full((512, 256), np.sqrt(NOISE_MW), np.complex64)
+    values[BIN, AZIMUTH] = np.sqrt(NOISE_MW * 10.0 ** (snr_db / 10.0))
+    speeds = np.full(values.shape, np.nan)
+    speeds[BIN, AZIMUTH] = speed_mps
+    return empty_map(
+        values=values,
+        noise_power_mw=NOISE_MW,
+        ego_compensated=ego_compensated,
+        radial_speed_cmps=speed_codes(speeds),
+        radial_speed_unit_std_mps=UNIT_STD_MPS,
+    )
