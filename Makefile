@@ -132,7 +132,7 @@ results-gpu: setup-dev  ## the same at full size and for the published 100 epoch
 OBJECT_START := 099ed06
 object-network: setup-dev  ## the object network from places and drives drawn for it, on from the one before (an hour and a half on two cores; goes on if stopped)
 	$(BIN)/mirrorwave sim dataset --out data/object_places_4 --count 4000 --effects all --truth --seed 6104 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives_3 --count 300 --motion --scans 12 --seed 7 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_drives_3 --count 360 --motion --scans 12 --seed 7 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_places_validation --count 600 --effects all --truth --seed 6101 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_drives_validation --count 50 --motion --scans 8 --seed 6201 --workers 2
 	mkdir -p runs/object_start
