@@ -80,9 +80,14 @@ class _Grid(NamedTuple):
 
 
 def cell_hypotheses(
-    grid: CellGrid, walls: WallArrays, returns: DirectReturns, level: np.ndarray, scores: np.ndarray
+    grid: CellGrid,
+    walls: WallArrays,
+    returns: DirectReturns,
+    level: np.ndarray,
+    scores: np.ndarray,
+    features: np.ndarray | None = None,
 ) -> CellHypotheses:
-    """Return the hypotheses of every cell of a map.
+    """Return the hypotheses of every cell of a map, their features in an array float32 [K, F, R, C] if one is given.
 
     `level` [R, C] is the map's level in 0..1, `scores` [2, R, C] those of direct and mirrored peaks in each cell.
     """
@@ -92,7 +97,10 @@ def cell_hypotheses(
     rays, columns = _rays(direction, walls), _columns(walls)
     shared = _shared_features(rays, walls.length_m, walls.angle_std_rad, returns.points_m, returns.wall)
     fields = np.array([level, *scores], np.float64)
-    return CellHypotheses(*_all_cells(grid.range_m, direction, rays, shared, columns, fields, steps))
+    if features is None:
+        features = np.empty((HYPOTHESES, len(FEATURES), *level.shape), np.float32)
+    first, second = _all_cells(grid.range_m, direction, rays, shared, columns, fields, steps, features)
+    return CellHypotheses(first, second, features)
 
 
 def _columns(walls: WallArrays) -> np.ndarray:
@@ -392,15 +400,14 @@ def _cheapest(cost, row, column):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _all_cells(range_m, direction, rays, shared, walls, fields, steps):  # type: ignore[no-untyped-def]
-    """Return first and second walls int16 [K, R, C] and features float32 [K, F, R, C] of all cells.
+def _all_cells(range_m, direction, rays, shared, walls, fields, steps, features):  # type: ignore[no-untyped-def]
+    """Return first and second walls int16 [K, R, C] of all cells and write their features float32 [K, F, R, C].
 
     Of a cell the cheapest single mirrors, and the cheapest pair: a wall whose second leg another one blocks, and that.
     """
     rows, columns = len(range_m), len(direction)
     first = np.full((HYPOTHESES, rows, columns), -1, np.int16)
     second = np.full((HYPOTHESES, rows, columns), -1, np.int16)
-    features = np.empty((HYPOTHESES, len(FEATURES), rows, columns), np.float32)
     cost, block, free = _costs(range_m, direction, rays, walls)
     of_row = np.empty((columns, HYPOTHESES, len(FEATURES)), np.float32)
     for row in range(rows):
@@ -433,7 +440,7 @@ def _all_cells(range_m, direction, rays, shared, walls, fields, steps):  # type:
                         out[1], out[18], out[19] = _log(depth), 1.0, 1.0
                         first[SINGLES, row, column], second[SINGLES, row, column] = wall, blocker
         _turn(of_row, features, row)
-    return first, second, features
+    return first, second
 
 
 @njit(cache=True, nogil=True)
