@@ -84,7 +84,7 @@ class NetworkDetector:
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
         if placement is Refine.PURSUIT:
             # compile now: the first map must not wait for it
-            pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
+            pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, self._params.pursuit)
         self._ridge_matching, self._refine = ridge_matching or RidgeMatchingParams(), placement
         self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
         self._refiner = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import EllipsisType
 
 import msgspec
 import numpy as np
@@ -94,11 +95,12 @@ def _of_classes(by_class: list[tuple[np.ndarray, np.ndarray]]) -> Points:
     )
 
 
-def echo_power(ra_map: RangeAzimuthMap) -> np.ndarray:
-    """Return |values|^2, float64 [range, azimuth]; fewer photons than ambient light brings are no echo: they count
-    as zero.
+def echo_power(ra_map: RangeAzimuthMap, at: tuple[np.ndarray, np.ndarray] | EllipsisType = ...) -> np.ndarray:
+    """Return |values|^2, float64 [range, azimuth], or those at some rows and columns; fewer photons than ambient light
+    brings are no echo: they count as zero.
     """
-    values = ra_map.values.real.clip(0.0) if ra_map.mode == "photons" else np.abs(ra_map.values)
+    values = ra_map.values[at]
+    values = values.real.clip(0.0) if ra_map.mode == "photons" else np.abs(values)
     # the square of a float32 magnitude may leave float32
     return np.square(values, dtype=np.float64)
 
@@ -120,9 +122,8 @@ def peaks_at(
         best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MAX_PEAKS])
         cells, fractional, score, path_class = (values[best] for values in (cells, fractional, score, path_class))
     grid = ra_map.grid
-    power = echo_power(ra_map)
-    range_index = _refined_range(power, cells, fractional[:, 0])
-    snr_db = _snr_db(power, cells, ra_map.noise_power_mw)
+    range_index = _refined_range(ra_map, cells, fractional[:, 0])
+    snr_db = _snr_db(echo_power(ra_map, (cells[:, 0], cells[:, 1])), ra_map.noise_power_mw)
     speed_mps, std_mps = _radial_speeds(ra_map, cells, snr_db)
     return Peaks(
         stamp_ns=ra_map.stamp_ns,
@@ -221,26 +222,26 @@ def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return cells + shift
 
 
-def _refined_range(power: np.ndarray, cells: np.ndarray, fallback: np.ndarray) -> np.ndarray:
+def _refined_range(ra_map: RangeAzimuthMap, cells: np.ndarray, fallback: np.ndarray) -> np.ndarray:
     """Return the fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
 
     The peak may lie one bin off the heat map's; where the map has none there, `fallback` stays.
     """
-    bins = power.shape[0]
+    bins, column = ra_map.values.shape[0], cells[:, 1]
     reach = np.clip(cells[:, 0, None] + np.arange(-1, 2), 0, bins - 1)
-    top = np.take_along_axis(reach, power[reach, cells[:, 1, None]].argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = echo_power(ra_map, (reach, column[:, None])).argmax(axis=1)
+    top = np.take_along_axis(reach, strongest[:, None], axis=1)[:, 0]
     inner = np.clip(top, 1, bins - 2)
-    floor = np.finfo(np.float32).tiny
-    before, here, after = (np.log(np.maximum(power[inner + k, cells[:, 1]], floor)) for k in (-1, 0, 1))
+    about = echo_power(ra_map, (inner + np.array([[-1], [0], [1]]), column))
+    before, here, after = np.log(np.maximum(about, np.finfo(np.float32).tiny))
     peaked = (top == inner) & (here >= before) & (here >= after) & (before - 2.0 * here + after < 0.0)
     curvature = np.where(peaked, before - 2.0 * here + after, -1.0)
     return np.where(peaked, inner + 0.5 * (before - after) / curvature, fallback)
 
 
-def _snr_db(power: np.ndarray, cells: np.ndarray, noise_power_mw: float) -> np.ndarray:
-    """Return the peak power over the map's noise [N], at least -30 dB so that empty cells stay finite."""
-    ratio = power[cells[:, 0], cells[:, 1]].astype(np.float64) / max(noise_power_mw, 1e-300)
-    return 10.0 * np.log10(np.clip(ratio, 1e-3, 1e30))
+def _snr_db(power: np.ndarray, noise_power_mw: float) -> np.ndarray:
+    """Return powers over the map's noise [N], at least -30 dB so that empty cells stay finite."""
+    return 10.0 * np.log10(np.clip(power / max(noise_power_mw, 1e-300), 1e-3, 1e30))
 
 
 def polar_covariance(snr_db: np.ndarray, incoherent: np.ndarray, range_bin_m: float, params: PeakParams) -> np.ndarray:

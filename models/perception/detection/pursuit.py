@@ -45,7 +45,9 @@ def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParam
         raise ValueError(f"confidence must have shape [range, azimuth], got {confidence.shape}")
     if not threshold > 0.0:
         raise ValueError(f"threshold must be positive, got {threshold!r}")
-    left = _blurred(confidence.astype(np.float64), threshold, *(_gaussian(std) for std in params.blur))
+    # as it comes from a network, or in one other type: for each of them the blur is compiled
+    plain = np.ascontiguousarray(confidence, np.float32 if confidence.dtype == np.float32 else np.float64)
+    left = _blurred(plain, threshold, *(_gaussian(std) for std in params.blur))
     return _pursue(left, threshold, _kept(params.explained), params.max_peaks)
 
 
@@ -58,7 +60,7 @@ def _gaussian(std: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return a map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
+    """Return a map [rows, columns] blurred by both kernels, float64; zero beyond its edges and where it is not finite.
 
     A mean is no higher than the highest of its cells: rows that have none at the threshold within reach stay zero.
     """
@@ -67,20 +69,23 @@ def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across:
     hot = np.zeros(rows, np.bool_)
     for i in range(rows):
         for j in range(columns):
-            if not np.isfinite(confidence[i, j]):
-                confidence[i, j] = 0.0
-            elif confidence[i, j] >= threshold:
+            if confidence[i, j] >= threshold and np.isfinite(confidence[i, j]):
                 hot[max(i - reach_row, 0) : i + reach_row + 1] = True
+                break
     blurred, padded = np.zeros((rows, columns)), np.zeros(columns + 2 * reach_column)
     for i in range(rows):
         if not hot[i]:
             continue
         padded[:] = 0.0
-        inside = padded[reach_column : reach_column + columns]
+        inside, of_row = padded[reach_column : reach_column + columns], blurred[i]
         for row in range(max(i - reach_row, 0), min(i + reach_row + 1, rows)):
-            inside += down[row - i + reach_row] * confidence[row]
+            weight, source = down[row - i + reach_row], confidence[row]
+            for j in range(columns):
+                inside[j] += weight * (np.float64(source[j]) if np.isfinite(source[j]) else 0.0)
         for offset in range(len(across)):
-            blurred[i] += across[offset] * padded[offset : offset + columns]
+            weight, shifted = across[offset], padded[offset : offset + columns]
+            for j in range(columns):
+                of_row[j] += weight * shifted[j]
     return blurred
 
 
@@ -93,24 +98,37 @@ def _kept(explained: tuple[float, float]) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
+def _highest(left: np.ndarray, row: int) -> tuple[float, int]:
+    """Return the highest value of a row and its column, the first of equals."""
+    value, column = left[row, 0], 0
+    for j in range(1, left.shape[1]):
+        if left[row, j] > value:
+            value, column = left[row, j], j
+    return value, column
+
+
+@njit(cache=True, nogil=True)
 def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, max_peaks: int) -> tuple[np.ndarray, np.ndarray]:
     """Take cells of `left` [rows, columns] while the highest reaches the threshold; changes `left`."""
     rows, columns = left.shape
     reach_row, reach_column = kept.shape[0] // 2, kept.shape[1] // 2
-    highest = np.empty(rows)
+    highest, at = np.empty(rows), np.empty(rows, np.int64)
     for i in range(rows):
-        highest[i] = left[i].max()
+        highest[i], at[i] = _highest(left, i)
     cells, scores = np.empty((max_peaks, 2), np.int64), np.empty(max_peaks)
     count = 0
     while count < max_peaks:
         i = int(highest.argmax())
         if highest[i] < threshold:
             break
-        j = int(left[i].argmax())
-        cells[count, 0], cells[count, 1], scores[count] = i, j, left[i, j]
+        j = at[i]
+        cells[count, 0], cells[count, 1], scores[count] = i, j, highest[i]
         count += 1
+        first, last = max(j - reach_column, 0), min(j + reach_column, columns - 1)
         for row in range(max(i - reach_row, 0), min(i + reach_row + 1, rows)):
-            for column in range(max(j - reach_column, 0), min(j + reach_column + 1, columns)):
+            for column in range(first, last + 1):
                 left[row, column] *= kept[row - i + reach_row, column - j + reach_column]
-            highest[row] = left[row].max()
+            # values only fall: a row's highest stays where it lies outside
+            if first <= at[row] <= last:
+                highest[row], at[row] = _highest(left, row)
     return cells[:count], scores[:count]

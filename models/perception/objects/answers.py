@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from models.perception.geometry.mirrors import WallArrays, mirrors_met
 from models.perception.objects.hypotheses import HYPOTHESES, CellGrid, CellHypotheses
@@ -28,6 +28,8 @@ OBJECT, CLASS, PLACE, LOG_STD, LOG_SIZE, HEADING, CENTRE = (
 ANSWERS = 17
 #: Bounds of the logarithms of errors and sizes.
 LOG_STD_LIMITS, LOG_SIZE_LIMITS = (-4.0, 2.0), (-1.5, 3.0)
+#: Share of a threshold that no rounding of a probability reaches.
+_ROUNDING = 1.0 - 1e-9
 #: Reports nearer than this, or than a share of the longer one, are one object.
 SAME_OBJECT_M, SAME_OBJECT_SHARE = 1.5, 0.45
 
@@ -59,19 +61,25 @@ def detections(
     answer: np.ndarray, hypotheses: CellHypotheses, grid: CellGrid, walls: WallArrays, threshold: float
 ) -> Detections:
     """Return the objects of an answer [K * answers, R, C] whose probability reaches a threshold, one report each."""
-    said = answer.reshape(HYPOTHESES, ANSWERS, *answer.shape[1:]).astype(np.float64)
-    reports = _folded(said, _peaks(said, hypotheses, threshold), hypotheses, grid, walls)
+    said = answer.reshape(HYPOTHESES, ANSWERS, *answer.shape[1:])
+    reports = _folded(said, _peaks(said[:, 0], hypotheses, threshold), hypotheses, grid, walls)
     return reports.take(_distinct(reports))
 
 
-def _peaks(said: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
-    """Return the hypotheses (which, row, column) [N, 3] that are the likeliest among their neighbours."""
-    probability = np.where(hypotheses.wall >= 0, expit(said[:, 0]), 0.0)
-    padded = np.pad(probability, ((0, 0), (1, 1), (1, 1)))
+def _peaks(object_logit: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
+    """Return the hypotheses (which, row, column) [N, 3] that are the likeliest among their neighbours, by the
+    logits [K, R, C] of an object.
+    """
+    count, rows, columns = object_logit.shape
+    padded = np.full((count, rows + 2, columns + 2), -np.inf, object_logit.dtype)
+    inside = padded[:, 1:-1, 1:-1]
+    np.copyto(inside, object_logit, where=hypotheses.wall >= 0)
+    # a little less than the threshold: probabilities are taken and compared about the few cells alone that may reach it
+    likely = np.argwhere(inside >= logit(_ROUNDING * threshold))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
-    likely = np.argwhere(probability >= threshold)
-    at = tuple(likely.T)
-    return np.asarray(likely[probability[at] >= windows[at].max(axis=(-2, -1))])
+    probability = expit(windows[tuple(likely.T)].astype(np.float64))
+    own = probability[:, 1, 1]
+    return np.asarray(likely[(own >= threshold) & (own >= probability.max(axis=(-2, -1)))])
 
 
 def _folded(
@@ -79,7 +87,7 @@ def _folded(
 ) -> Detections:
     """Return what is said at hypotheses [N, 3] (which, row, column), folded back by their walls."""
     which, row, column = at.T
-    values = said[which, :, row, column]
+    values = said[which, :, row, column].astype(np.float64)
     along, across = values[:, PLACE].T
     range_m = np.maximum(grid.range_m[row] + along, 0.1)
     azimuth_rad = grid.azimuth_rad[column] + across / np.maximum(grid.range_m[row], 1.0)

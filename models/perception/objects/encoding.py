@@ -101,14 +101,18 @@ def encode_objects(
     levels = encode_map(encoding.levels, ra_map)
     drawn = drawn_peaks(encoding, peaks)
     scores = _strongest_of_row(drawn[:: len(PEAK_CHANNELS)])
-    arrays = wall_arrays(walls)
-    hypotheses = cell_hypotheses(encoding.cells, arrays, returns, _strongest_of_row(levels[0]), scores)
-    _, rows, columns = encoding.shape
-    of_map = np.concatenate([levels, drawn]).reshape(-1, rows, BINS, columns).transpose(0, 2, 1, 3)
-    parts = [of_map.reshape(-1, rows, columns), hypotheses.features.reshape(-1, rows, columns)]
+    channels, rows, columns = encoding.shape
+    # written where they are read: arrays of this size cost more to come by than to fill
+    cells = np.empty((channels, rows, columns), np.float32)
+    of_map = cells[: BINS * encoding.map_channels].reshape(-1, BINS, rows, columns)
+    for part, source in ((of_map[: len(levels)], levels), (of_map[len(levels) :], drawn)):
+        part[:] = source.reshape(-1, rows, BINS, columns).transpose(0, 2, 1, 3)
     if encoding.speeds:
-        parts.append(speed_channels(encoding, ra_map))
-    return np.concatenate(parts), hypotheses
+        cells[-len(SPEED_CHANNELS) :] = speed_channels(encoding, ra_map)
+    features = cells[BINS * encoding.map_channels :][: HYPOTHESES * len(FEATURES)]
+    features = features.reshape(HYPOTHESES, len(FEATURES), rows, columns)
+    level = _strongest_of_row(levels[0])
+    return cells, cell_hypotheses(encoding.cells, wall_arrays(walls), returns, level, scores, features)
 
 
 def drawn_peaks(encoding: ObjectEncoding, peaks: Peaks) -> np.ndarray:

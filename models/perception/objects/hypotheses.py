@@ -59,37 +59,20 @@ class CellHypotheses:
     features: np.ndarray
 
 
-class _Walls(NamedTuple):
-    """Walls of a scan, [W] and [W, 2]; `certain` are ends drawn in, `sure` are long enough to block."""
-
-    a: np.ndarray
-    b: np.ndarray
-    certain_a: np.ndarray
-    certain_b: np.ndarray
-    normal: np.ndarray
-    offset_m: np.ndarray
-    length_m: np.ndarray
-    angle_std_rad: np.ndarray
-    sure: np.ndarray
+# Columns of the walls of a scan, an array [W, 12]: compiled code takes plain numbers out of it, since it counts the
+# references of every row view that it makes. `CERTAIN` are the ends drawn in; a wall that is `SURE` is long enough to
+# block.
+ENDS, NORMAL_X, NORMAL_Y, OFFSET, CERTAIN, SURE = 0, 4, 5, 6, 7, 11
+# Columns of where the rays of the columns meet the walls, an array [C, W, 8]: distance along the ray (inf: never) and
+# beyond the wall's ends, the mirror there, the cosine of the ray's angle with its normal.
+TO_WALL, MISSED, MIRROR_NORMAL_X, MIRROR_NORMAL_Y, MIRROR_OFFSET, MIRROR_X, MIRROR_Y, INCIDENCE = range(8)
+# Fields of the map, an array [3, R, C].
+LEVEL, DIRECT, MIRRORED = range(3)
 
 
-class _Rays(NamedTuple):
-    """Rays of the columns and where they meet the walls, [C, W]: the mirror there, and its nearest return."""
+class _Grid(NamedTuple):
+    """First cell of a map and its steps."""
 
-    direction: np.ndarray
-    to_wall_m: np.ndarray
-    missed_m: np.ndarray
-    normal: np.ndarray
-    offset_m: np.ndarray
-    gap_m: np.ndarray
-
-
-class _Map(NamedTuple):
-    """What the map shows [R, C]: level, scores of direct and of mirrored peaks; first cell and steps of its grid."""
-
-    level: np.ndarray
-    direct: np.ndarray
-    mirrored: np.ndarray
     first_m: float
     step_m: float
     first_rad: float
@@ -97,289 +80,374 @@ class _Map(NamedTuple):
 
 
 def cell_hypotheses(
-    grid: CellGrid, walls: WallArrays, returns: DirectReturns, level: np.ndarray, scores: np.ndarray
+    grid: CellGrid,
+    walls: WallArrays,
+    returns: DirectReturns,
+    level: np.ndarray,
+    scores: np.ndarray,
+    features: np.ndarray | None = None,
 ) -> CellHypotheses:
-    """Return the hypotheses of every cell of a map.
+    """Return the hypotheses of every cell of a map, their features in an array float32 [K, F, R, C] if one is given.
 
     `level` [R, C] is the map's level in 0..1, `scores` [2, R, C] those of direct and mirrored peaks in each cell.
     """
     direction = np.stack([np.cos(grid.azimuth_rad), np.sin(grid.azimuth_rad)], axis=1)
-    certain_a, certain_b = walls.trimmed(TRIM_M)
-    arrays = _Walls(
-        walls.a,
-        walls.b,
-        certain_a,
-        certain_b,
-        walls.normal,
-        walls.offset_m,
-        walls.length_m,
-        walls.angle_std_rad,
-        walls.length_m > VEHICLE_LENGTH_M,
-    )
-    shown, direct, mirrored = np.array([level, *scores], np.float64)
     (first_m, next_m), (first_rad, next_rad) = grid.range_m[:2].tolist(), grid.azimuth_rad[:2].tolist()
-    scan_map = _Map(shown, direct, mirrored, first_m, next_m - first_m, first_rad, next_rad - first_rad)
-    wall, second, features = _all_cells(grid.range_m, _rays(direction, walls, returns), arrays, scan_map)
-    return CellHypotheses(wall, second, features)
+    steps = _Grid(first_m, next_m - first_m, first_rad, next_rad - first_rad)
+    rays, columns = _rays(direction, walls), _columns(walls)
+    shared = _shared_features(rays, walls.length_m, walls.angle_std_rad, returns.points_m, returns.wall)
+    fields = np.array([level, *scores], np.float64)
+    if features is None:
+        features = np.empty((HYPOTHESES, len(FEATURES), *level.shape), np.float32)
+    first, second = _all_cells(grid.range_m, direction, rays, shared, columns, fields, steps, features)
+    return CellHypotheses(first, second, features)
 
 
-def _rays(direction: np.ndarray, walls: WallArrays, returns: DirectReturns) -> _Rays:
+def _columns(walls: WallArrays) -> np.ndarray:
+    sure = walls.length_m > VEHICLE_LENGTH_M
+    return np.column_stack([walls.a, walls.b, walls.normal, walls.offset_m, *walls.trimmed(TRIM_M), sure])
+
+
+def _rays(direction: np.ndarray, walls: WallArrays) -> np.ndarray:
     """Return where the rays of the columns meet the walls or their lines beyond the ends."""
     met = hits(RADAR, FAR_M * direction, walls)
     ahead = np.nan_to_num(met.along_ray, nan=-1.0) > 0.0
-    to_wall_m = np.where(ahead, met.along_ray * FAR_M, np.inf)
-    gap_m = np.full(to_wall_m.shape, FAR_M)
-    for index in range(len(walls)):
-        own = returns.points_m[returns.wall == index]
-        reached = np.flatnonzero(ahead[:, index])
-        if len(own) and len(reached):
-            mirror_m = to_wall_m[reached, index, None] * direction[reached]
-            gap_m[reached, index] = np.linalg.norm(mirror_m[:, None] - own, axis=-1).min(axis=1)
-    return _Rays(direction, to_wall_m, met.missed_m(walls.length_m), met.normal, met.offset_m, gap_m)
+    rays = np.zeros((*ahead.shape, 8))
+    rays[..., TO_WALL] = np.where(ahead, met.along_ray * FAR_M, np.inf)
+    rays[..., MISSED] = met.missed_m(walls.length_m)
+    rays[..., MIRROR_NORMAL_X : MIRROR_NORMAL_Y + 1] = met.normal
+    rays[..., MIRROR_OFFSET] = met.offset_m
+    mirror_m = np.where(ahead, met.along_ray * FAR_M, 0.0)[..., None] * direction[:, None]
+    rays[..., MIRROR_X : MIRROR_Y + 1] = mirror_m
+    turned = direction[:, None] * met.normal
+    rays[..., INCIDENCE] = np.abs(turned[..., 0] + turned[..., 1])
+    return rays
 
 
-@njit(cache=True)
-def _cuts(origin, end, a, b):  # type: ignore[no-untyped-def]
-    """Return whether the segment origin-end crosses the segment a-b."""
-    rx, ry, sx, sy = end[0] - origin[0], end[1] - origin[1], b[0] - a[0], b[1] - a[1]
+@njit(cache=True, nogil=True)
+def _log(distance):  # type: ignore[no-untyped-def]
+    return 0.25 * np.log(min(max(distance, NEAR_M), FAR_M))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shared_features(rays, length_m, angle_std_rad, returns_m, wall_of_return):  # type: ignore[no-untyped-def]
+    """Return the features float32 [C, W, 8] of the first mirrors that all cells of a column share: all but the
+    depth.
+    """
+    columns, count = rays.shape[:2]
+    gap2 = np.full((columns, count), np.inf)
+    for k in range(len(returns_m)):
+        wall = wall_of_return[k]
+        for column in range(columns if wall >= 0 else 0):
+            dx, dy = rays[column, wall, MIRROR_X] - returns_m[k, 0], rays[column, wall, MIRROR_Y] - returns_m[k, 1]
+            gap2[column, wall] = min(gap2[column, wall], dx * dx + dy * dy)
+    features = np.zeros((columns, count, 8), np.float32)
+    for column in range(columns):
+        for wall in range(count):
+            features[column, wall, 0] = 1.0
+            features[column, wall, 2] = _log(rays[column, wall, TO_WALL])
+            features[column, wall, 3] = rays[column, wall, INCIDENCE]
+            features[column, wall, 4] = rays[column, wall, MISSED] / MAX_MARGIN_M
+            features[column, wall, 5] = _log(length_m[wall])
+            features[column, wall, 6] = min(angle_std_rad[wall] / ANGLE_RAD, 1.0)
+            features[column, wall, 7] = _log(np.sqrt(gap2[column, wall]))
+    return features
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cuts(ox, oy, ex, ey, walls, wall, ends):  # type: ignore[no-untyped-def]
+    """Return whether the segment from (ox, oy) to (ex, ey) crosses a wall between the ends in four columns from
+    `ends` on; not where the segment begins.
+    """
+    ax, ay = walls[wall, ends], walls[wall, ends + 1]
+    rx, ry, sx, sy = ex - ox, ey - oy, walls[wall, ends + 2] - ax, walls[wall, ends + 3] - ay
     turn = rx * sy - ry * sx
-    if turn == 0.0:
+    across = (ax - ox) * ry - (ay - oy) * rx
+    # a quotient lies in 0..1 exactly where its parts say so: most walls are passed without a division
+    if turn == 0.0 or not abs(across) <= abs(turn) or (across < 0.0 < turn) or (turn < 0.0 < across):
         return False
-    along = ((a[0] - origin[0]) * sy - (a[1] - origin[1]) * sx) / turn
-    across = ((a[0] - origin[0]) * ry - (a[1] - origin[1]) * rx) / turn
-    return 1e-9 < along < 1.0 and 0.0 <= across <= 1.0
+    along = (ax - ox) * sy - (ay - oy) * sx
+    return abs(along) < abs(turn) and along / turn > 1e-9
 
 
-@njit(cache=True)
-def _height(place, wall, walls):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _height(x, y, walls, wall):  # type: ignore[no-untyped-def]
     """Return the signed distance of a place from the line of a wall, positive on the radar's side."""
-    return place[0] * walls.normal[wall, 0] + place[1] * walls.normal[wall, 1] + walls.offset_m[wall]
+    return x * walls[wall, NORMAL_X] + y * walls[wall, NORMAL_Y] + walls[wall, OFFSET]
 
 
-@njit(cache=True)
-def _blocker(origin, end, own, walls):  # type: ignore[no-untyped-def]
-    """Return the first wall other than `own` that surely blocks a segment, -1: none."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _blocks(ox, oy, ex, ey, walls, wall):  # type: ignore[no-untyped-def]
+    """Return whether a wall surely blocks a segment."""
+    if walls[wall, SURE] == 0.0 or not _cuts(ox, oy, ex, ey, walls, wall, CERTAIN):
+        return False
+    return abs(_height(ex, ey, walls, wall)) > CUT_DEPTH_M
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_free(ox, oy, ex, ey, walls, own):  # type: ignore[no-untyped-def]
+    """Return whether no wall other than `own` surely blocks a segment."""
+    free, wall = True, 0
+    while free and wall < len(walls):
+        free = wall == own or not _blocks(ox, oy, ex, ey, walls, wall)
+        wall += 1
+    return free
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _blocker(ox, oy, ex, ey, walls, among, count):  # type: ignore[no-untyped-def]
+    """Return the first of the `count` walls `among` that surely blocks a segment, -1: none does."""
     nearest, blocker = np.inf, -1
-    for wall in range(len(walls.sure)):
-        if wall == own or not walls.sure[wall]:
+    for k in range(count):
+        wall = among[k]
+        if not _blocks(ox, oy, ex, ey, walls, wall):
             continue
-        stop = _height(end, wall, walls)
-        if abs(stop) <= CUT_DEPTH_M or not _cuts(origin, end, walls.certain_a[wall], walls.certain_b[wall]):
-            continue
-        start = _height(origin, wall, walls)
+        start, stop = _height(ox, oy, walls, wall), _height(ex, ey, walls, wall)
         if start / (start - stop) < nearest:
             nearest, blocker = start / (start - stop), wall
     return blocker
 
 
-@njit(cache=True)
-def _at(ray, distance):  # type: ignore[no-untyped-def]
-    return ray[0] * distance, ray[1] * distance
-
-
-@njit(cache=True)
-def _folded(place, normal, depth):  # type: ignore[no-untyped-def]
-    """Return the mirror image of a place that lies `depth` behind a mirror."""
-    return place[0] + 2.0 * depth * normal[0], place[1] + 2.0 * depth * normal[1]
-
-
-@njit(cache=True)
-def _depth(place, column, wall, rays):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _depth(x, y, rays, column, wall):  # type: ignore[no-untyped-def]
     """Return the depth of a place behind the mirror that a column's ray meets in a wall."""
-    normal = rays.normal[column, wall]
-    return -(place[0] * normal[0] + place[1] * normal[1] + rays.offset_m[column, wall])
-
-
-@njit(cache=True)
-def _preferences(column, rays, walls):  # type: ignore[no-untyped-def]
-    """Return the cost [W] of each wall as the first mirror of a column's ray (inf: it is none), and whether the way to
-    it is free.
-    """
-    count = len(walls.sure)
-    cost, free = np.full(count, np.inf), np.zeros(count, np.bool_)
-    for wall in range(count):
-        ray, to_wall = rays.direction[column], rays.to_wall_m[column, wall]
-        if not to_wall < FAR_M:
-            continue
-        incidence = abs(ray[0] * rays.normal[column, wall, 0] + ray[1] * rays.normal[column, wall, 1])
-        sideways = to_wall * AZIMUTH_STD_RAD / max(incidence, 0.1)
-        missed = rays.missed_m[column, wall]
-        if missed > min(END_MARGIN_M + 2.0 * sideways, MAX_MARGIN_M):
-            continue
-        free[wall] = _blocker((0.0, 0.0), _at(ray, to_wall), wall, walls) < 0
-        cost[wall] = missed - to_wall + (0.0 if free[wall] else _BLOCKED_EARLY)
-        cost[wall] += (_MISSED if missed > 0.0 else 0.0) + (0.0 if walls.sure[wall] else _SHORT)
-    return cost, free
-
-
-@njit(cache=True)
-def _twice(mirror, place, second, walls):  # type: ignore[no-untyped-def]
-    """Return whether an image folded to `place` by way of `mirror` may have been mirrored by the wall `second` too,
-    and the place then.
-    """
-    stop, start = _height(place, second, walls), _height(mirror, second, walls)
-    if start * stop >= 0.0 or abs(stop) < MIN_DEPTH_M:
-        return False, place
-    normal = walls.normal[second]
-    folded = place[0] - 2.0 * stop * normal[0], place[1] - 2.0 * stop * normal[1]
-    share = start / (start - stop)
-    turn = mirror[0] + share * (place[0] - mirror[0]), mirror[1] + share * (place[1] - mirror[1])
-    return _blocker(turn, folded, second, walls) < 0, folded
-
-
-@njit(cache=True)
-def _log(distance):  # type: ignore[no-untyped-def]
-    return 0.25 * np.log(min(max(distance, NEAR_M), FAR_M))
-
-
-@njit(cache=True)
-def _cell_of(place, scan_map):  # type: ignore[no-untyped-def]
-    """Return the row and column of a place, outside the map where it is not in view."""
-    row = round((np.hypot(place[0], place[1]) - scan_map.first_m) / scan_map.step_m)
-    column = round((np.arctan2(place[1], place[0]) - scan_map.first_rad) / scan_map.step_rad)
-    return int(row), int(column)
-
-
-@njit(cache=True)
-def _largest(field, row, column):  # type: ignore[no-untyped-def]
-    """Return the largest value within a range bin of a cell; zero outside."""
-    best = 0.0
-    if 0 <= column < field.shape[1]:
-        for at in range(max(row - 1, 0), min(row + 2, field.shape[0])):
-            best = max(best, field[at, column])
-    return best
-
-
-@njit(cache=True)
-def _shows(place, wall, walls):  # type: ignore[no-untyped-def]
-    """Return whether a wall shows the radar an image of a place, and where."""
-    height = _height(place, wall, walls)
-    if height < MIN_DEPTH_M:
-        return False, place
-    normal, offset = walls.normal[wall], walls.offset_m[wall]
-    image = place[0] - 2.0 * height * normal[0], place[1] - 2.0 * height * normal[1]
-    if not _cuts((0.0, 0.0), image, walls.a[wall], walls.b[wall]):
-        return False, image
-    mirror = _at(image, offset / (offset + height))
-    return _blocker((0.0, 0.0), mirror, wall, walls) < 0 and _blocker(mirror, place, wall, walls) < 0, image
-
-
-@njit(cache=True)
-def _distance(place, a, b):  # type: ignore[no-untyped-def]
-    """Return the distance of a place from a segment."""
-    sx, sy = b[0] - a[0], b[1] - a[1]
-    share = ((place[0] - a[0]) * sx + (place[1] - a[1]) * sy) / max(sx * sx + sy * sy, 1e-12)
-    share = min(max(share, 0.0), 1.0)
-    return np.hypot(place[0] - a[0] - share * sx, place[1] - a[1] - share * sy)
-
-
-@njit(cache=True)
-def _describe_place(place, own, walls, scan_map, out):  # type: ignore[no-untyped-def]
-    """Write what walls and map say of a place; `own` is the last wall on the way."""
-    row, column = _cell_of(place, scan_map)
-    in_view = 0 <= column < scan_map.level.shape[1]
-    hidden = _blocker((0.0, 0.0), place, -1, walls) >= 0
-    out[8], out[9], out[10], out[11] = place[0] / PLACE_M, place[1] / PLACE_M, in_view, hidden
-    if in_view and not hidden:
-        out[12], out[13] = _largest(scan_map.level, row, column), _largest(scan_map.direct, row, column)
-    nearest = FAR_M
-    for wall in range(len(walls.sure)):
-        nearest = min(nearest, _distance(place, walls.a[wall], walls.b[wall]))
-        if wall == own:
-            continue
-        shown, image = _shows(place, wall, walls)
-        if not shown:
-            continue
-        row, column = _cell_of(image, scan_map)
-        if 0 <= column < scan_map.level.shape[1] and row < scan_map.level.shape[0]:
-            out[14] += 1.0 / IMAGES
-            out[15] = max(out[15], _largest(scan_map.level, row, column))
-            out[16] = max(out[16], _largest(scan_map.mirrored, row, column))
-    out[17] = _log(nearest)
-
-
-@njit(cache=True)
-def _describe_mirror(place, column, wall, rays, walls, out):  # type: ignore[no-untyped-def]
-    """Write the features of the way from the radar to a cell by its first mirror."""
-    ray, normal = rays.direction[column], rays.normal[column, wall]
-    out[0] = 1.0
-    out[1] = _log(_depth(place, column, wall, rays))
-    out[2] = _log(rays.to_wall_m[column, wall])
-    out[3] = abs(ray[0] * normal[0] + ray[1] * normal[1])
-    out[4] = rays.missed_m[column, wall] / MAX_MARGIN_M
-    out[5] = _log(walls.length_m[wall])
-    out[6] = min(walls.angle_std_rad[wall] / ANGLE_RAD, 1.0)
-    out[7] = _log(rays.gap_m[column, wall])
-
-
-@njit(cache=True)
-def _costs(place, column, preference, rays, walls):  # type: ignore[no-untyped-def]
-    """Return the costs [W] of single mirrors of a cell, and the wall that blocks each one's second leg (-1: none)."""
-    cost, block = preference.copy(), np.full(len(preference), -1)
-    for wall in range(len(cost)):
-        if not np.isfinite(cost[wall]):
-            continue
-        depth = _depth(place, column, wall, rays)
-        if depth < MIN_DEPTH_M or rays.to_wall_m[column, wall] >= np.hypot(place[0], place[1]):
-            cost[wall] = np.inf
-            continue
-        mirror = _at(rays.direction[column], rays.to_wall_m[column, wall])
-        block[wall] = _blocker(mirror, _folded(place, rays.normal[column, wall], depth), wall, walls)
-        cost[wall] += 0.0 if block[wall] < 0 else _BLOCKED_LATE
-    return cost, block
-
-
-@njit(cache=True)
-def _singles(place, column, cost, free, block, rays, walls, scan_map, wall_out, out):  # type: ignore[no-untyped-def]
-    """Write the cheapest single mirrors of a cell."""
-    left = cost.copy()
-    for k in range(min(SINGLES, len(left))):
-        wall = np.argmin(left)
-        if not np.isfinite(left[wall]):
-            break
-        left[wall] = np.inf
-        wall_out[k] = wall
-        _describe_mirror(place, column, wall, rays, walls, out[k])
-        folded = _folded(place, rays.normal[column, wall], _depth(place, column, wall, rays))
-        _describe_place(folded, wall, walls, scan_map, out[k])
-        out[k, 18], out[k, 19] = free[wall], block[wall] < 0
-
-
-@njit(cache=True)
-def _pair(place, column, cost, free, block, rays, walls, scan_map, wall_out, second_out, out):  # type: ignore[no-untyped-def]
-    """Write the cheapest pair of mirrors of a cell: a wall whose second leg another one blocks, and that one."""
-    left = cost.copy()
-    for _ in range(len(left)):
-        wall = np.argmin(left)
-        if not np.isfinite(left[wall]):
-            return
-        left[wall] = np.inf
-        if block[wall] < 0 or not free[wall]:
-            continue
-        mirror = _at(rays.direction[column], rays.to_wall_m[column, wall])
-        folded = _folded(place, rays.normal[column, wall], _depth(place, column, wall, rays))
-        is_free, folded = _twice(mirror, folded, block[wall], walls)
-        if is_free:
-            wall_out[SINGLES], second_out[SINGLES] = wall, block[wall]
-            _describe_mirror(place, column, wall, rays, walls, out[SINGLES])
-            _describe_place(folded, block[wall], walls, scan_map, out[SINGLES])
-            out[SINGLES, 18], out[SINGLES, 19] = 1.0, 1.0
-            return
+    along_x, along_y = x * rays[column, wall, MIRROR_NORMAL_X], y * rays[column, wall, MIRROR_NORMAL_Y]
+    return -(along_x + along_y + rays[column, wall, MIRROR_OFFSET])
 
 
 @njit(cache=True, nogil=True)
-def _all_cells(range_m, rays, walls, scan_map):  # type: ignore[no-untyped-def]
-    """Return first and second walls int16 [K, R, C] and features float32 [K, F, R, C] of all cells."""
-    rows, columns = len(range_m), len(rays.direction)
-    wall = np.full((rows, columns, HYPOTHESES), -1, np.int16)
-    second = np.full((rows, columns, HYPOTHESES), -1, np.int16)
-    features = np.zeros((rows, columns, HYPOTHESES, len(FEATURES)), np.float32)
+def _folded(x, y, rays, column, wall):  # type: ignore[no-untyped-def]
+    """Return a place folded back in the mirror that a column's ray meets in a wall."""
+    twice = 2.0 * _depth(x, y, rays, column, wall)
+    return x + twice * rays[column, wall, MIRROR_NORMAL_X], y + twice * rays[column, wall, MIRROR_NORMAL_Y]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _preference(rays, column, walls, wall):  # type: ignore[no-untyped-def]
+    """Return the cost of a wall as the first mirror of a column's ray (inf: it is none), and whether the way to it is
+    free.
+    """
+    to_wall, missed = rays[column, wall, TO_WALL], rays[column, wall, MISSED]
+    sideways = to_wall * AZIMUTH_STD_RAD / max(rays[column, wall, INCIDENCE], 0.1)
+    if not to_wall < FAR_M or missed > min(END_MARGIN_M + 2.0 * sideways, MAX_MARGIN_M):
+        return np.inf, False
+    free = _is_free(0.0, 0.0, rays[column, wall, MIRROR_X], rays[column, wall, MIRROR_Y], walls, wall)
+    cost = missed - to_wall + (0.0 if free else _BLOCKED_EARLY)
+    return cost + ((_MISSED if missed > 0.0 else 0.0) + (0.0 if walls[wall, SURE] else _SHORT)), free
+
+
+@njit(cache=True, nogil=True)
+def _side(ox, oy, ex, ey, x, y):  # type: ignore[no-untyped-def]
+    """Return on which side of the line from (ox, oy) to (ex, ey) a point lies; 0: too near to it to be sure."""
+    rx, ry, px, py = ex - ox, ey - oy, x - ox, y - oy
+    turn = rx * py - ry * px
+    return np.sign(turn) if abs(turn) > 1e-9 * (abs(rx) + abs(ry)) * (1.0 + abs(px) + abs(py)) else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _may_block(ox, oy, nearest, furthest, walls, own, among):  # type: ignore[no-untyped-def]
+    """Write to `among` the walls that may surely block a segment to a place between `nearest` and `furthest`, and
+    return how many: one that lies to one side of both outer segments blocks none between.
+    """
+    count = 0
+    for wall in range(len(walls)):
+        if wall == own or walls[wall, SURE] == 0.0:
+            continue
+        ax, ay, bx, by = walls[wall, 7], walls[wall, 8], walls[wall, 9], walls[wall, 10]
+        side = _side(ox, oy, nearest[0], nearest[1], ax, ay)
+        if (
+            side == 0.0
+            or _side(ox, oy, nearest[0], nearest[1], bx, by) != side
+            or _side(ox, oy, furthest[0], furthest[1], ax, ay) != side
+            or _side(ox, oy, furthest[0], furthest[1], bx, by) != side
+        ):
+            among[count] = wall
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_image(x, y, away_m, rays, column, wall):  # type: ignore[no-untyped-def]
+    """Return whether a place on a column's ray lies behind the mirror that the ray meets in a wall."""
+    return rays[column, wall, TO_WALL] < away_m and _depth(x, y, rays, column, wall) >= MIN_DEPTH_M
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _costs(range_m, direction, rays, walls):  # type: ignore[no-untyped-def]
+    """Return the costs [R, C, W] of single mirrors of all cells (inf: none), the wall that blocks each one's second leg
+    (-1: none), and whether the first is free [C, W].
+    """
+    rows, (columns, count) = len(range_m), rays.shape[:2]
+    cost, block = np.full((rows, columns, count), np.inf), np.full((rows, columns, count), -1, np.int16)
+    free, among = np.zeros((columns, count), np.bool_), np.empty(count, np.int64)
+    x, y, away_m = np.empty(rows), np.empty(rows), np.empty(rows)
     for column in range(columns):
-        preference, free = _preferences(column, rays, walls)
         for row in range(rows):
-            place = _at(rays.direction[column], range_m[row])
-            cost, block = _costs(place, column, preference, rays, walls)
-            out = features[row, column]
-            _singles(place, column, cost, free, block, rays, walls, scan_map, wall[row, column], out)
-            _pair(place, column, cost, free, block, rays, walls, scan_map, wall[row, column], second[row, column], out)
-    return wall.transpose(2, 0, 1), second.transpose(2, 0, 1), features.transpose(2, 3, 0, 1)
+            x[row], y[row] = direction[column, 0] * range_m[row], direction[column, 1] * range_m[row]
+            away_m[row] = np.hypot(x[row], y[row])
+        for wall in range(count):
+            preference, free[column, wall] = _preference(rays, column, walls, wall)
+            first = 0 if np.isfinite(preference) else rows
+            while first < rows and not _is_image(x[first], y[first], away_m[first], rays, column, wall):
+                first += 1
+            if first == rows:
+                continue
+            mx, my = rays[column, wall, MIRROR_X], rays[column, wall, MIRROR_Y]
+            nearest = _folded(x[first], y[first], rays, column, wall)
+            furthest = _folded(x[-1], y[-1], rays, column, wall)
+            candidates = _may_block(mx, my, nearest, furthest, walls, wall, among)
+            for row in range(first, rows):
+                if _is_image(x[row], y[row], away_m[row], rays, column, wall):
+                    fx, fy = _folded(x[row], y[row], rays, column, wall)
+                    blocker = _blocker(mx, my, fx, fy, walls, among, candidates)
+                    block[row, column, wall] = blocker
+                    cost[row, column, wall] = preference + (0.0 if blocker < 0 else _BLOCKED_LATE)
+    return cost, block, free
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _twice(mx, my, x, y, walls, second):  # type: ignore[no-untyped-def]
+    """Return whether an image folded to (x, y) by way of the mirror at (mx, my) may have been mirrored by the wall
+    `second` too, and the place then.
+    """
+    stop, start = _height(x, y, walls, second), _height(mx, my, walls, second)
+    if start * stop >= 0.0 or abs(stop) < MIN_DEPTH_M:
+        return False, x, y
+    fx, fy = x - 2.0 * stop * walls[second, NORMAL_X], y - 2.0 * stop * walls[second, NORMAL_Y]
+    share = start / (start - stop)
+    return _is_free(mx + share * (x - mx), my + share * (y - my), fx, fy, walls, second), fx, fy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cell_of(x, y, steps):  # type: ignore[no-untyped-def]
+    """Return the row and column of a place, outside the map where it is not in view."""
+    row = round((np.hypot(x, y) - steps.first_m) / steps.step_m)
+    column = round((np.arctan2(y, x) - steps.first_rad) / steps.step_rad)
+    return int(row), int(column)
+
+
+@njit(cache=True, nogil=True)
+def _largest(fields, field, row, column):  # type: ignore[no-untyped-def]
+    """Return the largest value of a field within a range bin of a cell; zero outside."""
+    best = 0.0
+    if 0 <= column < fields.shape[2]:
+        for at in range(max(row - 1, 0), min(row + 2, fields.shape[1])):
+            best = max(best, fields[field, at, column])
+    return best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shows(x, y, walls, wall):  # type: ignore[no-untyped-def]
+    """Return whether a wall shows the radar an image of a place, and where."""
+    height, offset = _height(x, y, walls, wall), walls[wall, OFFSET]
+    if height < MIN_DEPTH_M:
+        return False, x, y
+    ix, iy = x - 2.0 * height * walls[wall, NORMAL_X], y - 2.0 * height * walls[wall, NORMAL_Y]
+    if not _cuts(0.0, 0.0, ix, iy, walls, wall, ENDS):
+        return False, ix, iy
+    mx, my = ix * (offset / (offset + height)), iy * (offset / (offset + height))
+    return _is_free(0.0, 0.0, mx, my, walls, wall) and _is_free(mx, my, x, y, walls, wall), ix, iy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_wall_m(x, y, walls):  # type: ignore[no-untyped-def]
+    """Return the distance of a place from the nearest wall, at most `FAR_M`."""
+    nearest, reach2 = FAR_M, np.inf
+    for wall in range(len(walls)):
+        ax, ay = walls[wall, ENDS], walls[wall, ENDS + 1]
+        sx, sy = walls[wall, ENDS + 2] - ax, walls[wall, ENDS + 3] - ay
+        share = ((x - ax) * sx + (y - ay) * sy) / max(sx * sx + sy * sy, 1e-12)
+        share = min(max(share, 0.0), 1.0)
+        dx, dy = x - ax - share * sx, y - ay - share * sy
+        # a root is taken only where its square may be the least
+        if dx * dx + dy * dy <= reach2:
+            nearest = min(nearest, np.hypot(dx, dy))
+            reach2 = (1.0 + 1e-9) * (dx * dx + dy * dy)
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _describe_place(x, y, own, walls, fields, steps, out):  # type: ignore[no-untyped-def]
+    """Write what walls and map say of a place; `own` is the last wall on the way."""
+    row, column = _cell_of(x, y, steps)
+    in_view = 0 <= column < fields.shape[2]
+    hidden = not _is_free(0.0, 0.0, x, y, walls, -1)
+    out[8], out[9], out[10], out[11] = x / PLACE_M, y / PLACE_M, in_view, hidden
+    if in_view and not hidden:
+        out[12], out[13] = _largest(fields, LEVEL, row, column), _largest(fields, DIRECT, row, column)
+    for wall in range(len(walls)):
+        if wall == own:
+            continue
+        shown, ix, iy = _shows(x, y, walls, wall)
+        if not shown:
+            continue
+        row, column = _cell_of(ix, iy, steps)
+        if 0 <= column < fields.shape[2] and row < fields.shape[1]:
+            out[14] += 1.0 / IMAGES
+            out[15] = max(out[15], _largest(fields, LEVEL, row, column))
+            out[16] = max(out[16], _largest(fields, MIRRORED, row, column))
+    out[17] = _log(_nearest_wall_m(x, y, walls))
+
+
+@njit(cache=True, nogil=True)
+def _cheapest(cost, row, column):  # type: ignore[no-untyped-def]
+    """Return the wall of the least cost of a cell, the first of equals; -1: all are infinite."""
+    wall, least = -1, np.inf
+    for index in range(cost.shape[2]):
+        if cost[row, column, index] < least:
+            wall, least = index, cost[row, column, index]
+    return wall
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _all_cells(range_m, direction, rays, shared, walls, fields, steps, features):  # type: ignore[no-untyped-def]
+    """Return first and second walls int16 [K, R, C] of all cells and write their features float32 [K, F, R, C].
+
+    Of a cell the cheapest single mirrors, and the cheapest pair: a wall whose second leg another one blocks, and that.
+    """
+    rows, columns = len(range_m), len(direction)
+    first = np.full((HYPOTHESES, rows, columns), -1, np.int16)
+    second = np.full((HYPOTHESES, rows, columns), -1, np.int16)
+    cost, block, free = _costs(range_m, direction, rays, walls)
+    of_row = np.empty((columns, HYPOTHESES, len(FEATURES)), np.float32)
+    for row in range(rows):
+        # written cell by cell, then turned: channels lie far apart
+        of_row[:] = 0.0
+        for column in range(columns):
+            x, y = direction[column, 0] * range_m[row], direction[column, 1] * range_m[row]
+            singles, paired = 0, False
+            while singles < SINGLES or not paired:
+                wall = _cheapest(cost, row, column)
+                if wall < 0:
+                    break
+                cost[row, column, wall] = np.inf
+                depth, blocker = _depth(x, y, rays, column, wall), block[row, column, wall]
+                fx, fy = _folded(x, y, rays, column, wall)
+                if singles < SINGLES:
+                    out = of_row[column, singles]
+                    _describe_place(fx, fy, wall, walls, fields, steps, out)
+                    out[:8] = shared[column, wall]
+                    out[1], out[18], out[19] = _log(depth), free[column, wall], blocker < 0
+                    first[singles, row, column] = wall
+                    singles += 1
+                if not paired and blocker >= 0 and free[column, wall]:
+                    mx, my = rays[column, wall, MIRROR_X], rays[column, wall, MIRROR_Y]
+                    paired, fx, fy = _twice(mx, my, fx, fy, walls, blocker)
+                    if paired:
+                        out = of_row[column, SINGLES]
+                        _describe_place(fx, fy, blocker, walls, fields, steps, out)
+                        out[:8] = shared[column, wall]
+                        out[1], out[18], out[19] = _log(depth), 1.0, 1.0
+                        first[SINGLES, row, column], second[SINGLES, row, column] = wall, blocker
+        _turn(of_row, features, row)
+    return first, second
+
+
+@njit(cache=True, nogil=True)
+def _turn(of_row, features, row):  # type: ignore[no-untyped-def]
+    """Write the features [C, K, F] of a row to those of the map [K, F, R, C]."""
+    columns, kinds, count = of_row.shape
+    for k in range(kinds):
+        for f in range(count):
+            for column in range(columns):
+                features[k, f, row, column] = of_row[column, k, f]

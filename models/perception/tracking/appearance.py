@@ -71,9 +71,14 @@ def radar_ahead(pose: OdometryPose, vehicle_from_radar: Pose2, params: Appearanc
     """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
     rate.
     """
-    motions = (ego_motion(pose.speed_mps, pose.yaw_rate_rps, float(time_s)) for time_s in params.steps_s)
+    times_s = params.steps_s
+    if pose.speed_mps == pose.yaw_rate_rps == 0.0:
+        # at rest it stays where it is
+        times_s = times_s[:1]
+    motions = (ego_motion(pose.speed_mps, pose.yaw_rate_rps, float(time_s)) for time_s in times_s)
     poses = [pose.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
-    return np.array([[radar_pose.x_m, radar_pose.y_m] for radar_pose in poses])
+    positions_m = np.array([[radar_pose.x_m, radar_pose.y_m] for radar_pose in poses])
+    return np.broadcast_to(positions_m, (len(params.steps_s), 2)).copy()
 
 
 @dataclass(frozen=True)

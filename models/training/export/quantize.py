@@ -11,9 +11,9 @@ import onnx
 from onnxruntime import quantization
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
-#: Quantised operators: all that multiply by learned weights, and the sums between, which would else be converted twice.
+#: Quantised operators: all that multiply by learned weights, and what lies between, or it would be converted twice.
 #: Attention (products of two activations), softmax, norms and the final sigmoid stay in fp32.
-QUANTIZED_OPS = ("Conv", "ConvTranspose", "Gemm", "MatMul", "Add")
+QUANTIZED_OPS = ("Conv", "Gemm", "MatMul", "Add", "Relu", "Concat", "DepthToSpace")
 
 
 class _Maps(quantization.CalibrationDataReader):
@@ -42,6 +42,7 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
     with tempfile.TemporaryDirectory() as directory:
         prepared = Path(directory) / "prepared.onnx"
         quant_pre_process(source, prepared, skip_symbolic_shape=True)
+        onnx.save(without_transposed_convolutions(onnx.load(prepared)), prepared)
         quantization.quantize_static(
             prepared,
             target,
@@ -54,6 +55,49 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
             weight_type=quantization.QuantType.QInt8,
             calibrate_method=quantization.CalibrationMethod.MinMax,
         )
+
+
+def without_transposed_convolutions(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Return a network in which each transposed convolution whose steps are as wide as its kernel is a convolution of
+    one cell whose channels then move to the finer grid: the same sums, which the runtime has in integers.
+    """
+    weights = {tensor.name: tensor for tensor in model.graph.initializer}
+    nodes: list[onnx.NodeProto] = []
+    for node in model.graph.node:
+        block = _block(node, weights)
+        nodes += [node] if block == 0 else _of_one_cell(node, weights, block)
+    del model.graph.node[:]
+    model.graph.node.extend(nodes)
+    return model
+
+
+def _block(node: onnx.NodeProto, weights: dict[str, onnx.TensorProto]) -> int:
+    """Return the width of the square kernel of a transposed convolution with steps as wide; 0 for any other node."""
+    if node.op_type != "ConvTranspose" or any(name not in weights for name in node.input[1:]):
+        return 0
+    attributes = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
+    kernel = list(weights[node.input[1]].dims[2:])
+    plain = not any(attributes.get("pads", ())) and not any(attributes.get("output_padding", ()))
+    plain &= attributes.get("group", 1) == 1 and kernel[0] == kernel[1]
+    return kernel[0] if plain and list(attributes.get("strides", ())) == kernel else 0
+
+
+def _of_one_cell(node: onnx.NodeProto, weights: dict[str, onnx.TensorProto], block: int) -> list[onnx.NodeProto]:
+    """Return a convolution and the move of its channels in place of a transposed one; changes its weights."""
+    kernel = weights[node.input[1]]
+    # [in, out, down, across] -> [out * down * across, in, 1, 1]
+    by_cell = onnx.numpy_helper.to_array(kernel).transpose(1, 2, 3, 0)
+    kernel.CopyFrom(onnx.numpy_helper.from_array(by_cell.reshape(-1, by_cell.shape[-1], 1, 1).copy(), kernel.name))
+    for bias in (weights[name] for name in node.input[2:]):
+        repeated = np.repeat(onnx.numpy_helper.to_array(bias), block**2)
+        bias.CopyFrom(onnx.numpy_helper.from_array(repeated, bias.name))
+    coarse = f"{node.output[0]}_coarse"
+    return [
+        onnx.helper.make_node("Conv", list(node.input), [coarse], name=node.name, kernel_shape=[1, 1]),
+        onnx.helper.make_node(
+            "DepthToSpace", [coarse], list(node.output), name=f"{node.name}_moved", blocksize=block, mode="CRD"
+        ),
+    ]
 
 
 def _attention(graph: onnx.GraphProto) -> list[str]:

@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.peaks import PeakParams, find_peaks, local_maxima, polar_covariance
+from models.perception.detection.peaks import PeakParams, echo_power, find_peaks, local_maxima, polar_covariance
 from msgs.values.perception import MAX_PEAKS, PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
@@ -117,3 +118,15 @@ def test_of_too_many_peaks_the_best_are_kept() -> None:
     assert len(peaks) == MAX_PEAKS
     best = np.sort(np.concatenate([noise[which][tuple(cells.T)] for which, cells in enumerate(every)]))[-MAX_PEAKS:]
     np.testing.assert_array_equal(np.sort(peaks.score), best)
+
+
+@pytest.mark.parametrize("mode", ["coherent", "photons"])
+def test_power_of_a_few_cells_is_that_of_the_map(mode: str) -> None:
+    """To the byte, whatever the number of cells and their order."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=GRID.shape) + 1j * rng.normal(size=GRID.shape)
+    ra_map = msgspec.structs.replace(flat_map(values * 10.0 ** rng.uniform(-12, 3, GRID.shape)), mode=mode)
+    power = echo_power(ra_map)
+    for shape in [(0,), (1,), (7, 3), (64,)]:
+        at = rng.integers(0, 512, shape), rng.integers(0, 256, shape)
+        np.testing.assert_array_equal(echo_power(ra_map, at), power[at])

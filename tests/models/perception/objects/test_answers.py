@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from scipy.special import logit
+from scipy.ndimage import maximum_filter
+from scipy.special import expit, logit
 
 from models.perception.objects.answers import (
     ANSWERS,
@@ -131,3 +132,19 @@ def test_an_answer_of_nothing_is_nothing() -> None:
     loud = np.full_like(answer, 20.0)
     none = hypotheses(walls().take(np.zeros(0, int)))
     assert len(detections(loud, none, GRID, walls().take(np.zeros(0, int)), 0.05)) == 0
+
+
+@pytest.mark.parametrize("threshold", [0.05, 0.3, 1.0])
+def test_reports_are_the_likeliest_among_their_neighbours(threshold: float) -> None:
+    """The plain form takes the probabilities of all cells; equal ones and certain ones count alike."""
+    found = hypotheses(walls())
+    shape = found.wall.shape
+    answer = np.zeros((HYPOTHESES, ANSWERS, *shape[1:]), np.float32)
+    answer[:, 0] = np.round(np.random.default_rng(0).normal(-4.0, 20.0, shape))
+    got = detections(answer.reshape(-1, *shape[1:]), found, GRID, walls(), threshold)
+    probability = np.where(found.wall >= 0, expit(answer[:, 0].astype(np.float64)), 0.0)
+    highest = maximum_filter(probability, (1, 3, 3), mode="constant")
+    wanted = probability[(probability >= threshold) & (probability == highest)]
+    assert len(got) > 1
+    assert set(got.score) <= set(wanted)
+    assert got.score[0] == wanted.max()

@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.objects.hypotheses import FEATURES, SINGLES
-from tests.models.perception.objects.object_scenes import ACROSS, ALONG, cell, centre, hypotheses, walls
+from models.perception.geometry.mirrors import RADAR, WallArrays, hits
+from models.perception.objects.hypotheses import (
+    CUT_DEPTH_M,
+    FAR_M,
+    FEATURES,
+    PLACE_M,
+    SINGLES,
+    TRIM_M,
+    VEHICLE_LENGTH_M,
+)
+from models.physics.plane import segment_distance_m
+from tests.models.perception.objects.object_scenes import ACROSS, ALONG, GRID, cell, centre, hypotheses, walls
 
 
 def feature(name: str) -> int:
@@ -98,3 +108,51 @@ def test_without_a_wall_there_is_no_hypothesis() -> None:
     found = hypotheses(walls().take(np.zeros(0, int)))
     assert (found.wall == -1).all()
     assert not found.features.any()
+
+
+def random_walls(seed: int, count: int = 9) -> WallArrays:
+    """Walls anywhere before the radar, short and long, facing it."""
+    rng = np.random.default_rng(seed)
+    a = np.stack([rng.uniform(2.0, 50.0, count), rng.uniform(-30.0, 30.0, count)], axis=1)
+    b = a + rng.uniform(-15.0, 15.0, (count, 2))
+    normal = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1) / np.linalg.norm(b - a, axis=1)[:, None]
+    normal *= -np.sign(np.sum(normal * a, axis=1))[:, None]
+    nothing = np.zeros(count)
+    return WallArrays(normal, -np.sum(normal * a, axis=1), a, b, nothing, nothing, nothing)
+
+
+def is_free(origin_m: np.ndarray, end_m: np.ndarray, walls: WallArrays, own: int = -1) -> bool:
+    """Whether no long wall but `own` is crossed and passed by enough: the plain form, a quotient for every wall."""
+    for index, (a, b) in enumerate(zip(*walls.trimmed(TRIM_M), strict=True)):
+        if index == own or walls.length_m[index] <= VEHICLE_LENGTH_M:
+            continue
+        (rx, ry), (sx, sy), (ox, oy) = end_m - origin_m, b - a, a - origin_m
+        turn = rx * sy - ry * sx
+        along, across = (ox * sy - oy * sx) / turn, (ox * ry - oy * rx) / turn
+        if 1e-9 < along < 1.0 and 0.0 <= across <= 1.0 and abs(walls.distance_m(end_m)[index]) > CUT_DEPTH_M:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_blocks_a_segment_is_what_the_plain_form_says(seed: int) -> None:
+    """Walls that cannot block are passed over, quotients and roots left out where they decide nothing: nothing of it
+    shows."""
+    arrays = random_walls(seed)
+    found = hypotheses(arrays)
+    direction = np.stack([np.cos(GRID.azimuth_rad), np.sin(GRID.azimuth_rad)], axis=1)
+    to_wall_m = FAR_M * hits(RADAR, FAR_M * direction, arrays).along_ray
+    blocked = 0
+    for which, row, column in np.argwhere(found.wall[:SINGLES, ::5] >= 0) * [1, 5, 1]:
+        wall, values = found.wall[which, row, column], found.features[which, :, row, column]
+        mirror_m, image_m = to_wall_m[column, wall] * direction[column], GRID.range_m[row] * direction[column]
+        place_m = image_m - 2.0 * arrays.distance_m(image_m)[wall] * arrays.normal[wall]
+        np.testing.assert_allclose(PLACE_M * values[[feature("x"), feature("y")]], place_m, atol=1e-4)
+        assert values[feature("first_segment_free")] == is_free(RADAR, mirror_m, arrays, wall)
+        assert values[feature("second_segment_free")] == is_free(mirror_m, place_m, arrays, wall)
+        assert values[feature("is_hidden")] == (not is_free(RADAR, place_m, arrays))
+        nearest_m = segment_distance_m(place_m[None], arrays.a, arrays.b).min()
+        if nearest_m > 0.2:
+            assert np.exp(4.0 * values[feature("nearest_wall")]) == pytest.approx(nearest_m, rel=1e-5)
+        blocked += not values[feature("second_segment_free")]
+    assert blocked > 30

@@ -60,3 +60,11 @@ def test_walls_are_kept_in_the_odometry_frame_as_long_as_stated():
     np.testing.assert_allclose(a, [[13.0, -5.0]])
     walls.clear()
     assert len(walls.add(2_000_000_000, [], Pose2())[0]) == 0
+
+
+def test_a_radar_at_rest_is_where_each_step_ahead_would_put_it() -> None:
+    """To the byte: the least motion there is takes the way of all steps, and moves it by less than rounding."""
+    params, mounted = AppearanceParams(), Pose2(3.7, -0.4, 0.2)
+    at_rest = OdometryPose(0, Pose2(17.3, -5.1, 0.7), 0.0, 0.0)
+    least = at_rest._replace(speed_mps=5e-324)
+    np.testing.assert_array_equal(radar_ahead(at_rest, mounted, params), radar_ahead(least, mounted, params))

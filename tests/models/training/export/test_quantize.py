@@ -10,7 +10,7 @@ import torch
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.training.export.onnx import Exported, export_onnx
-from models.training.export.quantize import quantize_int8
+from models.training.export.quantize import quantize_int8, without_transposed_convolutions
 
 CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 MAPS = np.random.default_rng(0).standard_normal((4, 5, 32, 8)).astype(np.float32)
@@ -41,6 +41,28 @@ def test_int8_answers_what_fp32_answers_within_its_steps(exported: Path, quantiz
     """256 steps an activation: probabilities near 0.1 move by less than a hundredth, and by more than rounding."""
     difference = np.abs(answers(quantized) - answers(exported)).max()
     assert 1e-6 < difference < 1e-2
+
+
+def test_a_transposed_convolution_is_one_of_single_cells_moved_apart(exported: Path, tmp_path: Path) -> None:
+    """The runtime has no transposed convolution of integers. In fp32 either form gives the same sums."""
+    model = onnx.load(exported)
+    count = sum(node.op_type == "ConvTranspose" for node in model.graph.node)
+    onnx.save(without_transposed_convolutions(model), tmp_path / "net.onnx")
+    kinds = [node.op_type for node in onnx.load(tmp_path / "net.onnx").graph.node]
+    assert count == kinds.count("DepthToSpace") > 0
+    assert "ConvTranspose" not in kinds
+    np.testing.assert_allclose(answers(tmp_path / "net.onnx"), answers(exported), atol=1e-6)
+
+
+def test_nothing_between_convolutions_is_converted_back(quantized: Path) -> None:
+    """A rectifier after a convolution is the lower bound of the integers that come out of it."""
+    graph = onnx.load(quantized).graph
+    convolved = {node.output[0] for node in graph.node if node.op_type == "Conv"}
+    assert not any(convolved & set(node.input) for node in graph.node if node.op_type == "Relu")
+    rectified = {name for node in graph.node if node.op_type == "Relu" for name in node.input}
+    made_by = {name: node for node in graph.node for name in node.output}
+    before = [made_by[made_by[name].input[0]] for name in rectified if made_by[name].op_type == "DequantizeLinear"]
+    assert not any(convolved & set(node.input) for node in before)
 
 
 def test_learned_weights_are_bytes_and_attention_is_not(quantized: Path) -> None:
