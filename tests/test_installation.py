@@ -12,7 +12,6 @@ import sys
 import sysconfig
 import tomllib
 import urllib.request
-import venv
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +20,7 @@ import pytest
 
 from mirrorwave.floors import FLOORS
 from msgs.files.shipped import CHECKOUT
+from tests.installing import WITHIN, build_wheels, install, lend_kernels, make_environment, uninstall
 
 #: Needed by others at run time, imported by none of ours: uvicorn takes it for web sockets.
 INDIRECT = {"websockets"}
@@ -41,12 +41,15 @@ OPTIONAL = {
 }
 
 
+#: A module whose kernels the installation compiles and keeps itself; the others' are lent.
+COMPILED = "models/perception/forming/slow_time_sums.py"
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of the checkout, built without the network."""
+    """The wheel of the checkout."""
     folder = tmp_path_factory.mktemp("wheel")
-    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*pip, "--wheel-dir", str(folder), str(CHECKOUT)], check=True, capture_output=True)
+    build_wheels([CHECKOUT], folder)
     (made,) = folder.glob("*.whl")
     return made
 
@@ -55,17 +58,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A virtual environment with other people's `models` and `nodes`, and the wheel installed; then uninstalled."""
     folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, with_pip=False, symlinks=True)
-    packages = next(folder.glob("lib/python*/site-packages"))
+    packages = make_environment(folder)
     for name in ("models", "nodes"):
         (packages / name).mkdir()
         (packages / name / "__init__.py").write_text(f"OWNER = 'somebody else, {name}'\n")
     before = files_of(packages)
-    pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python")]
-    subprocess.run([*pip, "install", "--quiet", "--no-deps", "--no-index", str(wheel)], check=True)
+    install(folder, [wheel])
     assert before.items() <= files_of(packages).items()
+    lend_kernels(packages, but=[COMPILED])
     yield folder
-    subprocess.run([*pip, "uninstall", "--quiet", "--yes", "mirrorwave"], check=True)
+    uninstall(folder, "mirrorwave")
     assert files_of(packages) == before
 
 
@@ -114,7 +116,7 @@ def test_it_runs_in_a_folder_of_somebody_elses_models(environment: Path, tmp_pat
 
 @pytest.mark.slow
 def test_the_sample_is_processed_and_shown_anywhere(environment: Path, tmp_path: Path) -> None:
-    """One command, no data: results and the page, which Ctrl-C ends."""
+    """One command, no data: results and the page, which Ctrl-C ends; kernels are kept with the installation."""
     command = [str(environment / "bin" / "mirrorwave"), "process", "--sample", "--view", "--no-browser", "--port", "0"]
     variables = {**os.environ, "PYTHONPATH": sysconfig.get_path("purelib"), "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, cwd=tmp_path, env=variables, stdout=subprocess.PIPE, text=True) as process:
@@ -131,6 +133,8 @@ def test_the_sample_is_processed_and_shown_anywhere(environment: Path, tmp_path:
     assert process.returncode == 0
     results = {path.name for path in (tmp_path / "out" / "side_street").iterdir()}
     assert results == {"objects.jsonl", "tracks.jsonl", "timing.jsonl", "bev.png", "view.mcap"}
+    (module,) = environment.glob(f"lib/python*/site-packages/{WITHIN / COMPILED}")
+    assert [*module.parent.glob(f"__pycache__/{module.stem}.*.nbc")]
 
 
 def test_it_uses_its_own_floors_and_leaves_those_of_others(environment: Path, tmp_path: Path) -> None:

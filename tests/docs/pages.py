@@ -70,15 +70,23 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^mirrorwave launch (launch/two_hosts_\S+).*$", r"mirrorwave graph \1"),
     (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 2\2"),
     # a LiDAR has no chirps
-    (r"^mirrorwave launch (launch/corner(?!_spad)\S*)(.*)$", r"mirrorwave launch \1 -p player.chirps_per_beam=8\2"),
+    (
+        r"^mirrorwave launch (launch/(?:corner(?!_spad)|side_street)\S*)(.*)$",
+        r"mirrorwave launch \1 -p player.chirps_per_beam=8\2",
+    ),
+    # three scans go through it; what is recorded is read afterwards, on a machine with much else to do
+    (r"^(mirrorwave launch (?!.*--record).*--duration) 2", r"\1 1"),
     (r"^mirrorwave top( --once)?$", "mirrorwave top --once --window 1"),
     (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
     (r"--count \d+", "--count 8"),
+    # drives, which are many scans each; no page trains on them
+    (r"^(mirrorwave sim dataset .*--count) 8 (--motion .*)$", r"\1 2 \2"),
     (r"^(mirrorwave topic echo .*)--count 8", r"\1--count 2"),
     # a thin wall of a light material takes few cells
     (r"^mirrorwave sim wall --plot", "mirrorwave sim wall --material wood --thickness-mm 20 --plot"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
+    (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
     # the network of one short epoch finds nothing to learn from
     (r"^(mirrorwave train residual .*) --model net.onnx$", r"\1 --epochs 1 --model models/weights/compact_unet.onnx"),
     # whether a budget can be held is a matter of the machine
@@ -289,7 +297,7 @@ class Runner:
         verb = words[1] if words[0] == "mirrorwave" else ""
         if _serves_page(words):
             command += " --no-browser --port 0"
-        process = self._popen(command.replace("--duration 2", ""))
+        process = self._popen(re.sub(r"--duration \d+", "", command))
         self._background.append(process)
         if verb == "launch":
             # without a source there are no views until `bag play` sends beams

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import sysconfig
 import tempfile
-import venv
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import pytest
 
 from msgs.files.shipped import CHECKOUT
 from msgs.recording.mcap import RecordingReader
+from tests.installing import build_wheels, install, lend_kernels, make_environment
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow]
 EXAMPLES = CHECKOUT / "examples"
@@ -23,15 +22,12 @@ EXAMPLES = CHECKOUT / "examples"
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A virtual environment with the wheels of mirrorwave and of both example packages, built without the network."""
+    """A virtual environment with the wheels of mirrorwave and of both example packages."""
     wheels, folder = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("environment")
-    pip = [sys.executable, "-m", "pip"]
-    build = [*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(wheels)]
-    for source in (CHECKOUT, EXAMPLES / "my_radar", EXAMPLES / "my_effect"):
-        subprocess.run([*build, str(source)], check=True, capture_output=True)
-    venv.create(folder, with_pip=False, symlinks=True)
-    target = [*pip, "--python", str(folder / "bin" / "python"), "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*target, *map(str, wheels.glob("*.whl"))], check=True)
+    build_wheels([CHECKOUT, EXAMPLES / "my_radar", EXAMPLES / "my_effect"], wheels)
+    packages = make_environment(folder)
+    install(folder, wheels.glob("*.whl"))
+    lend_kernels(packages)
     return folder
 
 

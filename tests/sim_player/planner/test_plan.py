@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import msgspec
@@ -53,19 +54,24 @@ def reason(plan: Plan, name: str) -> str:
     return next(effect for effect in plan.effects if effect.name == name).reason
 
 
+@functools.lru_cache(maxsize=4)
+def everything_of(asked: Scene, seed: int) -> tuple[Plan, np.ndarray, np.ndarray]:
+    """All effects of a scene: their plan, its profiles with noise, and the rms of that; what plans are held against."""
+    setup, front_end = asked.setup, asked.radar.front_end
+    plan = manual_plan(prepare(asked, seed), setup)
+    density = noise_density_mw(setup, np.arange(512), plan.signal, front_end)
+    rms = np.sqrt(density * window_noise_gain("hann"))
+    return plan, clean_profiles(plan, setup, seed) + noise_profiles(setup, seed, plan.signal, front_end), rms
+
+
 def off(asked: Scene, plan: Plan, seed: int, profiles: Callable[..., np.ndarray] = planned_profiles) -> float:
     """The law's ratio in the plan's worst cell of beams and map, same noise."""
     setup, front_end = asked.setup, asked.radar.front_end
-    everything = manual_plan(prepare(asked, seed), setup)
-    maps = [
-        part(one, setup, seed) + noise_profiles(setup, seed, one.signal, front_end)
-        for one, part in ((everything, clean_profiles), (plan, profiles))
-    ]
-    density = noise_density_mw(setup, np.arange(512), everything.signal, front_end)
-    rms = np.sqrt(density * window_noise_gain("hann"))
+    everything, wanted, rms = everything_of(asked, seed)
+    found = profiles(plan, setup, seed) + noise_profiles(setup, seed, plan.signal, front_end)
     cells = cells_of(setup)
     mask = cells.asked(setup, plan.purpose, everything.paths, rms)
-    return float(cells.off(maps[0], maps[1], rms, plan.purpose, mask).max())
+    return float(cells.off(wanted, found, rms, plan.purpose, mask).max())
 
 
 @pytest.mark.slow
