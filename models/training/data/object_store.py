@@ -18,7 +18,7 @@ from models.training.data.samples import Perturbation, perturb_scan, standing
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.array_table import ArrayTable
-from msgs.values.environment import PriorWall
+from msgs.values.environment import MAX_WALL_DISTANCE_M, PriorWall
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
 
@@ -117,12 +117,20 @@ def drawn_walls(frame: Frame, rng: np.random.Generator) -> Sequence[PriorWall]:
     if kind < EXACT_WALLS_SHARE + MAP_WALLS_SHARE + MISPLACED_WALLS_SHARE:
         x_m, y_m, turn = rng.standard_normal(3)
         pose = Pose2(MISPLACED_STD_M * x_m, MISPLACED_STD_M * y_m, MISPLACED_STD_RAD * turn)
-        return [_moved(wall, pose) for wall in frame.walls]
+        return [_with_ends(wall, ends_m) for wall, ends_m in _moved(frame.walls, pose)]
     return ()
 
 
-def _moved(wall: PriorWall, pose: Pose2) -> PriorWall:
-    (ax, ay), (bx, by) = pose.apply(np.array(wall.ends_m)).tolist()
+def _moved(walls: Sequence[PriorWall], pose: Pose2) -> Iterator[tuple[PriorWall, np.ndarray]]:
+    """Yield walls with their ends [2, 2] about another place, those left out that a message cannot hold there."""
+    for wall in walls:
+        ends_m = pose.apply(np.array(wall.ends_m))
+        if np.abs(ends_m).max() <= MAX_WALL_DISTANCE_M:
+            yield wall, ends_m
+
+
+def _with_ends(wall: PriorWall, ends_m: np.ndarray) -> PriorWall:
+    (ax, ay), (bx, by) = ends_m.tolist()
     return msgspec.structs.replace(wall, ends_m=((ax, ay), (bx, by)))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -25,11 +27,14 @@ from models.training.data.object_store import (
     stored_sample,
 )
 from models.training.data.samples import Perturbation, perturb_scan, standing
+from msgs.values.environment import MAX_WALL_DISTANCE_M
 from msgs.values.radar import RadarSetup
 from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
 
 ENCODING = ObjectEncoding()
+#: As far away as a message can say: moved, some are farther.
+FAR_ENDS_M = ((MAX_WALL_DISTANCE_M, -5.0), (MAX_WALL_DISTANCE_M, 5.0))
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +159,9 @@ def test_what_is_known_of_walls_is_drawn(places: DataSet) -> None:
     ]
     np.testing.assert_allclose(shares, [EXACT_WALLS_SHARE, MAP_WALLS_SHARE, MISPLACED_WALLS_SHARE], atol=0.05)
     moved = next(walls for walls in drawn if walls and walls is not frame.walls and walls is not frame.map_walls)
+    far = replace(frame, walls=tuple(msgspec.structs.replace(wall, ends_m=FAR_ENDS_M) for wall in frame.walls))
+    ends_m = [wall.ends_m for _ in range(100) for wall in drawn_walls(far, rng)]
+    assert np.abs(ends_m).max() <= MAX_WALL_DISTANCE_M
     lengths = [[np.hypot(*np.subtract(*wall.ends_m)) for wall in walls] for walls in (moved, frame.walls)]
     np.testing.assert_allclose(*lengths)
 
