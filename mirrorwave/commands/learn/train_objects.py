@@ -55,11 +55,13 @@ def objects(
     from rich.progress import Progress
 
     from mirrorwave.plots.training_curves import draw_object_curves
+    from models.networks.object_unet import ObjectUNet
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.encoding import ObjectEncoding
     from models.perception.objects.predictor import load_object_card
     from models.training.data.frames import DataSet
     from models.training.export.objects import export_objects_run
+    from models.training.exported_weights import load_exported
     from models.training.ranks import joined_ranks
     from models.training.run_folder import adopt_config
     from models.training.schedules import ScheduleConfig
@@ -87,6 +89,9 @@ def objects(
         },
     )
     _check_data(scenes, judges)
+    if start is not None:
+        # samples take long to make: a file that no training can go on from is refused before
+        load_exported(ObjectUNet(config.network), start)
     adopt_config(out, config)
     maker = _Maker(detector, config.encoding)
     with Progress(console=Console(stderr=True)) as progress, joined_ranks() as ranks:

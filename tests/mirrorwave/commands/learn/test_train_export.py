@@ -8,11 +8,13 @@ import pytest
 
 from mirrorwave.commands.learn.export import export
 from mirrorwave.commands.learn.train import dense
+from mirrorwave.commands.learn.train_objects import objects
 from models.perception.detection.onnx_model import DensePredictor
 from models.perception.objects.predictor import DEFAULT_OBJECTS, ObjectPredictor, load_object_card
 from models.training.data.frames import fixed_splits
 from models.training.data.xradarnlos import POINTS_FOLDER, REAL_RANGE_M, SPECTRUM, grid_of, import_folder
 from models.training.train_dense import load_best
+from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
 
 
@@ -88,3 +90,12 @@ def test_an_object_network_in_whole_numbers_answers_as_the_exact_one(
 def test_an_exported_network_is_exported_again_in_whole_numbers_alone(precision: str, data: Path | None) -> None:
     with pytest.raises(ValueError, match=r"object_unet\.onnx: an exported network takes --precision int8 and --data"):
         export(DEFAULT_OBJECTS, Path("out.onnx"), data=data, precision=precision)  # type: ignore[arg-type]
+
+
+def test_a_start_in_whole_numbers_is_refused_before_samples_are_made(tmp_path: Path) -> None:
+    for name, seed in (("data", 1), ("validation", 2)):
+        write_dataset(tmp_path / name, 1, seed, Recipe(effects="basic", truth=True))
+    start = DEFAULT_OBJECTS.with_suffix(".int8.onnx")
+    with pytest.raises(ValueError, match=r"object_unet\.int8\.onnx: start must be an object network of this shape"):
+        objects([tmp_path / "data"], [tmp_path / "validation"], tmp_path / "run", start=start)
+    assert not (tmp_path / "run").exists()
