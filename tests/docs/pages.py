@@ -74,8 +74,6 @@ SHORTER: tuple[tuple[str, str], ...] = (
         r"^mirrorwave launch (launch/(?:corner(?!_spad)|side_street)\S*)(.*)$",
         r"mirrorwave launch \1 -p player.chirps_per_beam=8\2",
     ),
-    # three scans go through it; what is recorded is read afterwards, on a machine with much else to do
-    (r"^(mirrorwave launch (?!.*--record).*--duration) 2", r"\1 1"),
     (r"^mirrorwave top( --once)?$", "mirrorwave top --once --window 1"),
     (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
     (r"--count \d+", "--count 8"),
