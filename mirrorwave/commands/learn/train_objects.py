@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from models.perception.objects.encoding import ObjectEncoding
     from models.training.data.frames import DataSet
     from models.training.data.object_samples import SampleMaker
-    from models.training.train_objects import ObjectEpoch, ObjectTraining
+    from models.training.train_objects import ObjectEpoch, ObjectRunConfig, ObjectTraining
 
 #: In the run folder: network with its card, curves as a picture, samples of training and validation.
 MODEL_FILE = "object_unet.onnx"
@@ -55,13 +55,11 @@ def objects(
     from rich.progress import Progress
 
     from mirrorwave.plots.training_curves import draw_object_curves
-    from models.networks.object_unet import ObjectUNet
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.encoding import ObjectEncoding
     from models.perception.objects.predictor import load_object_card
     from models.training.data.frames import DataSet
     from models.training.export.objects import export_objects_run
-    from models.training.exported_weights import load_exported
     from models.training.ranks import joined_ranks
     from models.training.run_folder import adopt_config
     from models.training.schedules import ScheduleConfig
@@ -89,9 +87,7 @@ def objects(
         },
     )
     _check_data(scenes, judges)
-    if start is not None:
-        # samples take long to make: a file that no training can go on from is refused before
-        load_exported(ObjectUNet(config.network), start)
+    _check_start(start, config)
     adopt_config(out, config)
     maker = _Maker(detector, config.encoding)
     with Progress(console=Console(stderr=True)) as progress, joined_ranks() as ranks:
@@ -118,6 +114,15 @@ def _check_data(scenes: Sequence[DataSet], judges: Sequence[DataSet]) -> None:
             raise ValueError(f"{data.directory}: radar and grid must be those of {first.directory}")
     for train, judge in product(scenes, judges):
         refuse_shared_places(train, judge)
+
+
+def _check_start(start: Path | None, config: ObjectRunConfig) -> None:
+    """Refuse a file that no training can go on from before samples are made, which takes long."""
+    from models.networks.object_unet import ObjectUNet
+    from models.training.exported_weights import load_exported
+
+    if start is not None:
+        load_exported(ObjectUNet(config.network), start)
 
 
 class _Maker(NamedTuple):
