@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +61,9 @@ def freeze_norms(network: nn.Module) -> None:
 
 def _convolutions(network: ObjectUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
     """Return convolutions with their norms, in the order in which they are passed."""
-    pairs: list[nn.Module] = []
-    for encode, down in zip(network.encode, network.down, strict=True):
-        pairs += [encode, down]
-    layers = [layer for part in (network.stem, *pairs, network.decode, network.head[0]) for layer in part.modules()]
+    ways_down = chain.from_iterable(zip(network.encode, network.down, strict=True))
+    parts = (network.stem, *ways_down, network.decode, network.head[0])
+    layers = [layer for part in parts for layer in part.modules()]
     convolutions = [layer for layer in layers if isinstance(layer, nn.Conv2d)]
     norms = [layer for layer in layers if isinstance(layer, nn.BatchNorm2d)]
     return zip(convolutions, norms, strict=True)

@@ -117,21 +117,17 @@ def drawn_walls(frame: Frame, rng: np.random.Generator) -> Sequence[PriorWall]:
     if kind < EXACT_WALLS_SHARE + MAP_WALLS_SHARE + MISPLACED_WALLS_SHARE:
         x_m, y_m, turn = rng.standard_normal(3)
         pose = Pose2(MISPLACED_STD_M * x_m, MISPLACED_STD_M * y_m, MISPLACED_STD_RAD * turn)
-        return [_with_ends(wall, ends_m) for wall, ends_m in _moved(frame.walls, pose)]
+        return list(_moved(frame.walls, pose))
     return ()
 
 
-def _moved(walls: Sequence[PriorWall], pose: Pose2) -> Iterator[tuple[PriorWall, np.ndarray]]:
-    """Yield walls with their ends [2, 2] about another place, those left out that a message cannot hold there."""
+def _moved(walls: Sequence[PriorWall], pose: Pose2) -> Iterator[PriorWall]:
+    """Yield walls about another place, those left out that a message cannot hold there."""
     for wall in walls:
         ends_m = pose.apply(np.array(wall.ends_m))
         if np.abs(ends_m).max() <= MAX_WALL_DISTANCE_M:
-            yield wall, ends_m
-
-
-def _with_ends(wall: PriorWall, ends_m: np.ndarray) -> PriorWall:
-    (ax, ay), (bx, by) = ends_m.tolist()
-    return msgspec.structs.replace(wall, ends_m=((ax, ay), (bx, by)))
+            (ax, ay), (bx, by) = ends_m.tolist()
+            yield msgspec.structs.replace(wall, ends_m=((ax, ay), (bx, by)))
 
 
 def stored_sample(frame: Frame, maker: SampleMaker, known_walls: Sequence[PriorWall] = ()) -> StoredSample:
