@@ -7,8 +7,9 @@ and in brackets proportional (a page that several share counts once) and what no
 
 The others: resident memory of one node over hours of its own clock, as fast as it steps.
 `player`: the soak's scene with short beams (4 chirps). `recorder`: a map, peaks, a view, 15 vehicle states and 5
-heartbeats a scan into parts of 300 s, two of which are kept. Resident memory every ten minutes of that clock, in MiB.
-Usage: python -m benchmarks.live.node_memory player|recorder [--hours 2]
+heartbeats a scan into parts of 300 s, two of which are kept. `viewer`: the same messages, and no page. Resident memory
+every ten minutes of that clock, in MiB.
+Usage: python -m benchmarks.live.node_memory player|recorder|viewer [--hours 2]
        python -m benchmarks.live.node_memory stopped [--launch FILE]
        python -m benchmarks.live.node_memory graph [--launch FILE] [--after 60] [--group PROCESS=NODE,NODE]
 """
@@ -34,7 +35,8 @@ from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
-from nodes import player, recorder
+from nodes import bev_viewer, player, recorder
+from nodes.node import Node
 from nodes.process.memory import Mapping, mappings
 from tests.fuzz.cases import peaks, ra_map, view
 
@@ -60,7 +62,16 @@ def play(folder: Path) -> Iterator[int]:
 
 def record(folder: Path) -> Iterator[int]:
     """Hand a recorder scan after scan; its clock."""
-    node = recorder.create(recorder.Params(path=str(folder / "a.mcap"), split_s=300.0, max_parts=2))
+    return take_scans(recorder.create(recorder.Params(path=str(folder / "a.mcap"), split_s=300.0, max_parts=2)))
+
+
+def show(folder: Path) -> Iterator[int]:
+    """Hand a viewer scan after scan; its clock."""
+    return take_scans(bev_viewer.create(bev_viewer.Params(port=0)))
+
+
+def take_scans(node: Node) -> Iterator[int]:
+    """Hand a node the messages of scan after scan; its clock."""
     sent: Counter[tuple[str, str]] = Counter()
     status = NodeStatus(stamp_ns=0, node="a", pid=1, state=NodeState.READY, uptime_s=1.0, cpu_s=1.0, resident_bytes=1)
     now_ns = START_NS
@@ -92,7 +103,7 @@ def _received(
     return Received(topic, message, envelope)
 
 
-WORK: dict[str, Callable[[Path], Iterator[int]]] = {"player": play, "recorder": record}
+WORK: dict[str, Callable[[Path], Iterator[int]]] = {"player": play, "recorder": record, "viewer": show}
 
 
 def resident_mib(name: str, hours: float) -> list[float]:

@@ -33,8 +33,8 @@ from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, P
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by the walls of earlier scans.
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
-#: Walls and direct returns of a scan -> its hidden objects, in place of clusters of folded positions.
-ObjectJudge = Callable[[list[Wall], DirectReturns], tuple[HiddenObject, ...]]
+#: Walls and direct returns of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
+ObjectJudge = Callable[[list[Wall], DirectReturns], Callable[[], tuple[HiddenObject, ...]]]
 
 
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -80,9 +80,18 @@ def fold_scan(
 
     Raises `ValueError` for more than `MAX_PEAKS`.
     """
-    if len(peaks) > MAX_PEAKS:
-        raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
-    returns, walls = direct_structure(peaks, params, wall_prior)
+    return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual, confidence)
+
+
+def _folded(
+    peaks: Peaks,
+    params: GeometryParams,
+    returns: DirectReturns,
+    walls: list[Wall],
+    residual: Residual | None,
+    confidence: Confidence | None,
+) -> FoldedScan:
+    """Fold the images of a scan whose walls are known."""
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
@@ -104,17 +113,21 @@ def recover_bev(
     added by `ScanMemory`.
     """
     params = heeding(params, peaks.sensor)
-    scan = fold_scan(peaks, params, residual, confidence, wall_prior)
+    returns, walls = direct_structure(peaks, params, wall_prior)
+    # a network judges in a thread of its own, while the rest of the view is made
+    objects = judge(walls, returns) if judge else None
+    scan = _folded(peaks, params, returns, walls, residual, confidence)
     hidden = scan.recovered.take(scan.hidden)
+    visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
         walls=tuple(scan.walls),
         points=hidden.as_hidden_points(),
-        objects=judge(scan.walls, scan.returns) if judge else form_objects(hidden, scan.walls, params.objects),
+        objects=form_objects(hidden, scan.walls, params.objects) if objects is None else objects(),
         los_points_m=scan.returns.points_m.astype(np.float32),
         grid=params.grid,
-        visibility=observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility),
+        visibility=visibility,
         visibility_rcs_dbsm=params.visibility.rcs_dbsm,
         settled_stamp_ns=peaks.settled_stamp_ns,
         flags=condition_flags(peaks),
@@ -139,7 +152,12 @@ def heeding(params: GeometryParams, sensor: SensorLimits | None) -> GeometryPara
 def direct_structure(
     peaks: Peaks, params: GeometryParams, wall_prior: WallPrior | None = None
 ) -> tuple[DirectReturns, list[Wall]]:
-    """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
+    """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans.
+
+    Raises `ValueError` for more than `MAX_PEAKS`.
+    """
+    if len(peaks) > MAX_PEAKS:
+        raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
     direct = peaks.path_class == PathClass.LOS
     range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
     points_m = xy_from_polar(range_m, azimuth_rad)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -116,29 +119,36 @@ class ObjectPredictor:
         )
         peaks = made_up_peaks()
         returns, walls = direct_structure(peaks, GeometryParams(walls=self.card.encoding.walls))
-        self.objects(silent, peaks, walls, returns)
+        self.judge(silent, peaks, walls, returns)()
 
-    def objects(
+    def judge(
         self,
         ra_map: RangeAzimuthMap,
         peaks: Peaks,
         walls: list[Wall],
         returns: DirectReturns,
         moving: bool = False,
-    ) -> tuple[HiddenObject, ...]:
-        """Return the hidden objects of a scan, likeliest first; scores are probabilities where the card says how, of a
-        vehicle that is `moving` or not.
+    ) -> Callable[[], tuple[HiddenObject, ...]]:
+        """Let the network begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        Raises `ValueError` for a map that does not suit the network.
+        Scores are probabilities where the card says how, of a vehicle that is `moving` or not. The network runs in a
+        thread of its own, beside what the caller does until it waits.
+
+        Raises `ValueError` for a map that does not suit the network, and for answers that are not finite.
         """
         if not self.suits(ra_map):
             raise ValueError(f"map.grid must be the {self.card.name} card's, got {ra_map.grid} of {ra_map.mode}")
         cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
+        answer = _begun(partial(self.answer, cells))
         table = self.card.calibration_of(moving)
         least = score_of(table, self.threshold)
-        reports = detections(self.answer(cells), hypotheses, self.card.encoding.cells, wall_arrays(walls), least)
-        reports = replace(reports, score=calibrated(table, reports.score))
-        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
+
+        def objects() -> tuple[HiddenObject, ...]:
+            reports = detections(answer(), hypotheses, self.card.encoding.cells, wall_arrays(walls), least)
+            reports = replace(reports, score=calibrated(table, reports.score))
+            return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
+
+        return objects
 
     def answer(self, cells: np.ndarray) -> np.ndarray:
         """Return the network's answer to one input [channels, rows, columns]."""
@@ -163,3 +173,14 @@ class ObjectPredictor:
         actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
         if actual != expected:
             raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")
+
+
+def _begun(work: Callable[[], np.ndarray]) -> Callable[[], np.ndarray]:
+    """Begin `work` in a thread of its own; the function returned waits for its answer, or raises its error.
+
+    A pool is as short-lived as its thread, which a process that is forked later would lack.
+    """
+    pool = ThreadPoolExecutor(1, "object-network")
+    future = pool.submit(work)
+    pool.shutdown(wait=False)
+    return future.result

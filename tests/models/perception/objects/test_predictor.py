@@ -92,7 +92,33 @@ def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Pat
 def test_a_map_that_does_not_suit_is_refused(network: Path) -> None:
     returns, walls = direct_structure(made_up_peaks(), GeometryParams())
     with pytest.raises(ValueError, match=r"map\.grid must be the by_hand card's"):
-        ObjectPredictor(network).objects(empty_map(mode="photons"), made_up_peaks(), walls, returns)
+        ObjectPredictor(network).judge(empty_map(mode="photons"), made_up_peaks(), walls, returns)
+
+
+def test_scans_are_judged_beside_each_other(network: Path) -> None:
+    """A scan that waits for its objects gets its own, whatever was begun meanwhile, as often as it asks."""
+    predictor, (returns, walls) = ObjectPredictor(network), direct_structure(made_up_peaks(), GeometryParams())
+    later = msgspec.structs.replace(made_up_peaks(), range_m=made_up_peaks().range_m + 3.0)
+    alone = [predictor.judge(empty_map(), peaks, walls, returns)() for peaks in (made_up_peaks(), later)]
+    begun = [predictor.judge(empty_map(), peaks, walls, returns) for peaks in (made_up_peaks(), later)]
+    assert [objects() for objects in reversed(begun)] == alone[::-1]
+    assert begun[0]() == alone[0] != alone[1]
+
+
+def test_what_fails_beside_the_scan_is_raised_where_it_waits(network: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    predictor = ObjectPredictor(network)
+
+    def fail(cells: np.ndarray) -> np.ndarray:
+        raise ValueError("answers must be finite")
+
+    monkeypatch.setattr(predictor, "answer", fail)
+    returns, walls = direct_structure(made_up_peaks(), GeometryParams())
+    begun = predictor.judge(empty_map(), made_up_peaks(), walls, returns)
+    with pytest.raises(ValueError, match="answers must be finite"):
+        begun()
+    # the next scan is judged again
+    monkeypatch.undo()
+    assert ViewStage(predictor=predictor).view(made_up_peaks(), empty_map()).objects
 
 
 def test_objects_have_the_time_of_their_own_column(network: Path) -> None:
