@@ -93,6 +93,8 @@ class _Watched:
         self.restarts: deque[float] = deque()
         #: Last error it reported itself, and the reason for which the supervisor killed it.
         self.reason = self.killed_for = ""
+        #: Whether it has said what it ends of: what members of its group say after that is no reason.
+        self.has_failed = False
 
     def recent_restarts(self, now_s: float) -> int:
         while self.restarts and self.restarts[0] <= now_s - self.entry.restart.window_s:
@@ -101,10 +103,15 @@ class _Watched:
 
     def start(self, name: str, run_dir: Path, now_s: float, server: ForkServer | None) -> None:
         self.phase, self.started_s = Phase.STARTING, now_s
-        self.reason = self.killed_for = ""
+        self.reason, self.killed_for, self.has_failed = "", "", False
         self.ready.clear()
         self.heard(now_s)
         self.child = Child(name, self.entry, run_dir, server)
+
+    def report(self, reason: str, is_last: bool = False) -> None:
+        """Take in an error of its own; after one of which it ends none counts any more."""
+        if reason and not self.has_failed:
+            self.reason, self.has_failed = reason, is_last
 
     def kill(self) -> None:
         if self.child is not None:
@@ -279,7 +286,7 @@ class Supervisor:
             if node.is_said:
                 self._say("info", f"{status.node} answers again after {now_s - node.heard_s:.1f} s")
             node.heard(now_s, status.node)
-            node.reason = status.reason or node.reason
+            node.report(status.reason)
 
     def _read_output(self) -> None:
         for name, node in self._nodes.items():
@@ -291,7 +298,7 @@ class Supervisor:
             node = self._nodes[name]
             entry = parse_line(name, line, node.members)
             if entry.get("level") in ("error", "critical"):
-                node.reason = entry["text"]
+                node.report(entry["text"], is_last=entry["level"] == "critical")
             if entry.get("state") == NodeState.READY:
                 node.ready.add(entry["node"])
                 if node.ready == node.members:

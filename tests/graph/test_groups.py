@@ -69,6 +69,19 @@ def test_a_node_that_fails_takes_its_group_down_and_all_come_back(run_dir: Path)
     assert log.count("both exited with code 1: RuntimeError: the toy is broken; restart in 0 s") == 1, said
 
 
+def test_a_group_ends_of_what_failed_first(run_dir: Path) -> None:
+    """A member that will not end with the one that failed is said, and is not the reason."""
+    log = _Log()
+    graph = launch(
+        hang={"params": {"kind": "hang"}, "hang_timeout_s": 600, "restart": {"policy": "never"}},
+        crash={"params": {"kind": "crash", "after_s": 0.3}, "hang_timeout_s": 600, "restart": {"policy": "never"}},
+    )
+    assert supervise(graph, run_dir, log).run() == 1
+    assert log.count("hang did not end with the others") == 1
+    said = [entry["text"] for entry in log.entries]
+    assert log.count("both FAILED: RuntimeError: the toy is broken") == 1, said
+
+
 def test_a_killed_group_is_back_with_all_its_nodes(run_dir: Path) -> None:
     log = _Log()
     supervisor = supervise(launch(echo={"params": {"kind": "echo"}}, tick={}), run_dir, log)
