@@ -10,7 +10,7 @@ distance capped at `CAP_M`: there, a frame with one side empty is charged the ma
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -210,18 +210,22 @@ class Estimate:
 def estimates(scores: FrameScores, weights: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Estimate]:
     """Return every measure with its interval over draws [B, F]; of the frames of a mask [F] only where one is given."""
     selected = np.ones(len(scores)) if mask is None else mask.astype(np.float64)
-    values, draws = measures(scores, selected[None]), measures(scores, weights * selected)
-    return {name: Estimate(float(values[name][0]), *_interval(draws[name])) for name in values}
+    return estimated(measures(scores, selected[None]), measures(scores, weights * selected))
 
 
 def differences(scores: FrameScores, other: FrameScores, weights: np.ndarray) -> dict[str, Estimate]:
     """Return every measure of `scores` minus that of `other`, paired: both on the same draws."""
     first, second = measures(scores), measures(other)
     first_draws, second_draws = measures(scores, weights), measures(other, weights)
-    return {
-        name: Estimate(float(first[name][0] - second[name][0]), *_interval(first_draws[name] - second_draws[name]))
-        for name in first
-    }
+    return estimated(
+        {name: first[name] - second[name] for name in first},
+        {name: first_draws[name] - second_draws[name] for name in first},
+    )
+
+
+def estimated(values: Mapping[str, np.ndarray], draws: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
+    """Return measures by name [1] with the intervals of their draws [B]."""
+    return {name: Estimate(float(value[0]), *_interval(draws[name])) for name, value in values.items()}
 
 
 def _interval(draws: np.ndarray) -> tuple[float, float]:

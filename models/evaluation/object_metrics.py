@@ -18,7 +18,7 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from models.evaluation.frame_scores import INTERVAL, Estimate
+from models.evaluation.frame_scores import INTERVAL, Estimate, estimated
 from models.evaluation.object_rows import (
     BAND_EDGES_DB,
     BANDS,
@@ -255,6 +255,49 @@ class Draws:
             ends = (math.nan if low is None else low, math.nan if high is None else high)
             estimates[f"p{100.0 * share:g}"] = Estimate(float(at[first[0]]), *ends)
         return estimates
+
+
+def object_measures(scores: ObjectScores, weights: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Return few measures that rows of a comparison share, under weights [B, P] of the places (default: each once).
+
+    Arrays [B]: `object_recall` and, of objects that one mirror shows at 25 dB, `object_recall_25_db`; `object_f1` of
+    found objects and reports; false reports and missed objects with them a scan. NaN where a draw has nothing to count.
+    """
+    weights = np.ones((1, len(scores.places))) if weights is None else weights
+    asked, found = weights @ scores.of_objects(lambda item: True), weights @ scores.of_objects(_is_found)
+    loud = weights @ scores.of_objects(_is_loud)
+    loud_found = weights @ scores.of_objects(lambda item: _is_loud(item) and _is_found(item))
+    reports, false = weights @ scores.of_reports(lambda item: 1.0), weights @ scores.of_reports(is_false)
+    scans = weights @ scores.scans_by_place
+    return {
+        "object_recall": _quotient(found, asked),
+        "object_recall_25_db": _quotient(loud_found, loud),
+        "object_f1": _quotient(2.0 * found, asked + reports),
+        "false_objects_per_scan": _quotient(false, scans),
+        "object_loss_per_scan": _quotient(asked - found + false, scans),
+    }
+
+
+def _is_loud(row: HiddenRow) -> bool:
+    return single_reaches(row, 25.0)
+
+
+def _quotient(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    return np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole > 0.0)
+
+
+def object_estimates(scores: ObjectScores, weights: np.ndarray) -> dict[str, Estimate]:
+    """Return `object_measures` with their intervals over draws [B, P] of the places."""
+    return estimated(object_measures(scores), object_measures(scores, weights))
+
+
+def object_differences(scores: ObjectScores, other: ObjectScores, weights: np.ndarray) -> dict[str, Estimate]:
+    """Return `object_measures` of `scores` minus those of `other`, paired: both on the same draws of the places."""
+    first, second = object_measures(scores), object_measures(other)
+    drawn, other_drawn = object_measures(scores, weights), object_measures(other, weights)
+    return estimated(
+        {name: first[name] - second[name] for name in first}, {name: drawn[name] - other_drawn[name] for name in first}
+    )
 
 
 def _interval(draws: np.ndarray) -> tuple[float | None, float | None]:

@@ -27,11 +27,13 @@ def tradeoff(
         "runs/tradeoff"
     ),
     networks: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Further networks: what `make results` leaves in runs/table.")
+        Path | None,
+        typer.Option(metavar="DIR", help="With rows of further networks, as `make results` leaves."),
     ] = None,
     settings: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows; default launch/tradeoff.yaml.")] = None,
     row: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Only `unfiltered` and rows of this name or switch.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles."),
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
@@ -90,14 +92,14 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
 
 
 def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
-    """The base and the rows asked for; all where none is."""
-    from mirrorwave.studies.tradeoff.settings import BASE
-
+    """The rows asked for and the profiles that they are laid over; all where none is."""
     row_names = {name for row in rows for name in (row.name, row.switch)}
     for name in names:
         if name not in row_names:
             raise ValueError(f"--row must be one of {', '.join(sorted(row_names))}, got {name!r}")
-    return [row for row in rows if not names or row.name == BASE or {row.name, row.switch} & set(names)]
+    asked = [row for row in rows if not names or {row.name, row.switch} & set(names)]
+    bases = {row.over for row in asked}
+    return [row for row in rows if row in asked or row.name in bases]
 
 
 def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:

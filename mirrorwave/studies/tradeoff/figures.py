@@ -19,12 +19,13 @@ COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b",
 
 
 def draw_front(report: Report, path: Path) -> None:
-    """Recovered F1 over median latency with the deadline; the front is joined and numbered, profiles are named."""
+    """F1 of objects over median latency with the deadline; the front is joined and numbered, profiles are named."""
     rows = [row for row in report.rows if point_of(row) is not None]
     figure = new_figure(10.0, 7.6)
     axes = figure.subplots()
+    profiles = {row.name: row for row in report.rows if row.switch == PROFILE}
     for row in rows:
-        _draw_point(axes, row)
+        _draw_point(axes, row, _colour(row, profiles.get(row.over)))
     ordered = sorted((row for row in rows if row.pareto), key=lambda row: point_of(row) or (0.0, 0.0))
     front = [point for row in ordered if (point := point_of(row))]
     for number, point in enumerate(front, 1):
@@ -42,7 +43,7 @@ def draw_front(report: Report, path: Path) -> None:
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("from the last beam to the view: median, line to the 99th percentile [ms]")
-    axes.set_ylabel("recovered places within 1 m, F1, with its 95 % interval")
+    axes.set_ylabel("hidden objects found within 1 m, and nothing else said: F1, with its 95 % interval")
     axes.set_title(f"What accuracy costs in time: {len(rows)} settings on the same {report.frames} places", loc="left")
     axes.grid(alpha=0.25, which="both")
     for part in ("forming", "detection", "geometry"):
@@ -57,11 +58,11 @@ def draw_front(report: Report, path: Path) -> None:
     save(figure, path)
 
 
-def _draw_point(axes: Axes, row: Row) -> None:
-    point, total, accuracy = point_of(row), row.end_to_end_ms, row.accuracy["recovered_f1_1m"]
+def _draw_point(axes: Axes, row: Row, colour: str) -> None:
+    point, total, accuracy = point_of(row), row.end_to_end_ms, row.accuracy["object_f1"]
     if point is None or total is None:
         return
-    profile, colour = row.switch == PROFILE, _colour(row)
+    profile = row.switch == PROFILE
     slow = total.p99 or total.p90 or point[0]
     axes.plot([point[0], slow], [point[1]] * 2, color=colour, lw=0.7, alpha=0.6)
     if accuracy.low is not None and accuracy.high is not None:
@@ -73,12 +74,15 @@ def _draw_point(axes: Axes, row: Row) -> None:
         )
 
 
-def _colour(row: Row) -> str:
-    """Return the colour of the stage that a row changes; profiles and rows that change several have their own."""
-    touched = [PART_OF[stage] for stage, params in row.params.items() if params]
+def _colour(row: Row, profile: Row | None) -> str:
+    """Return the colour of the stage that a row changes of its profile; profiles and rows that change several have
+    their own.
+    """
     if row.switch == PROFILE:
         return VERMILION
-    return COLOURS[touched[0]] if len(touched) == 1 else BLACK
+    before = {} if profile is None else profile.params
+    changed = [part for stage, part in PART_OF.items() if row.params.get(stage) != before.get(stage)]
+    return COLOURS[changed[0]] if len(changed) == 1 else BLACK
 
 
 def draw_stages(report: Report, path: Path) -> None:

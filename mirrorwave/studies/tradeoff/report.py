@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,10 @@ from mirrorwave.studies.report import (
     versions,
 )
 from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, FrameResult, Plan
-from mirrorwave.studies.tradeoff.settings import BASE, Setting
+from mirrorwave.studies.tradeoff.settings import PROFILE, Setting
 from models.evaluation.frame_scores import Estimate, FrameScores, bootstrap_weights, differences, estimates
+from models.evaluation.object_metrics import ObjectScores, object_differences, object_estimates
+from models.perception.cards import learned_path
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from nodes.dense_predictor import model_path
@@ -31,8 +34,10 @@ from nodes.geometry import confidence_paths
 
 #: A scan comes so often: a view that takes longer after the last beam is late.
 DEADLINE_MS = 300.0
+#: Measures of `models.evaluation.object_metrics` under their own names.
+OBJECTS = ("object_recall", "object_recall_25_db", "object_f1", "false_objects_per_scan", "object_loss_per_scan")
 #: Measures of `models.evaluation.frame_scores` by the names of the report.
-ACCURACY = {
+PLACES = {
     "dense_macro_f1": "dense_macro_f1",
     "recovered_f1_1m": "recovered_1m_f1",
     "recovered_chamfer_m": "recovered_chamfer_m",
@@ -48,10 +53,12 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     switch: str
     value: str
     params: dict[str, dict[str, Any]]
+    #: Profile that it is laid over and compared with.
+    over: str
     failed: str | None = None
-    #: Measures, and the differences to the base row (`unfiltered`) on the same draws.
+    #: Measures, and the differences to the row of `over` on the same draws.
     accuracy: dict[str, Interval] = {}
-    against_default: dict[str, Interval] = {}
+    against_over: dict[str, Interval] = {}
     #: Of each part of the latency and of their sum, from the arrival of the last beam to that of the view.
     stages_ms: dict[str, Times] = {}
     end_to_end_ms: Times | None = None
@@ -63,7 +70,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     deadline_misses: float | None = None
     peak_memory_mib: float | None = None
     size_bytes: int | None = None
-    #: No other row is as fast and more accurate (median latency, recovered F1 at 1 m).
+    #: No other row is as fast and more accurate (median latency, F1 of objects).
     pareto: bool = False
 
 
@@ -80,16 +87,13 @@ def make_report(plan: Plan, results: Sequence[FrameResult], memory_mib: dict[str
     """All rows of a run; `memory_mib` may lack rows."""
     weights = bootstrap_weights(len(results), DRAWS, seed=0)
     failed = {name: reason for result in results for name, reason in result.failed.items()}
-    scores = {row.name: _scores(results, row.name) for row in plan.rows if row.name not in failed}
-    reference = scores.get(BASE)
+    scores = {row.name: _Scores.of(results, row.name) for row in plan.rows if row.name not in failed}
     rows = []
     for row in plan.rows:
         if row.name in failed:
-            rows.append(
-                Row(name=row.name, switch=row.switch, value=row.value, params=row.params, failed=failed[row.name])
-            )
+            rows.append(Row(**_named(row), failed=failed[row.name]))
         else:
-            rows.append(_row(row, scores[row.name], reference, results, weights, memory_mib.get(row.name, NAN)))
+            rows.append(_row(row, scores, results, weights, memory_mib.get(row.name, NAN)))
     return Report(
         command=command,
         machine=machine(),
@@ -102,29 +106,54 @@ def make_report(plan: Plan, results: Sequence[FrameResult], memory_mib: dict[str
     )
 
 
-def _scores(results: Sequence[FrameResult], name: str) -> FrameScores:
-    counts = np.array([result.counts[name] for result in results], np.int64)
-    return FrameScores(counts, np.array([result.distances[name] for result in results], np.float64))
+@dataclass(frozen=True)
+class _Scores:
+    """Scores of one row: of places and of objects."""
+
+    places: FrameScores
+    objects: ObjectScores
+
+    @classmethod
+    def of(cls, results: Sequence[FrameResult], name: str) -> _Scores:
+        """Collect those of all frames, in order."""
+        counts = np.array([result.counts[name] for result in results], np.int64)
+        distances = np.array([result.distances[name] for result in results], np.float64)
+        return cls(FrameScores(counts, distances), ObjectScores([result.objects[name] for result in results]))
+
+    def estimates(self, weights: np.ndarray) -> dict[str, Interval]:
+        """Return all measures of the report with their intervals."""
+        return _intervals(object_estimates(self.objects, weights), estimates(self.places, weights))
+
+    def against(self, other: _Scores, weights: np.ndarray) -> dict[str, Interval]:
+        """Return the differences of all measures to those of another row."""
+        return _intervals(
+            object_differences(self.objects, other.objects, weights), differences(self.places, other.places, weights)
+        )
+
+
+def _intervals(objects: dict[str, Estimate], places: dict[str, Estimate]) -> dict[str, Interval]:
+    named = {name: objects[name] for name in OBJECTS} | {name: places[key] for name, key in PLACES.items()}
+    return {name: Interval.of(estimate) for name, estimate in named.items()}
+
+
+def _named(row: Setting) -> dict[str, Any]:
+    return {"name": row.name, "switch": row.switch, "value": row.value, "params": row.params, "over": row.over}
 
 
 def _row(
     row: Setting,
-    scores: FrameScores,
-    reference: FrameScores | None,
+    scores: Mapping[str, _Scores],
     results: Sequence[FrameResult],
     weights: np.ndarray,
     memory_mib: float,
 ) -> Row:
     times_ms = latency_ms([result.times_ms[row.name] for result in results])
     total_ms = np.sum([times_ms[part] for part in PARTS], axis=0)
-    against = {} if reference is None else _intervals(differences(scores, reference, weights))
+    own, base = scores[row.name], scores.get(row.over)
     return Row(
-        name=row.name,
-        switch=row.switch,
-        value=row.value,
-        params=row.params,
-        accuracy=_intervals(estimates(scores, weights)),
-        against_default=against,
+        **_named(row),
+        accuracy=own.estimates(weights),
+        against_over={} if base is None else own.against(base, weights),
         stages_ms={part: quantiles_ms(times_ms[part]) for part in (*PARTS, BEFORE)},
         end_to_end_ms=quantiles_ms(total_ms),
         median_ms=_median(total_ms, weights),
@@ -157,16 +186,13 @@ def _median(samples_ms: np.ndarray, weights: np.ndarray) -> Interval:
     return Interval(value=float(np.median(of_frame_ms)), low=float(low_ms), high=float(high_ms))
 
 
-def _intervals(estimates: dict[str, Estimate]) -> dict[str, Interval]:
-    return {name: Interval.of(estimates[key]) for name, key in ACCURACY.items()}
-
-
 def _size_bytes(row: Setting) -> int:
     """Files that a row's stages read."""
     dense, geometry = row.of("dense_predictor"), row.of("geometry")
     files = [None if dense.get("method") == "cfar" else model_path(dense.get("model"))]
     files += confidence_paths(geometry.get("confidence", "none"))
     files += [None if (residual := geometry.get("residual", "none")) == "none" else Path(residual)]
+    files += [None if (judge := geometry.get("object_network", "none")) == "none" else learned_path(judge, ".onnx")]
     return sum(path.stat().st_size for path in files if path is not None)
 
 
@@ -180,10 +206,10 @@ def with_front(rows: list[Row]) -> list[Row]:
 
 
 def point_of(row: Row) -> tuple[float, float] | None:
-    """Median latency in ms and recovered F1 at 1 m; None for a row without."""
+    """Median latency in ms and F1 of objects; None for a row without."""
     if row.end_to_end_ms is None or row.end_to_end_ms.p50 is None:
         return None
-    accuracy = row.accuracy["recovered_f1_1m"].value
+    accuracy = row.accuracy["object_f1"].value
     return None if accuracy is None else (row.end_to_end_ms.p50, accuracy)
 
 
@@ -194,8 +220,9 @@ def _beats(other: tuple[float, float] | None, point: tuple[float, float]) -> boo
 
 
 COLUMNS = (
-    "row", "dense F1", "recovered F1 1 m", f"against {BASE}", "Chamfer [m]", "p50 [ms]", "p90", "p99",
-    "forming", "detection", "geometry", "transport", "load", "late", "memory [MiB]", "size [KiB]", "front",
+    "row", "object F1", "against", "25 dB", "false a scan", "loss a scan", "recovered F1 1 m", "dense F1",
+    "p50 [ms]", "p90", "p99", "forming", "detection", "geometry", "transport", "load", "late", "memory [MiB]",
+    "size [KiB]", "front",
 )  # fmt: skip
 
 
@@ -204,14 +231,17 @@ def cells(row: Row) -> list[str]:
     if row.failed is not None or row.end_to_end_ms is None:
         return [row.name, f"failed: {row.failed}", *[""] * (len(COLUMNS) - 2)]
     accuracy, total = row.accuracy, row.end_to_end_ms
-    against = row.against_default.get("recovered_f1_1m")
+    against = row.against_over.get("object_f1")
     parts = [_number(row.stages_ms[part].p50, 1) for part in ("forming", "detection", "geometry", "transport")]
     return [
         row.name,
-        _with_interval(accuracy["dense_macro_f1"]),
-        _with_interval(accuracy["recovered_f1_1m"]),
-        "" if against is None or row.name == BASE else _signed(against),
-        _number(accuracy["recovered_chamfer_m"].value, 2),
+        _with_interval(accuracy["object_f1"]),
+        "" if against is None or row.switch == PROFILE else f"`{row.over}` {_signed(against)}",
+        *(
+            _number(accuracy[name].value, 2)
+            for name in ("object_recall_25_db", "false_objects_per_scan", "object_loss_per_scan")
+        ),
+        *(_number(accuracy[name].value, 3) for name in ("recovered_f1_1m", "dense_macro_f1")),
         *(_number(value, 1) for value in (total.p50, total.p90, total.p99)),
         *parts,
         _number(row.forming_load, 2),

@@ -22,16 +22,22 @@ from threadpoolctl import threadpool_limits
 
 from mirrorwave.api import scan_beams
 from mirrorwave.node_chain import SharedParts, stage_params
+from mirrorwave.studies.evaluate.objects import image_truth
 from mirrorwave.studies.evaluate.runner import answer_of, truth_of_points
 from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
+from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.detection.detectors import Detector
 from models.perception.forming.ra_former import RaFormer
-from models.perception.geometry.stage import fold_scan, recover_bev
+from models.perception.geometry.confidence import Confidence
+from models.perception.geometry.recovery import Residual
+from models.perception.geometry.stage import GeometryParams, fold_scan
+from models.perception.objects.predictor import ObjectPredictor
+from models.perception.tracking.stage import ViewStage
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
-from msgs.values.perception import Peaks
+from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.units import ns_from_s
 from nodes import dense_predictor, geometry
@@ -53,7 +59,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     frames: int
     repeats: int
     seed: int = 11
-    effects: str = "auto"
+    effects: str = "all"
 
     def __post_init__(self) -> None:
         for name in ("frames", "repeats"):
@@ -62,11 +68,14 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class FrameResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One frame: counts and distances of each row (as `FrameScores`), milliseconds of each part and repetition."""
+    """One frame: counts and distances of each row (as `FrameScores`), its objects, milliseconds of each part and
+    repetition.
+    """
 
     frame: int
     counts: dict[str, list[list[int]]]
     distances: dict[str, list[list[float]]]
+    objects: dict[str, ScanRow]
     times_ms: dict[str, dict[str, list[float]]]
     #: Rows that failed, and why in one line.
     failed: dict[str, str]
@@ -120,13 +129,55 @@ def socket_hop() -> Iterator[Hop]:
             source.close()
 
 
+@dataclass(frozen=True)
+class PlaceTruth:
+    """Truth of one place: its points, and its objects with what can be seen of each."""
+
+    points: FrameTruth
+    scene: SceneTruth
+    images: list[ImageTruth]
+
+    @classmethod
+    def of(cls, place: LabelledPlace) -> PlaceTruth:
+        """Return the truth of the first scan of a place."""
+        return cls(truth_of_place(place), place.player.truth(0), image_truth(place.player))
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """The parts of a geometry stage."""
+
+    params: geometry.Params
+    residual: Residual | None
+    confidence: Confidence | None
+    predictor: ObjectPredictor | None
+
+    @classmethod
+    def of(cls, params: geometry.Params) -> _Geometry:
+        """Load the parts; errors as the node's."""
+        _, residual, confidence = geometry.parts_of(params)
+        return cls(params, residual, confidence, geometry.predictor_of(params))
+
+    def stage(self) -> ViewStage:
+        """Return a stage that has seen nothing yet."""
+        return ViewStage(self.params, self.residual, self.confidence, self.params.memory, predictor=self.predictor)
+
+    @property
+    def folding(self) -> tuple[GeometryParams, Residual | None, Confidence | None]:
+        """Parts that fold images back: with the walls of the object network, where one judges."""
+        if self.predictor is None:
+            return self.params, self.residual, self.confidence
+        params = msgspec.structs.replace(self.params, walls=self.predictor.card.encoding.walls)
+        return params, self.residual, self.confidence
+
+
 @dataclass
 class _Stages:
     """The parts of all rows, built at first use, and why some could not be."""
 
     former: dict[str, RaFormer] = field(default_factory=dict)
     detector: dict[str, Detector] = field(default_factory=dict)
-    geometry: dict[str, tuple[Any, Any, Any]] = field(default_factory=dict)
+    geometry: dict[str, _Geometry] = field(default_factory=dict)
 
     def build(self, row: Setting) -> None:
         """Build what a row needs; raises whatever its parameters raise."""
@@ -138,7 +189,7 @@ class _Stages:
                 stage_params("dense_predictor", row.of("dense_predictor")), setup
             )
         if keys.geometry[2] not in self.geometry:
-            self.geometry[keys.geometry[2]] = geometry.parts_of(stage_params("geometry", row.of("geometry")))
+            self.geometry[keys.geometry[2]] = _Geometry.of(stage_params("geometry", row.of("geometry")))
 
 
 class Measuring:
@@ -157,19 +208,21 @@ class Measuring:
         """Scores and times of all rows on one frame."""
         place = LabelledPlace(self.plan.seed, index, self.plan.effects)
         with threadpool_limits(1, "blas"):
-            return self._measured(index, list(place.beams()), truth_of_place(place))
+            return self._measured(index, list(place.beams()), PlaceTruth.of(place))
 
-    def _measured(self, index: int, beams: list[RadarBeam], truth: FrameTruth) -> FrameResult:
+    def _measured(self, index: int, beams: list[RadarBeam], truth: PlaceTruth) -> FrameResult:
         pass_ = _Pass()
         rng = np.random.default_rng([self.plan.seed, index, 1])
         for _ in range(self.plan.repeats):
             self._repeat(pass_, beams, rng)
         variants = [variant for variant in self._variants if variant.name not in self.failed]
-        scores = {variant.name: self._scores(pass_, variant, truth) for variant in variants}
+        scores = {variant.name: self._scores(pass_, variant, truth.points) for variant in variants}
+        views = {variant.name: pass_.views[variant.geometry] for variant in variants}
         return FrameResult(
             frame=index,
             counts={name: frame_scores.counts[0].tolist() for name, frame_scores in scores.items()},
             distances={name: frame_scores.distances[0].tolist() for name, frame_scores in scores.items()},
+            objects={name: scan_row(index, view.objects, truth.scene, truth.images) for name, view in views.items()},
             times_ms={variant.name: pass_.times_of(variant) for variant in variants},
             failed=dict(self.failed),
         )
@@ -233,25 +286,28 @@ class Measuring:
         pass_.add("transport", key, self._hop("perception/peaks", peaks))
 
     def _place(self, pass_: _Pass, key: tuple[str, str, str]) -> None:
-        parts, peaks = self._stages.geometry[key[2]], pass_.peaks[key[:2]]
+        # as the node's, and without the memory of another place
+        stage, peaks = self._stages.geometry[key[2]].stage(), pass_.peaks[key[:2]]
         start_ns = time.perf_counter_ns()
-        view = recover_bev(peaks, *parts)
+        view = stage.view(peaks, pass_.maps[key[0]])
         pass_.add("geometry", key, MS_PER_NS * (time.perf_counter_ns() - start_ns))
+        pass_.views[key] = view
         pass_.add("transport", key, self._hop("perception/hidden_objects", view))
 
     def _scores(self, pass_: _Pass, variant: Variant, truth: FrameTruth) -> FrameScores:
         """Counts of one row, from the geometry's places before objects are formed of them."""
         peaks = pass_.peaks[variant.detector]
-        scan = fold_scan(peaks, *self._stages.geometry[variant.geometry[2]])
+        scan = fold_scan(peaks, *self._stages.geometry[variant.geometry[2]].folding)
         return score_frames([(answer_of(peaks, scan.recovered.points_m, scan.hidden), truth)])
 
 
 class _Pass:
-    """Results of one frame's stages: maps and peaks by key, milliseconds by part and key."""
+    """Results of one frame's stages: maps, peaks and views by key, milliseconds by part and key."""
 
     def __init__(self) -> None:
         self.maps: dict[str, RangeAzimuthMap] = {}
         self.peaks: dict[tuple[str, str], Peaks] = {}
+        self.views: dict[tuple[str, str, str], BevFrame] = {}
         self._times_ms: dict[tuple[str, Any], list[float]] = {}
 
     def add(self, part: str, key: Any, milliseconds: float) -> None:

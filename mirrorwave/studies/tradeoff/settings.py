@@ -1,4 +1,4 @@
-"""The rows of the accuracy-versus-time report: node parameters, each set laid over the profile `unfiltered`."""
+"""The rows of the accuracy-versus-time report: node parameters, each set laid over a profile."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from nodes.process.validation import convert_at, merged
 DEFAULT_SETTINGS = LAUNCH / "tradeoff.yaml"
 #: Nodes whose parameters a row may set.
 STAGES = ("ra_former", "dense_predictor", "geometry")
-#: Profile that rows are laid over and compared with: its geometry judges no place by its detector.
-BASE = "unfiltered"
+#: Profile that rows are laid over and compared with unless they name another.
+BASE = "default"
 #: Switch of the rows that are named profiles.
 PROFILE = "profile"
 #: Stands in settings for the folder of further networks.
@@ -31,6 +31,8 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     switch: str
     value: str
     params: dict[str, dict[str, Any]] = {}
+    #: Profile that they are laid over, and that the row is compared with.
+    over: str = BASE
 
     def __post_init__(self) -> None:
         unknown = self.params.keys() - set(STAGES)
@@ -52,18 +54,22 @@ class _SettingsFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -> list[Setting]:
-    """All rows: the profiles, the default first, then those of a file.
+    """All rows: the profiles, the default first, then those of a file; without `networks` none that asks for them.
 
-    Raises `ValueError` naming the file and the row where two rows share a name or one sets what no node has.
+    Raises `ValueError` naming the file and the row where two rows share a name, one sets what no node has, or is laid
+    over no profile.
     """
-    rows = [*profiles(), *convert_at(read_yaml_mapping(path), _SettingsFile, f"{path}: ").rows]
-    names = [row.name for row in rows]
+    bases = {row.value: row for row in profiles()}
+    own = convert_at(read_yaml_mapping(path), _SettingsFile, f"{path}: ").rows
+    names = [row.name for row in (*bases.values(), *own)]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{path}: rows must differ in name, got {name!r} twice")
-    folder = "" if networks is None else str(networks)
-    base = next(row for row in rows if row.name == BASE)
-    return [_laid_over(base, row, folder) for row in rows]
+    for row in own:
+        if row.over not in bases:
+            raise ValueError(f"{path}: {row.name}: over must be one of {', '.join(bases)}, got {row.over!r}")
+    wanted = [row for row in own if networks is not None or not _asks_for_networks(row.params)]
+    return [*bases.values(), *(_laid_over(bases[row.over], row, str(networks)) for row in wanted)]
 
 
 def profiles() -> list[Setting]:
@@ -82,11 +88,16 @@ def profile_setting(name: str) -> Setting:
 
 def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:
     """A row with everything said that it sets, and the folder of further networks put in."""
-    params = _filled(merged(base.params, row.params) if row.switch != PROFILE else row.params, networks)
-    return msgspec.structs.replace(row, params=params)
+    return msgspec.structs.replace(row, params=_filled(merged(base.params, row.params), networks))
+
+
+def _asks_for_networks(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(map(_asks_for_networks, value.values()))
+    return isinstance(value, str) and NETWORKS in value
 
 
 def _filled(value: Any, networks: str) -> Any:
     if isinstance(value, Mapping):
         return {key: _filled(inner, networks) for key, inner in value.items()}
-    return value.replace(NETWORKS, networks) if isinstance(value, str) and networks else value
+    return value.replace(NETWORKS, networks) if isinstance(value, str) else value

@@ -9,7 +9,14 @@ import pytest
 from models.evaluation.frame_scores import bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import object_distances
-from models.evaluation.object_metrics import ObjectScores, mean_loss, object_report
+from models.evaluation.object_metrics import (
+    ObjectScores,
+    mean_loss,
+    object_differences,
+    object_estimates,
+    object_measures,
+    object_report,
+)
 from models.evaluation.object_rows import (
     HiddenRow,
     ImageTruth,
@@ -264,3 +271,46 @@ def test_of_what_a_view_promises_only_vehicles_count() -> None:
     assert (promised.part, promised.whole) == (1.0, 2.0)
     row = scan_row(0, [], truth(), IMAGES, promised=[True, False, True, False])
     assert [item.promised for item in row.hidden] == [False, True, False]
+
+
+def place(index: int, *objects: HiddenObject, images: tuple[ImageTruth, ...] = IMAGES) -> ScanRow:
+    return scan_row(index, objects, truth(), images)
+
+
+def test_measures_of_a_comparison_are_counts_over_counts() -> None:
+    """Three of four found with five reports, of which (60, 60) is false: F1 2 * 3 / (4 + 5), loss (1 + 1) / 2 scans."""
+    faint = ImageTruth(direct=False, mirrored=True, snr_db=20.0, single_snr_db=20.0)
+    first = place(0, report(7.4, 10.0), report(20.0, 10.0), report(60.0, 60.0))
+    second = place(1, report(8.5, 10.0), report(40.0, 0.0), images=(IN_SIGHT, NEVER_SHOWN, SHOWN, faint))
+    scores = ObjectScores([second, first])
+    assert [len(row.reports) for row in scores.scans] == [3, 2]
+    got = {name: value[0] for name, value in object_measures(scores).items()}
+    # (40, 0) is found in the second place alone, where its image is faint; (8.5, 10) lies where no mirror shows a car
+    assert got == pytest.approx(
+        {
+            "object_recall": 3 / 4,
+            "object_recall_25_db": 2 / 3,
+            "object_f1": 2 * 3 / (4 + 5),
+            "false_objects_per_scan": 1 / 2,
+            "object_loss_per_scan": (1 + 1) / 2,
+        }
+    )
+
+
+def test_differences_of_a_comparison_are_paired() -> None:
+    """One profile that finds one more in every place: a difference without any spread, unlike its two terms."""
+    rows = [place(index, *[report(20.0, 10.0)] * (index % 2)) for index in range(8)]
+    better = [place(index, report(7.4, 10.0), *[report(20.0, 10.0)] * (index % 2)) for index in range(8)]
+    weights = bootstrap_weights(8, 200, seed=0)
+    first, second = ObjectScores(better), ObjectScores(rows)
+    gain = object_differences(first, second, weights)["object_recall"]
+    assert (gain.value, gain.low, gain.high) == (0.5, 0.5, 0.5)
+    alone = object_estimates(first, weights)["object_recall"]
+    assert alone.low < alone.value < alone.high
+
+
+def test_without_anything_hidden_or_said_a_measure_has_no_value() -> None:
+    scores = ObjectScores([place(0, images=(IN_SIGHT, NEVER_SHOWN, NEVER_SHOWN, NEVER_SHOWN))])
+    got = {name: value[0] for name, value in object_measures(scores).items()}
+    assert np.isnan([got["object_recall"], got["object_recall_25_db"], got["object_f1"]]).all()
+    assert (got["false_objects_per_scan"], got["object_loss_per_scan"]) == (0.0, 0.0)

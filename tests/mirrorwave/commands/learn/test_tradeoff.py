@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from mirrorwave.commands.learn.tradeoff import tradeoff
 from mirrorwave.node_chain import STAGE_PARAMS
+from mirrorwave.studies.evaluate.objects import ObjectPlan, ObjectSet, run_objects
 from mirrorwave.studies.report import Interval, Times
 from mirrorwave.studies.tradeoff.report import (
     Report,
@@ -26,7 +27,9 @@ from mirrorwave.studies.tradeoff.report import (
     with_front,
 )
 from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, Plan, peak_memory_mib, run_plan
-from mirrorwave.studies.tradeoff.settings import Setting, read_settings
+from mirrorwave.studies.tradeoff.settings import Setting, profile_setting, read_settings
+from models.evaluation.object_metrics import ObjectScores, object_measures
+from models.perception.cards import WEIGHTS
 from models.perception.detection.cfar import CfarParams, cfar_peaks
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from msgs.files.shipped import CHECKOUT
@@ -38,6 +41,10 @@ app = typer.Typer()
 app.command()(tradeoff)
 
 
+def size(name: str) -> int:
+    return (WEIGHTS / name).stat().st_size
+
+
 def run(out: Path, *options: str) -> Report:
     words = ["--out", str(out), "--frames", "2", "--repeats", "1", "--no-memory", "--json", *options]
     result = CliRunner().invoke(app, words, catch_exceptions=False)
@@ -45,10 +52,14 @@ def run(out: Path, *options: str) -> Report:
     return msgspec.json.decode(result.stdout, type=Report)
 
 
+#: Rows over two profiles; there are no networks in the folder.
+MADE = ("--row", "beams", "--row", "network: UNet", "--networks", "none/here")
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
     out = tmp_path_factory.mktemp("tradeoff")
-    return out, run(out, "--row", "beams", "--row", "network: UNet")
+    return out, run(out, *MADE)
 
 
 def test_every_committed_row_sets_what_its_nodes_know() -> None:
@@ -56,6 +67,8 @@ def test_every_committed_row_sets_what_its_nodes_know() -> None:
     assert rows[0].name == "default"
     assert len({row.switch for row in rows}) >= 12
     assert len(rows) >= 40
+    assert not any("$NETWORKS" in str(row.params) for row in rows)
+    assert len(read_settings(networks=Path("here"))) >= len(rows) + 10
     for row in rows:
         for stage, params in row.params.items():
             convert_at(params, STAGE_PARAMS[stage], f"{row.name}: {stage}")
@@ -66,22 +79,31 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     """Fewer beams fold in less time; a network that is not there leaves a row without numbers."""
     out, report = made
     rows = {row.name: row for row in report.rows}
-    assert list(rows) == ["unfiltered", "beams: 13 of 25", "beams: 9 of 25", "beams: 7 of 25", "network: UNet"]
+    assert list(rows) == [
+        "default",
+        "unfiltered",
+        "beams: 13 of 25",
+        "beams: 9 of 25",
+        "beams: 7 of 25",
+        "network: UNet",
+    ]
     failed = rows["network: UNet"]
     assert failed.failed is not None
-    assert "$NETWORKS/unet.json" in failed.failed
+    assert "none/here/unet.json" in failed.failed
     assert failed.end_to_end_ms is None
     assert not failed.pareto
-    default = rows["unfiltered"]
-    assert default.against_default["recovered_f1_1m"] == Interval(value=0.0, low=0.0, high=0.0)
-    assert default.size_bytes == DEFAULT_MODEL.stat().st_size
+    default = rows["default"]
+    assert default.against_over["object_f1"] == Interval(value=0.0, low=0.0, high=0.0)
+    assert rows["unfiltered"].size_bytes == DEFAULT_MODEL.stat().st_size
+    assert default.size_bytes is not None
+    assert default.size_bytes > sum(map(size, ("compact_unet.int8.onnx", "object_unet.int8.onnx")))
     assert rows["beams: 7 of 25"].accuracy["dense_macro_f1"] != default.accuracy["dense_macro_f1"]
     assert default.end_to_end_ms is not None
     assert default.end_to_end_ms.p99 is None, "two samples have no 99th percentile"
     assert read_report(out / "tradeoff.json") == report
     page = (out / "tradeoff.md").read_text()
     assert "| network: UNet | failed: " in page
-    assert "--row beams --row 'network: UNet'" in page
+    assert "--networks none/here --row beams --row 'network: UNet'" in page
     for name in ("front.png", "stages.png"):
         assert (out / name).stat().st_size > 5000
 
@@ -103,11 +125,22 @@ def test_memory_of_a_row_is_its_own_and_not_that_of_who_asks() -> None:
 def test_a_stopped_run_goes_on_to_the_same_accuracy(made: tuple[Path, Report], tmp_path: Path) -> None:
     out, report = made
     (out / "frames" / "frame-00001.msgpack").unlink()
-    again = run(out, "--row", "beams", "--row", "network: UNet")
-    anew = run(tmp_path / "anew", "--row", "beams", "--row", "network: UNet")
+    again = run(out, *MADE)
+    anew = run(tmp_path / "anew", *MADE)
     for other in (again, anew):
         for one, two in zip(report.rows, other.rows, strict=True):
             assert (one.accuracy, one.failed) == (two.accuracy, two.failed)
+
+
+@pytest.mark.slow
+def test_objects_are_those_of_the_evaluation(made: tuple[Path, Report], tmp_path: Path) -> None:
+    """The rows of `mirrorwave eval --objects` on the same places, beam by beam through whole chains."""
+    plan = ObjectPlan(set=ObjectSet(seed=11, places=2), profiles=[profile_setting("default")])
+    scores = ObjectScores([place.rows["default"][0] for place in run_objects(plan, tmp_path)])
+    assert scores.asked
+    wanted = {name: value[0] for name, value in object_measures(scores).items()}
+    default = made[1].rows[0]
+    assert {name: default.accuracy[name].value for name in wanted} == wanted
 
 
 def test_a_folder_of_another_run_is_refused(made: tuple[Path, Report]) -> None:
@@ -124,6 +157,9 @@ def test_wrong_rows_are_refused(tmp_path: Path) -> None:
         read_settings(path)
     path.write_text("rows: [{switch: a, value: b, params: {viewer: {}}}]")
     with pytest.raises(ValueError, match=r"rows\.yaml.*params must be of ra_former, dense_predictor, geometry"):
+        read_settings(path)
+    path.write_text("rows: [{switch: a, value: b, over: nothing}]")
+    with pytest.raises(ValueError, match=r"rows\.yaml: a: b: over must be one of default, .*, got 'nothing'"):
         read_settings(path)
     path.write_text("rows: [{switch: a}]")
     with pytest.raises(ValueError, match=r"rows\.yaml.*missing required field value"):
@@ -166,7 +202,8 @@ def row(name: str, latency_ms: float, accuracy: float) -> Row:
         switch="a",
         value=name,
         params={},
-        accuracy={"recovered_f1_1m": Interval(value=accuracy, low=None, high=None)},
+        over="default",
+        accuracy={"object_f1": Interval(value=accuracy, low=None, high=None)},
         end_to_end_ms=Times(p50=latency_ms, p90=None, p99=None),
     )
 
