@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import re
+from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-#: More than the beams that are on their way at a time.
-GROWN_BYTES = 16 << 20
+#: A beam: free heap that has grown by more is given back once it has been free for so many looks, since beams on their
+#: way take it and leave it from one look to the next.
+GROWN_BYTES, LOOKS = 4 << 20, 4
 _MADV_DONTNEED = 4
 _MALLOC_INFO = [
     "arena",
@@ -92,17 +94,19 @@ class FreeHeap:
     """
 
     def __init__(self) -> None:
-        self._free_bytes = free_heap_bytes()
+        self._least_bytes = free_heap_bytes()
+        self._looks: deque[int] = deque(maxlen=LOOKS)
 
     def give_back(self) -> None:
-        """Give free heap back if there is `GROWN_BYTES` more than there was left."""
+        """Look, and give free heap back if in the last `LOOKS` there was always `GROWN_BYTES` more than once."""
         free_bytes = free_heap_bytes()
-        if free_bytes > self._free_bytes + GROWN_BYTES:
+        self._looks.append(free_bytes)
+        self._least_bytes = min(self._least_bytes, free_bytes)
+        if len(self._looks) == LOOKS and min(self._looks) > self._least_bytes + GROWN_BYTES:
             trim_heap()
-            free_bytes = free_heap_bytes()
+            self._looks.clear()
             # pages within the heap are given back but still count as free
-            self._free_bytes = free_bytes
-        self._free_bytes = min(self._free_bytes, free_bytes)
+            self._least_bytes = free_heap_bytes()
 
 
 class _MallocInfo(ctypes.Structure):
