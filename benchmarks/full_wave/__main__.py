@@ -18,9 +18,10 @@ from rich.progress import Progress
 
 from benchmarks.full_wave.comparison import Comparison, Roughness, compare, roughness
 from benchmarks.full_wave.lobe import LobeRow, lobe_rows
-from benchmarks.full_wave.page import as_table, draw, page
+from benchmarks.full_wave.page import RoughWalls, as_table, draw, page
 from benchmarks.full_wave.scenes import ROUGH_M, MiniScene, scenes
 from benchmarks.full_wave.waves import Waves, solve
+from benchmarks.simulator.diffuse_lobe import PLACES, SEED, changes
 
 
 def main() -> None:
@@ -53,7 +54,9 @@ def main() -> None:
         for rows in (rough, lobe):
             console.print(*rows, sep="\n")
     if options.table is not None:
-        options.table.write_text(page([scene for scene, _ in solved], found, rough, lobe, options))
+        places = changes(PLACES, SEED) if rough else {}
+        rough_walls = RoughWalls(rough, lobe, places)
+        options.table.write_text(page([scene for scene, _ in solved], found, rough_walls, options))
     if options.figure is not None:
         draw(options.figure, [scene for scene, _ in solved], found)
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
-from rich.progress import track
 
 from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS
@@ -26,6 +26,8 @@ from sim_player.signal.levels import kernel_profiles, noise_rms
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.ray_tracing import trace_echoes
 
+#: Random places of the page.
+PLACES, SEED = 40, 3
 CLEAR_DB = 10.0
 #: Diffuse echoes of this incidence and more stand apart in the table [deg].
 OBLIQUE_DEG = 20.0
@@ -80,29 +82,31 @@ def _ratio_db(after: float, before: float) -> float | None:
     return 10.0 * float(np.log10(max(after, 1e-30 * before) / before)) if before > 0.0 else None
 
 
-def quantiles(rows: list[dict[str, float | None]], name: str) -> dict[str, float]:
+def changes(places: int, seed: int) -> dict[str, Any]:
+    """Return how many of some random places change, and percentiles of what changes in them."""
+    rows = [change_of(random_place(seed, index), index) for index in range(places)]
+    return {
+        "places": places,
+        "seed": seed,
+        "with_rough_walls": sum(row["diffuse_db"] is not None for row in rows),
+        "maps_over_1_db": sum((row["largest_change_db"] or 0.0) > 1.0 for row in rows),
+        **{name: _quantiles(rows, name) for name in rows[0]},
+    }
+
+
+def _quantiles(rows: list[dict[str, float | None]], name: str) -> dict[str, float]:
     """Return the 10th, 50th and 90th percentile of a column over the places that have it."""
     values = [row[name] for row in rows if row[name] is not None]
-    return {f"p{share}": round(float(np.percentile(values, share)), 4) for share in (10, 50, 90)}
+    return {f"p{share}": round(float(np.percentile(values, share)), 4) for share in (10, 50, 90)}  # type: ignore[arg-type]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--places", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--places", type=int, default=PLACES)
+    parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    rows = [
-        change_of(random_place(arguments.seed, index), index)
-        for index in track(range(arguments.places), transient=True, disable=arguments.json)
-    ]
-    answer = {
-        "places": arguments.places,
-        "seed": arguments.seed,
-        "with_rough_walls": sum(row["diffuse_db"] is not None for row in rows),
-        "maps_over_1_db": sum((row["largest_change_db"] or 0.0) > 1.0 for row in rows),
-        **{name: quantiles(rows, name) for name in rows[0]},
-    }
+    answer = changes(arguments.places, arguments.seed)
     print(json.dumps(answer) if arguments.json else "\n".join(f"{name}: {value}" for name, value in answer.items()))
 
 
