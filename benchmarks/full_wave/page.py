@@ -80,10 +80,11 @@ PLACES = """### What it would change as the default
 benchmarks.simulator.diffuse_lobe --places {places} --seed {seed}`). Cells are clear if either lobe lifts them 10 dB
 over noise rms. In {maps_over_1_db} of {places} maps clear cells move by more than 1 dB.
 """
-VERDICT = """Kirchhoff's lobe should become the default with the next series of data: the full wave decides for it at all
-angles. The cost: maps of drawn places change, so data sets, evaluation sets with their hashes, networks and committed
-tables must all be made again. Until then `lambert` stays and nothing moves. Not measured: correlation lengths of real
-walls (drawn from 5 to 100 mm), the lobe out of the plane (space and plane share one expression), slopes beyond 0.2.
+VERDICT = """Kirchhoff's lobe should become the default with the next series of data: the full wave decides for it at
+all angles. The cost: maps of drawn places change, so data sets, evaluation sets with their hashes, networks and
+committed tables must all be made again. Until then `lambert` stays and nothing moves. Not measured: correlation lengths
+of real walls (drawn from 5 to 100 mm), the lobe out of the plane (space and plane share one expression), slopes beyond
+0.2.
 """
 
 
