@@ -17,17 +17,19 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.full_wave.comparison import Comparison, Roughness, compare, roughness
-from benchmarks.full_wave.page import as_table, draw, page
-from benchmarks.full_wave.scenes import MiniScene, scenes
+from benchmarks.full_wave.lobe import LobeRow, lobe_rows
+from benchmarks.full_wave.page import RoughWalls, as_table, draw, page
+from benchmarks.full_wave.scenes import ROUGH_M, MiniScene, scenes
 from benchmarks.full_wave.waves import Waves, solve
+from benchmarks.simulator.diffuse_lobe import PLACES, SEED, changes
 
 
 def main() -> None:
     """Solve, compare, print; write what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", nargs="+", help="only these scenes; rough is all draws of the rough wall")
-    parser.add_argument("--seed", type=int, default=0, help="first draw of the rough wall")
-    parser.add_argument("--seeds", type=int, default=4, help="draws of the rough wall")
+    parser.add_argument("--scene", nargs="+", help="only these scenes; rough and rougher are all draws of a rough wall")
+    parser.add_argument("--seed", type=int, default=0, help="first draw of each rough wall")
+    parser.add_argument("--seeds", type=int, default=4, help="draws of each rough wall")
     parser.add_argument("--cells", type=float, default=20.0, help="cells per wavelength in air")
     parser.add_argument("--work", type=Path, default=Path("runs/full-wave"), help="folder of kept echoes")
     parser.add_argument("--figure", type=Path, help="picture to write")
@@ -42,16 +44,19 @@ def main() -> None:
     console = Console(stderr=options.json)
     solved = _solve(wanted, options.cells, options.work, console)
     found = [compare(scene, waves, target) for scene, waves in solved for target in (None, *scene.targets)]
-    draws = [(scene, waves) for scene, waves in solved if _family(scene) == "rough"]
-    rough = roughness(draws) if draws else None
+    families = [[pair for pair in solved if _family(pair[0]) == family] for family in ROUGH_M]
+    rough = [roughness(draws) for draws in families if draws]
+    lobe = lobe_rows(options.seeds, options.seed, options.work) if rough else []
     if options.json:
-        print(json.dumps(_report(found, rough), indent=1))
+        print(json.dumps(_report(found, rough, lobe), indent=1))
     else:
         console.print(as_table(found))
-        if rough is not None:
-            console.print(rough)
+        for rows in (rough, lobe):
+            console.print(*rows, sep="\n")
     if options.table is not None:
-        options.table.write_text(page([scene for scene, _ in solved], found, rough, options))
+        places = changes(PLACES, SEED) if rough else {}
+        rough_walls = RoughWalls(rough, lobe, places)
+        options.table.write_text(page([scene for scene, _ in solved], found, rough_walls, options))
     if options.figure is not None:
         draw(options.figure, [scene for scene, _ in solved], found)
 
@@ -73,11 +78,12 @@ def _solve(wanted: list[MiniScene], cells: float, work: Path, console: Console) 
         return [(scene, solve(scene, cells, work, report)) for scene in wanted]
 
 
-def _report(found: list[Comparison], rough: Roughness | None) -> dict[str, object]:
+def _report(found: list[Comparison], rough: list[Roughness], lobe: list[LobeRow]) -> dict[str, object]:
     return {
         "groups": [asdict(group) for comparison in found for group in comparison.groups],
         "remainders": [asdict(comparison.remainder) for comparison in found],
-        "rough": None if rough is None else asdict(rough),
+        "rough": [asdict(wall) for wall in rough],
+        "lobe": [asdict(row) for row in lobe],
     }
 
 

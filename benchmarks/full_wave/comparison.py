@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import get_args
 
+import msgspec
 import numpy as np
 
 from benchmarks.full_wave.rays import RayField, ray_field
@@ -13,6 +15,7 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.names import PATH_EFFECTS
 from sim_player.effects.table import WEIGHTS
 from sim_player.fdtd.line_source import LineEcho, thread_amplitude
+from sim_player.scene.description import DiffuseLobe
 from sim_player.scene.world import World
 
 #: The chirp's sweep; the full wave is read at so many frequencies.
@@ -120,6 +123,7 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
 class Roughness:
     """A rough wall over its draws: field of the mirror and power of all else, over the smooth wall's mirror."""
 
+    about: str
     draws: int
     #: Mean field over draws, full wave and Kirchhoff's factor as the product has it [dB].
     mean_db: float
@@ -128,33 +132,55 @@ class Roughness:
     mean_error_db: float
     #: Mean power, which holds what is scattered into the gate [dB].
     power_db: float
-    #: Power between the gate and the wall's ends: full wave, and Lambert's lobe as the product has it [dB].
+    #: Power between the gate and the wall's ends: full wave with its standard error, and each lobe that the product
+    #: has [dB].
     diffuse_db: float
-    lambert_db: float
+    diffuse_error_db: float
+    lobes_db: dict[str, float]
+
+
+#: Draws of a wall's patches over which the power of a lobe is the mean.
+PATCH_DRAWS = 24
 
 
 def roughness(draws: list[tuple[MiniScene, Waves]]) -> Roughness:
-    """Compare the draws of the rough wall with the product's two laws."""
+    """Compare the draws of a rough wall with the product's laws."""
     scene, waves = draws[0]
     nothing = np.zeros(len(SWEEP_HZ), complex)
     world = scene.world(None)
     smooth = ray_field(world, EFFECTS - {"rough_wall_loss", "diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
-    rays = ray_field(world, EFFECTS, waves.grid, SWEEP_HZ, nothing)
-    is_flash, at_m = np.isin(rays.name, "flash"), float(smooth.delay_m[0])
+    rays = ray_field(world, EFFECTS - {"diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
+    at_m = float(smooth.delay_m[0])
     between = (at_m + 2.0 * GATE_M, _ends_m(world) - 2.0 * GATE_M)
     flash = np.array([gated(waves.walls, at_m, at_m) / smooth.field[0] for _, waves in draws])
     rest = np.array([gated(waves.walls, *between) / smooth.field[0] for _, waves in draws])
-    inside = ~is_flash & (rays.delay_m > between[0] - GATE_M) & (rays.delay_m < between[1] + GATE_M)
-    lambert = np.sum(np.abs(rays.field[inside] / smooth.field[0]) ** 2, axis=0)
+    power = np.mean(np.abs(rest) ** 2, axis=1)
     return Roughness(
+        scene.about,
         len(draws),
         db(rms(flash.mean(axis=0))),
-        db(rms(rays.field[is_flash][0] / smooth.field[0])),
+        db(rms(rays.field[0] / smooth.field[0])),
         db(1.0 + rms(flash.std(axis=0)) / np.sqrt(len(draws)) / rms(flash.mean(axis=0))),
         db(rms(flash)),
         db(rms(rest)),
-        db(float(np.sqrt(lambert.mean()))),
+        0.5 * db(1.0 + float(power.std() / power.mean()) / np.sqrt(len(draws))),
+        {lobe: _lobe_db(scene, waves, lobe, smooth.field[0], between) for lobe in get_args(DiffuseLobe)},
     )
+
+
+def _lobe_db(
+    scene: MiniScene, waves: Waves, lobe: DiffuseLobe, mirror: np.ndarray, between: tuple[float, float]
+) -> float:
+    """Return the mean power of the product's patches in a gate over the smooth mirror's."""
+    surfaces = tuple(msgspec.structs.replace(surface, diffuse_lobe=lobe) for surface in scene.surfaces)
+    total = 0.0
+    for seed in range(PATCH_DRAWS):
+        world = replace(scene, surfaces=surfaces).world(None, seed)
+        rays = ray_field(world, EFFECTS, waves.grid, SWEEP_HZ, np.zeros(len(SWEEP_HZ), complex))
+        patches = rays.take(np.isin(rays.name, "diffuse"))
+        weight = gate_weight(patches.delay_m, *between)[:, None]
+        total += float(np.mean(np.sum(np.abs(weight * patches.field / mirror) ** 2, axis=0)))
+    return 0.5 * db(total / PATCH_DRAWS)
 
 
 def _ends_m(world: World) -> float:
@@ -172,7 +198,11 @@ def clusters(rays: RayField) -> list[tuple[float, float]]:
 
 def gate_of(echo: LineEcho, low_m: float, high_m: float) -> np.ndarray:
     """Return the gate around delays, 0..1 [steps], with cosine tapers."""
-    delay_m = SPEED_OF_LIGHT_MPS * echo.time_s
+    return gate_weight(SPEED_OF_LIGHT_MPS * echo.time_s, low_m, high_m)
+
+
+def gate_weight(delay_m: np.ndarray, low_m: float, high_m: float) -> np.ndarray:
+    """Return the gate around delays at others, 0..1."""
     away = np.maximum(low_m - delay_m, delay_m - high_m)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip((away - GATE_M + TAPER_M) / TAPER_M, 0.0, 1.0)))
 

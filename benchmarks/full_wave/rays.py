@@ -9,16 +9,18 @@ the antenna's height. In its weights the spherical 1 / L becomes the cylindrical
     patch ds of a rough wall: the same with F = sqrt(k w / 4), w = pi |r|^2 (1 - rho) cos^2 ds
 
 F is the scattering amplitude of the target, w an echo width (2 pi times power per angle over density), here that of
-Lambert's law in the plane, cos / 2 per radian. The grid's wave number and line source stand for those of free space.
+Lambert's law in the plane, cos / 2 per radian; of Kirchhoff's lobe its form in the plane. The grid's wave number and
+line source stand for those of free space.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import hankel2
 
+from models.physics.rough_lobe import RoughLobe
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.effects.los_surfaces import flash_weight
@@ -99,9 +101,18 @@ def _plane(view: Snapshot, echoes: Echoes) -> np.ndarray:
 
     The product's RCS is 4 |r|^2 (1 - rho) cos^2 h ds: Lambert's law in space, cos / pi per steradian.
     """
-    height_m = np.minimum(view.world.wall_height_m[echoes.surface], LIT_ELEVATION_RAD * echoes.out_m)
-    wave_per_m = 2.0 * np.pi / view.world.radar.wavelength_m
-    return np.asarray(np.sqrt(wave_per_m / 4.0 * np.pi / 4.0 / height_m))
+    world, wall = view.world, np.maximum(echoes.surface, 0)
+    height_m = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * echoes.out_m)
+    wave_per_m = 2.0 * np.pi / world.radar.wavelength_m
+    plane_of_space = np.full(len(echoes), np.pi / 4.0)
+    for index, surface in enumerate(world.scene.surfaces):
+        own = (world.wall_surface[wall] == index) & ((echoes.needs & DIFFUSE) > 0)
+        if surface.diffuse_lobe == "kirchhoff" and own.any():
+            cosine = np.minimum(np.abs(np.sum(echoes.depart[own, :2] * view.normal[wall[own]], axis=1)), 1.0)
+            lobe = RoughLobe(1e-3 * surface.roughness_mm, 1e-3 * surface.correlation_mm, world.radar.wavelength_m)
+            space = lobe.backscatter(cosine, 0.5 * height_m[own] / echoes.out_m[own])
+            plane_of_space[own] = replace(lobe, in_plane=True).backscatter(cosine) / np.maximum(space, 1e-300)
+    return np.asarray(np.sqrt(wave_per_m / 4.0 * plane_of_space / height_m))
 
 
 def _delay_m(phase_rad: np.ndarray, frequency_hz: np.ndarray) -> np.ndarray:

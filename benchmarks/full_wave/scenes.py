@@ -22,6 +22,8 @@ from sim_player.scene.world import World, prepare
 RADAR = RadarParams()
 #: Of walls, in wavelengths.
 THICKNESS = 5.0
+#: Families of rough walls, by their rms height.
+ROUGH_M = {"rough": 2e-3, "rougher": 4e-3}
 #: Size of the sphere that stands for a thread in the product's scene, the least one: it blocks no path but its own.
 THREAD_SIZE_M = 0.05
 #: A target is one node of this: so weak that its echo of its own echo in a wall lies 40 dB below its mirror image.
@@ -130,8 +132,8 @@ class MiniScene:
         x, y = (grid.cell_m * round(value / grid.cell_m) for value in self.targets[target])
         return x, y
 
-    def world(self, target_m: Point | None) -> World:
-        """Return the product's world, with one isotropic centre of 1 m^2 where a target stands.
+    def world(self, target_m: Point | None, seed: int = 0) -> World:
+        """Return the product's world, with one isotropic centre of 1 m^2 where a target stands; `seed` of its patches.
 
         Walls keep their diffuse patches; their structure, small metal parts in space, has no counterpart in the plane.
         """
@@ -142,7 +144,7 @@ class MiniScene:
                 primitive="sphere", size_m=(THREAD_SIZE_M,), z_m=low_m, x_m=target_m[0], y_m=target_m[1]
             )
             objects = (sphere,)
-        world = prepare(Scene(name=self.name, surfaces=self.surfaces, objects=objects))
+        world = prepare(Scene(name=self.name, surfaces=self.surfaces, objects=objects), seed)
         keep = world.speck_length_m > 0.0
         specks = {name: getattr(world, name)[keep] for name in vars(world) if name.startswith("speck_")}
         return replace(world, **specks, **(_isotropic(target_m) if target_m is not None else {}))
@@ -219,11 +221,11 @@ def _arc(name: str, radius: float, about: str) -> MiniScene:
     return MiniScene(name, about, (surface,), solids, "concrete", *box, _m(213)[0], {"lit": _at(35, 12)})
 
 
-def _rough(roughness_m: float, seed: int) -> MiniScene:
+def _rough(family: str, roughness_m: float, seed: int) -> MiniScene:
     low, high = (40, -30), (40, 30)
     solid = RoughBox(_box(*low, 40 + THICKNESS, 30), roughness_m, 0.03, seed)
     surface = _wall(low, high, roughness_mm=1e3 * roughness_m, correlation_mm=30.0)
-    name, about = f"rough-{seed}", "a rough wall: rms height 2 mm, correlation 30 mm"
+    name, about = f"{family}-{seed}", f"a rough wall: rms height {1e3 * roughness_m:g} mm, correlation 30 mm"
     return MiniScene(name, about, (surface,), (solid,), "concrete", _at(-2, -32), _at(46, 32), _m(113)[0])
 
 
@@ -288,5 +290,5 @@ def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
         _arc("arc", -60.0, "a concrete arc that bulges towards the radar, radius 1.8 m"),
         _arc("hollow", 80.0, "a concrete arc that is hollow towards the radar, radius 2.4 m"),
         _facade("sheet", "metal", 0.1, "a metal sheet with two ends", "border"),
-        *(_rough(2e-3, seed + draw) for draw in range(seeds)),
+        *(_rough(family, roughness_m, seed + draw) for family, roughness_m in ROUGH_M.items() for draw in range(seeds)),
     )

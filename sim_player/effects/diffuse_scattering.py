@@ -1,12 +1,14 @@
-"""Diffuse echoes of rough walls: the power |r|^2 (1 - rho) that roughness takes from the mirror, in a Lambert lobe.
+"""Diffuse echoes of rough walls: the power |r|^2 (1 - rho) that roughness takes from the mirror, in a lobe.
 
-RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; patches of random phase along the wall.
+RCS per area over the height that the antenna lights, patches of random phase along the wall. Lambert's lobe: 4 |r|^2
+(1 - rho) cos^2; Kirchhoff's, where the surface says so: `models.physics.rough_lobe`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from models.physics.rough_lobe import rough_lobe
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
@@ -35,8 +37,28 @@ def apply(tracing: TraceContext) -> Echoes:
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     whole, front, rough = world.reflection(wall, cosine)
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)
-    rcs = 4.0 * (1.0 - rough**2) * cosine**2 * lit_height * world.speck_length_m[patches]
+    per_area = rcs_per_area(world, wall, cosine, rough, 0.5 * lit_height / routes.length_m)
+    rcs = per_area * lit_height * world.speck_length_m[patches]
     weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[patches]
     echoes = surface_echoes(view, routes, weight, point[visible], wall, bit("diffuse_scattering"))
     # the share that the wall reflects at all belongs to the patch, not to its route
     return echoes.with_columns(whole=echoes.whole * np.abs(whole), front=echoes.front * np.abs(front))
+
+
+def rcs_per_area(
+    world: World, wall: np.ndarray, cosine: np.ndarray, rough: np.ndarray, elevation_rad: np.ndarray
+) -> np.ndarray:
+    """Return the cross section per area back to the radar of pieces of wall at cosines of incidence, as perfect
+    mirrors but for their roughness, [N].
+
+    `rough`: field that roughness leaves of the mirror; `elevation_rad`: half of the height that is lit.
+    """
+    per_area = 4.0 * (1.0 - rough**2) * cosine**2
+    surface_of = world.wall_surface[wall]
+    for index in np.unique(surface_of):
+        surface = world.scene.surfaces[index]
+        if surface.diffuse_lobe == "kirchhoff":
+            own = surface_of == index
+            lobe = rough_lobe(1e-3 * surface.roughness_mm, 1e-3 * surface.correlation_mm, world.radar.wavelength_m)
+            per_area[own] = lobe.backscatter(cosine[own], elevation_rad[own])
+    return per_area

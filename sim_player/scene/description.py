@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -52,6 +52,7 @@ FARTHEST_M = 1e4
 
 Point = tuple[float, float]
 ObjectClass = Literal["car", "van", "truck", "bus", "bicycle", "pedestrian"]
+DiffuseLobe = Literal["lambert", "kirchhoff"]
 Primitive = Literal["box", "plate", "dihedral", "trihedral", "cylinder", "sphere"]
 
 
@@ -106,6 +107,8 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     roughness_mm: float = 0.0
     #: Distance along the wall over which its heights stay alike.
     correlation_mm: float = 30.0
+    #: Directions of what roughness takes from the mirror: cosine law, or Kirchhoff's of height and correlation length.
+    diffuse_lobe: DiffuseLobe = "lambert"
     #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the direction of the
     #: polyline.
     curvature_per_m: float = 0.0
@@ -283,9 +286,11 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     return scene
 
 
-#: Fields of the radar's blocks that came after places were drawn. At their defaults they are not written: scenes drawn
-#: before keep their bytes and their hashes.
+#: Fields of the radar's blocks and of surfaces that came after places were drawn. At their defaults they are not
+#: written: scenes drawn before keep their bytes and their hashes.
 _LATER_FIELDS = {"spad": ("tail_share", "tail_s"), "front_end": ("leakage_range_m",)}
+_LATER_SURFACE_FIELDS = ("diffuse_lobe",)
+_PLAIN_SURFACE = Surface(role="relay", material="concrete")
 
 
 def scene_sha256(scene: Scene) -> str:
@@ -315,6 +320,10 @@ def _plain(scene: Scene) -> dict[str, Any]:
         for name in names:
             if getattr(given, name) == getattr(type(given)(), name):
                 del plain["radar"][block][name]
+    for surface, written in zip(scene.surfaces, plain["surfaces"], strict=True):
+        for name in _LATER_SURFACE_FIELDS:
+            if getattr(surface, name) == getattr(_PLAIN_SURFACE, name):
+                del written[name]
     return plain
 
 
@@ -376,6 +385,10 @@ def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
         raise ValueError(f"{field}.roughness_mm: must not be negative, got {surface.roughness_mm!r}")
     if not surface.correlation_mm > 0.0:
         raise ValueError(f"{field}.correlation_mm: must be positive, got {surface.correlation_mm!r}")
+    if surface.diffuse_lobe not in get_args(DiffuseLobe):
+        raise ValueError(
+            f"{field}.diffuse_lobe: must be one of {', '.join(get_args(DiffuseLobe))}, got {surface.diffuse_lobe!r}"
+        )
     if surface.role == "ground":
         return
     if not surface.height_m > 0.0:

@@ -67,7 +67,9 @@ def test_solids_stand_where_the_tracer_has_its_walls() -> None:
         for a, b, curvature in zip(world.wall_a, world.wall_b, world.wall_curvature_per_m, strict=True):
             points = arc_points(a, b, curvature, np.linspace(0.1, 0.9, 9))
             place = np.rint((points - grid.low_m) / grid.cell_m).astype(int)
-            near = [share[i - 2 : i + 3, k - 2 : k + 3] for i, k in place]
+            # three rms heights of a rough wall beside its mean plane
+            reach = 2 + round(3.0 * world.wall_roughness_m.max() / grid.cell_m)
+            near = [share[i - reach : i + reach + 1, k - 2 : k + 3] for i, k in place]
             assert all(part.min() < 0.5 <= part.max() for part in near), scene.name
 
 

@@ -6,15 +6,27 @@ import math
 import shutil
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from msgs.files.shipped import CHECKOUT
-from sim_player.scene.description import OBJECT_KINDS, SceneObject, load_scene, scene_from_yaml, scene_to_yaml
+from sim_player.scene.description import (
+    OBJECT_KINDS,
+    SceneObject,
+    check_scene,
+    load_scene,
+    scene_from_yaml,
+    scene_sha256,
+    scene_to_yaml,
+)
 
 SCENES = sorted((CHECKOUT / "launch" / "scenes").glob("*.yaml"))
 MESHES = CHECKOUT / "tests" / "data" / "meshes"
 WALL = "{role: relay, material: concrete, polyline_m: [[10, -5], [10, 5]]}"
+
+#: SHA-256 of `scene()`, found before surfaces had a lobe.
+BEFORE_LOBES = "764035c7b2ee65c23f178c920c77cf88a4386342e74206a882714de84e8d7d2e"
 
 
 def scene(surfaces: str = f"[{WALL}]", objects: str = "[]", more: str = "") -> str:
@@ -40,6 +52,25 @@ def test_written_scene_reads_back_the_same() -> None:
     for path in SCENES:
         read = load_scene(path)
         assert scene_from_yaml(scene_to_yaml(read)) == read
+
+
+def test_default_lobe_is_not_written() -> None:
+    """Scenes drawn before surfaces had it keep their text and their hash; another lobe changes both."""
+    plain = scene_from_yaml(scene())
+    stated = scene_from_yaml(scene(WALL.replace("}", ", diffuse_lobe: lambert}").join("[]")))
+    other = scene_from_yaml(scene(WALL.replace("}", ", diffuse_lobe: kirchhoff}").join("[]")))
+    assert "diffuse_lobe" not in scene_to_yaml(plain)
+    assert (scene_to_yaml(stated), scene_sha256(stated)) == (scene_to_yaml(plain), scene_sha256(plain))
+    assert scene_from_yaml(scene_to_yaml(other)) == other
+    assert scene_sha256(other) != scene_sha256(plain)
+    assert scene_sha256(plain) == BEFORE_LOBES
+
+
+def test_unknown_lobes_of_scenes_made_by_hand_are_refused() -> None:
+    read = scene_from_yaml(scene())
+    surface = msgspec.structs.replace(read.surfaces[0], diffuse_lobe="cosine")
+    with pytest.raises(ValueError, match=r"^surfaces\[0\]\.diffuse_lobe: must be one of lambert, kirchhoff, got 'cos"):
+        check_scene(msgspec.structs.replace(read, surfaces=(surface,)))
 
 
 @pytest.mark.parametrize(
@@ -97,6 +128,11 @@ def test_written_scene_reads_back_the_same() -> None:
         ),
         (scene(WALL.replace("concrete", "double_glazing").replace("}", ", thickness_mm: 6}").join("[]")), "thickness"),
         (scene(WALL.replace("}", ", correlation_mm: 0}").join("[]")), "surfaces[0].correlation_mm: must be positive"),
+        (scene(WALL.replace("}", ", correlation_mm: .nan}").join("[]")), "surfaces[0].correlation_mm: must be finite"),
+        (
+            scene(WALL.replace("}", ", diffuse_lobe: cosine}").join("[]")),
+            "surfaces[0].diffuse_lobe: invalid enum value 'cosine'; known are kirchhoff, lambert",
+        ),
         (
             scene(WALL.replace("}", ", curvature_per_m: 0.2}").join("[]")),
             "surfaces[0].curvature_per_m: |curvature| times",

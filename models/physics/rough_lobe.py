@@ -1,0 +1,171 @@
+"""Diffuse lobe of a rough wall: what roughness takes from the mirror, over directions.
+
+Heights are Gaussian, of rms s and correlation exp(-x^2 / l^2). Kirchhoff's integral gives the mean scattered power as
+an expectation over orders of scattering m, Poisson of mean g^2 = (k s (cos_i + cos_s))^2:
+
+    K(i, s) = k^2 l^2 G^2 E[exp(-(k l |u_i + u_s|)^2 / 4m) / m; m > 0],    G = (1 + v_i . v_s) / (cos_i + cos_s)
+
+v are the unit vectors to source and observer, u their parts along the wall, and G is the factor of tangent planes
+(Beckmann and Spizzichino, The Scattering of Electromagnetic Waves from Rough Surfaces, 1963). Many orders are the lobe
+of geometric optics, of facets of rms slope sqrt(2) s / l. What the integral gets wrong where it does not hold (grazing,
+steep slopes) is scaled by a factor of each direction, n(i) n(s) K(i, s): at any incidence the lobe radiates just what
+`models.physics.fresnel.coherent_power` takes from the mirror, and it is reciprocal. No shadowing, no change of
+polarisation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+#: Orders of scattering that stand for all, and how many standard deviations of the Poisson law they span.
+ORDERS, SPAN = 65, 7.0
+#: Cosines at which the normalisation is tabled, polar and azimuthal nodes of its integrals, and rounds to find it.
+TABLE_COSINES, POLAR_NODES, AZIMUTH_NODES, ROUNDS = 24, 32, 12, 60
+#: Rms slope at most: beyond it Kirchhoff's facets would shade each other, and the lobe is that of this slope.
+MAX_SLOPE = 1.0
+#: Least cosine: at grazing nothing is taken from the mirror and nothing is scattered.
+LEAST_COSINE = 1e-3
+#: Below this the mean of a Gaussian over a span is its value in the middle.
+NARROW = 1e-4
+
+
+@dataclass(frozen=True)
+class RoughLobe:
+    """Lobe of a wall of rms height and correlation length [m] at a wavelength; ValueError unless finite and positive.
+
+    In the plane (`in_plane`) heights vary along one axis, k^2 l^2 / m becomes k l sqrt(pi / m), and widths per length
+    take the place of areas per area: the two-dimensional form that a full-wave solution is compared with.
+    """
+
+    roughness_m: float
+    correlation_m: float
+    wavelength_m: float
+    in_plane: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("roughness_m", "correlation_m", "wavelength_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be finite and positive, got {value!r}")
+
+    @property
+    def effective_correlation_m(self) -> float:
+        """The correlation length, or the least whose slopes are not too steep."""
+        return max(self.correlation_m, math.sqrt(2.0) * self.roughness_m / MAX_SLOPE)
+
+    def backscatter(self, cosine: np.ndarray, elevation_rad: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return the radar cross section per area of a perfect reflector back to the radar, [N].
+
+        `cosine` of incidence in the plane of the radar; the mean over +-`elevation_rad` about that plane. Lambert's
+        lobe in the same units is 4 (1 - exp(-g^2)) cos^2.
+        """
+        cosine = np.clip(np.asarray(cosine, np.float64), LEAST_COSINE, 1.0)
+        sine = np.sqrt(1.0 - cosine**2)
+        elevation_sine = np.sin(np.broadcast_to(np.asarray(elevation_rad, np.float64), cosine.shape)) * cosine
+        factor = self._normalisation_at(cosine)
+        return factor**2 * self._kernel(cosine, cosine, 2.0 * sine, 2.0 * elevation_sine)
+
+    def bistatic(self, cos_in: np.ndarray, cos_out: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Return the cross section per area for two directions; `along` is |u_i + u_s|, 0 to the mirror's side."""
+        cos_in, cos_out = (np.clip(np.asarray(c, np.float64), LEAST_COSINE, 1.0) for c in (cos_in, cos_out))
+        factor = self._normalisation_at(cos_in) * self._normalisation_at(cos_out)
+        return factor * self._kernel(cos_in, cos_out, np.asarray(along, np.float64), 0.0)
+
+    def _kernel(
+        self, cos_in: np.ndarray, cos_out: np.ndarray, along: np.ndarray, across: np.ndarray | float
+    ) -> np.ndarray:
+        """Return K; of `across`, the other component of u_i + u_s, the mean over 0..`across`."""
+        wave = 2.0 * math.pi / self.wavelength_m
+        width = wave * self.effective_correlation_m
+        depth = np.square(wave * self.roughness_m * (cos_in + cos_out))
+        order, share = poisson_orders(depth)
+        along, across = np.asarray(along)[..., None], np.asarray(across)[..., None]
+        scale = 0.5 * width / np.sqrt(order)
+        lobe = np.exp(-np.square(scale * along)) * _gaussian_mean(scale * across)
+        gain = width * math.sqrt(math.pi) / np.sqrt(order) if self.in_plane else np.square(width) / order
+        # |v_i + v_s|^2 = 2 + 2 v_i . v_s
+        facet = 0.5 * (np.square(cos_in + cos_out) + np.square(along[..., 0])) / (cos_in + cos_out)
+        return np.asarray(np.square(facet) * np.sum(share * gain * lobe, axis=-1))
+
+    def _normalisation_at(self, cosine: np.ndarray) -> np.ndarray:
+        nodes, values = self._normalisation
+        return np.interp(cosine, nodes, values)
+
+    @cached_property
+    def _normalisation(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return cosines, and the factor n at each: a positive symmetric kernel scaled to given sums."""
+        nodes = np.linspace(0.0, 1.0, TABLE_COSINES)
+        cosine = np.maximum(nodes, LEAST_COSINE)
+        target = cosine * -np.expm1(-np.square(4.0 * math.pi * self.roughness_m * cosine / self.wavelength_m))
+        cos_out, along, weight = self._directions(cosine)
+        power = weight * self._kernel(np.broadcast_to(cosine[:, None], cos_out.shape), cos_out, along, 0.0)
+        values = np.ones(len(nodes))
+        for _ in range(ROUNDS):
+            radiated = values * np.sum(power * np.interp(cos_out, nodes, values), axis=1)
+            values *= np.sqrt(target / np.maximum(radiated, 1e-300))
+        return nodes, values
+
+    def _directions(self, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return cosines out, |u_i + u_s| and weights of a quadrature over the half space for each incidence, [I, D].
+
+        Polar angles about the mirror direction, dense within the lobe, and azimuths about it.
+        """
+        wave = 2.0 * math.pi / self.wavelength_m
+        orders = 1.0 + np.square(2.0 * wave * self.roughness_m)
+        lobe_rad = min(2.0 * math.sqrt(orders) / (wave * self.effective_correlation_m), 1.0)
+        step, share = np.polynomial.legendre.leggauss(POLAR_NODES)
+        reach = math.asinh(math.pi / lobe_rad)
+        polar = lobe_rad * np.sinh(0.5 * (step + 1.0) * reach)
+        share = 0.5 * share * reach * np.sqrt(polar**2 + lobe_rad**2)
+        if self.in_plane:
+            azimuth, turn = np.array([0.0, math.pi]), np.full(2, 1.0 / (2.0 * math.pi))
+        else:
+            azimuth = math.pi * (np.arange(AZIMUTH_NODES) + 0.5) / AZIMUTH_NODES
+            turn = np.full(AZIMUTH_NODES, 2.0 * math.pi / AZIMUTH_NODES / (4.0 * math.pi))
+            share = share * np.sin(polar)
+        polar, azimuth = (grid.ravel() for grid in np.meshgrid(polar, azimuth, indexing="ij"))
+        weight = (share[:, None] * turn).ravel()
+        sine = np.sqrt(1.0 - cosine**2)[:, None]
+        # the mirror direction is (-sine, 0, cosine); tilt by `polar` towards `azimuth`
+        tilt = np.sin(polar) * np.cos(azimuth)
+        cos_out = cosine[:, None] * np.cos(polar) + sine * tilt
+        along_x = sine - sine * np.cos(polar) + cosine[:, None] * tilt
+        along_y = np.sin(polar) * np.sin(azimuth)
+        is_out = cos_out > 0.0
+        return np.maximum(cos_out, 1e-9), np.hypot(along_x, along_y), weight * is_out
+
+
+@lru_cache(maxsize=256)
+def rough_lobe(roughness_m: float, correlation_m: float, wavelength_m: float) -> RoughLobe:
+    """Return the lobe of a wall in space; those of walls seen before keep their normalisation."""
+    return RoughLobe(roughness_m, correlation_m, wavelength_m)
+
+
+def poisson_orders(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return orders m >= 1 [..., ORDERS] and their probability under Poisson laws of means [...].
+
+    All whole orders that count where they are few; else as many in equal steps, which is as exact for smooth terms.
+    The probabilities sum to 1 - exp(-mean).
+    """
+    from scipy.special import gammaln
+
+    mean = np.maximum(np.asarray(mean, np.float64), 1e-300)[..., None]
+    half = SPAN * np.sqrt(mean) + 0.5 * ORDERS - SPAN * 2.0
+    low = np.maximum(np.floor(mean - half), 1.0)
+    step = np.maximum((mean + half - low) / (ORDERS - 1), 1.0)
+    order = low + step * np.arange(ORDERS)
+    log_share = order * np.log(mean) - mean - gammaln(order + 1.0)
+    share = np.exp(log_share - log_share.max(axis=-1, keepdims=True))
+    return order, share * (-np.expm1(-mean) / share.sum(axis=-1, keepdims=True))
+
+
+def _gaussian_mean(reach: np.ndarray) -> np.ndarray:
+    """Return the mean of exp(-x^2) over 0..reach."""
+    from scipy.special import erf
+
+    wide = np.maximum(reach, NARROW)
+    return np.where(reach > NARROW, 0.5 * math.sqrt(math.pi) * erf(wide) / wide, 1.0)
