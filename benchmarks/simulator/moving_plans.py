@@ -7,6 +7,7 @@ turning by up to 20 deg/s. For each purpose:
   is a scan with a cell over the budget;
 - a selection that is kept beyond its span: the number of beams until what it leaves out breaks the law;
 - processor time of a recording of 12 scans with everything and as planned, and of choosing paths.
+`--rows FILE` keeps the rows of places that are done (JSON lines), and goes on where it ended.
 Usage: OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks.simulator.moving_plans [--places 30] [--timed 8]
                                         [--budget-db -20] [--seed 23] [--json]
 """
@@ -19,6 +20,7 @@ import os
 import platform
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -138,6 +140,21 @@ def law_row(seed: int, index: int, purpose: Purpose, budget_db: float) -> dict[s
     }
 
 
+def law_rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Rows of all places; those that are there already are read."""
+    done = []
+    if arguments.rows and arguments.rows.exists():
+        done = [json.loads(line) for line in arguments.rows.read_text().splitlines()]
+    yield from done
+    asked = [(index, purpose) for index in range(arguments.places) for purpose in PURPOSES]
+    for index, purpose in track(asked[len(done) :], transient=True):
+        row = law_row(arguments.seed, index, purpose, arguments.budget_db)
+        if arguments.rows:
+            with arguments.rows.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+        yield row
+
+
 def recording_s(seed: int, index: int, effects: str, purpose: Purpose, budget_db: float) -> dict[str, float]:
     """Processor times of a recording's echoes, from tracing to the beats of every beam, and of choosing paths in it."""
     scene = in_motion(random_place(seed, index), np.random.default_rng([seed, index]))
@@ -206,14 +223,11 @@ def main() -> None:
     parser.add_argument("--timed", type=int, default=8)
     parser.add_argument("--budget-db", type=float, default=-20.0)
     parser.add_argument("--seed", type=int, default=23)
+    parser.add_argument("--rows", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     planner.MIN_PATHS_TO_PLAN = 0
-    laws = [
-        law_row(arguments.seed, index, purpose, arguments.budget_db)
-        for index in track(range(arguments.places), transient=True)
-        for purpose in PURPOSES
-    ]
+    laws = list(law_rows(arguments))
     times = list(time_rows(arguments))
     if arguments.json:
         machine = f"{platform.machine()}, {os.cpu_count()} cores"
