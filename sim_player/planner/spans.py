@@ -75,11 +75,11 @@ class SpanSelection:
     def magnitude(self, first: Paths, last: Paths) -> np.ndarray:
         """Return a bound of the field of each path in each beam from one instant to the next, float32 [P, B]."""
         radar = self._radar
-        ways = np.array([np.stack(way) for way in zip(_directions(first), _directions(last), strict=True)])
+        directions = np.array([np.stack(ends) for ends in zip(_directions(first), _directions(last), strict=True)])
         amplitude = np.maximum(np.abs(first.amplitude), np.abs(last.amplitude))
-        for way in ways:
-            amplitude = amplitude * _element_most(self._element, way)
-        steered = ways if self._setup.array.steered_ways != 1 else ways[:1]
+        for ends in directions:
+            amplitude = amplitude * _element_most(self._element, ends)
+        steered = directions if self._setup.array.steered_ways != 1 else directions[:1]
         # the sweep scales what the array sees of a direction (`sweep_ratio`)
         band = 0.5 * radar.bandwidth_hz / radar.carrier_hz
         delay_s = np.maximum(first.length_m, last.length_m) / SPEED_OF_LIGHT_MPS
@@ -139,9 +139,9 @@ def _directions(paths: Paths) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _element_most(element: ElementPattern, way: np.ndarray) -> np.ndarray:
+def _element_most(element: ElementPattern, ends: np.ndarray) -> np.ndarray:
     """Return the largest field of an element between two directions [ends, 2, P], [P]: it falls off its axis."""
-    (first, last), nearest = way, np.abs(way).min(axis=0)
+    (first, last), nearest = ends, np.abs(ends).min(axis=0)
     nearest[(first * last < 0.0) & (np.abs(first - last) <= np.pi)] = 0.0
     return np.asarray(element_field(element, *nearest))
 
@@ -168,9 +168,9 @@ def _pattern_table(setup: RadarSetup, weights: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _most(patterns, amplitude, ways, least, most):  # type: ignore[no-untyped-def]
-    """Products of the amplitudes [P] and the largest patterns between directions [ways, ends, 2, P], scaled by `least`
-    [P] to `most`; float32 [P, B].
+def _most(patterns, amplitude, directions, least, most):  # type: ignore[no-untyped-def]
+    """Products of the amplitudes [P] and the largest patterns between directions [1 or 2, ends, 2, P], scaled by
+    `least` [P] to `most`; float32 [P, B].
     """
     steps, beams = patterns.shape[1:]
     scale = (steps - 1) / (2.0 * WIDEST_SINE)
@@ -179,8 +179,8 @@ def _most(patterns, amplitude, ways, least, most):  # type: ignore[no-untyped-de
         out[path] = amplitude[path]
         if amplitude[path] == 0.0:
             continue
-        for way in ways:
-            low, high = _sines(way[:, :, path])
+        for ends in directions:
+            low, high = _sines(ends[:, :, path])
             low *= most if low < 0.0 else least[path]
             high *= most if high > 0.0 else least[path]
             begin = max(int(np.floor((low + WIDEST_SINE) * scale)), 0)
@@ -188,9 +188,9 @@ def _most(patterns, amplitude, ways, least, most):  # type: ignore[no-untyped-de
             level = 0
             while 2 ** (level + 1) <= end - begin + 1:
                 level += 1
-            one, other = patterns[level, begin], patterns[level, end - 2**level + 1]
+            former, latter = patterns[level, begin], patterns[level, end - 2**level + 1]
             for beam in range(beams):
-                out[path, beam] *= max(one[beam], other[beam])
+                out[path, beam] *= max(former[beam], latter[beam])
     return out
 
 
