@@ -19,7 +19,7 @@ from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_t
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN, SignalEffects
-from sim_player.trace.path_tracks import PathTrack, tracing_step_s
+from sim_player.trace.path_tracks import PathTrack, scene_step_s
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import scene_truth
@@ -36,7 +36,8 @@ class ScenePlayer:
     `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
     (the effects that the scene needs for a `purpose` under `budget_db`, planned once), "all", or names with commas
     between them. What moves under other than basic effects is traced at instants between which it moves
-    little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64").
+    little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto" leaves out its
+    weakest paths, chosen from one instant to the next.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class ScenePlayer:
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
         self._precision = precision
-        # a plan holds while nothing moves, that of a moving scene at any time
+        # a plan holds while nothing moves; of a moving scene its effects hold, its weakest paths are chosen as it goes
         self._plan = resolve_plan(self._world, self.setup, effects, budget_db, purpose=purpose_of(purpose))
         self._track: tuple[frozenset[str], PathTrack] | None = None
         self._traced: dict[tuple[float, int], Paths] = {}
@@ -122,11 +123,12 @@ class ScenePlayer:
         ego = self.scene.ego
         return VehicleState(stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps))
 
-    def _tracked(self, used: frozenset[str]) -> PathTrack:
-        """Return the paths of moving things under some effects."""
+    def _tracked(self, plan: Plan) -> PathTrack:
+        """Return the paths of moving things under a plan."""
+        used, kept = plan.used, None if plan.spans is None else plan.spans.kept
         if self._track is None or self._track[0] != used:
-            step_s = tracing_step_s(self._world, self.scene.ego.speed_mps, self.setup.radar.scan_period_s)
-            self._track = used, PathTrack(lambda time_s: trace(self._world, time_s, used), step_s)
+            track = PathTrack(lambda time_s: trace(self._world, time_s, used), scene_step_s(self._world), kept)
+            self._track = used, track
         return self._track[1]
 
     def _elapsed_s(self, stamp_ns: int) -> float:
@@ -150,7 +152,7 @@ class ScenePlayer:
         radar, plan = self.setup.radar, self.plan(scan)
         middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
         time_s = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s
-        return self.paths(time_s, scan) if plan is None else self._tracked(plan.used).at(time_s)
+        return self.paths(time_s, scan) if plan is None else self._tracked(plan).at(time_s)
 
     def echoes(self, scan: int, index: int) -> Terms:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""

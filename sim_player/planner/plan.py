@@ -6,7 +6,8 @@ which drops paths, the squint or overlap of paths, or an effect. What the steps 
 cell, phases and all, over a lower bound of the reference (`sim_player.planner.ablation`).
 
 A plan of a scene at rest holds as long as nothing moves. In a scene that moves the phases turn within a wavelength and
-paths come and go: there only effects are left out that the scene has nothing of, which holds at any time.
+paths come and go: there only effects are left out that the scene has nothing of, which holds at any time, and the
+weakest paths, by magnitudes alone, which holds from one instant of tracing to the next (`sim_player.planner.spans`).
 
 Cells are range bins of every steering angle, as the radar measures them and section 2.1.1 assembles them, and of every
 azimuth of the map that the co-array inversion makes of them (`sim_player.planner.cells`). Rays are cheap: all paths are
@@ -31,12 +32,15 @@ from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
 from sim_player.planner.ablation import Answer, EffectAblation, signal_effects
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
+from sim_player.planner.spans import SpanSelection
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.levels import kernel_profiles, noise_profiles
+from sim_player.signal.receiver import dither_objection
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes
+from sim_player.trace.path_tracks import scene_step_s
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
 
@@ -45,8 +49,9 @@ BUDGET_DB = -20.0
 SELECTED_SHARE = 0.8
 #: For `samples` no file with fewer paths than this is asked for: those made by earlier versions stay as they are.
 MIN_PATHS_TO_PLAN = 3000
-#: Why nothing that a moving scene has is left out.
+#: Why no effect that a moving scene has is left out, and no path where none is asked for.
 MOVES = "kept at any time, the scene moves"
+WEAKEST = "kept at any time, the scene moves; its weakest paths are left out from one instant of tracing to the next"
 #: Bounds in JSON end here.
 MAX_DB = 200.0
 
@@ -83,6 +88,10 @@ class Plan:
     #: The answer at the kernel level, found on the way to the plan: profiles of all echoes with all effects but leakage
     #: and spurs; None where nothing was evaluated or the error is over the budget; complex64 [beams, bins].
     evaluated: np.ndarray | None = None
+    #: What chooses the paths of a scene that moves, from one instant of tracing to the next; None: all of them.
+    spans: SpanSelection | None = None
+    #: How long what is left out stays so before it is chosen again: from one instant of tracing to the next.
+    holds_s: float = math.inf
 
     @cached_property
     def used(self) -> frozenset[str]:
@@ -221,6 +230,7 @@ class _Planner:
     def __init__(self, ablation: EffectAblation, thorough: bool, profiles_only: bool) -> None:
         self.ablation, self.thorough, self.profiles_only = ablation, thorough, profiles_only
         self.answer: Answer | None = None
+        self.spans: SpanSelection | None = None
         self.spent = 0.0
         self.found: dict[str, EffectPlan] = {}
         self.traced = len(ablation.echoes)
@@ -232,11 +242,13 @@ class _Planner:
             reason = effect.absent(self.ablation.world)
             if reason is not None:
                 self._row(name, False, None, 0, reason)
-        moves = self.ablation.world.scene.moves
         few = self.ablation.purpose is Purpose.SAMPLES and self.traced < MIN_PATHS_TO_PLAN and not self.thorough
-        if moves or few:
-            why = MOVES if moves else f"not asked, {self.traced} paths are few"
-            self._take_all(why)
+        if self.ablation.world.scene.moves:
+            self.spans = None if few else self._spans()
+            self._take_all(MOVES if self.spans is None else WEAKEST)
+            return
+        if few:
+            self._take_all(f"not asked, {self.traced} paths are few")
             return
         self._timed("floor", self._evaluate)
         if self.answer is not None and self.profiles_only:
@@ -265,7 +277,18 @@ class _Planner:
             spent_db=_decibel(self.spent),
             timing_s=self.timing_s,
             evaluated=None if self.answer is None else self.answer.profiles,
+            spans=self.spans,
+            holds_s=math.inf if self.spans is None else scene_step_s(ablation.world),
         )
+
+    def _spans(self) -> SpanSelection | None:
+        """Return what chooses the paths of a scene that moves; None where rounding is no noise that adds to them."""
+        ablation = self.ablation
+        setup, front_end = ablation.setup, ablation.front_end
+        if dither_objection(setup, front_end, thermal=True) is not None:
+            return None
+        self.spent = ablation.budget
+        return SpanSelection(setup, ablation.flags(), front_end, ablation.purpose, ablation.budget)
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:
         start = time.perf_counter()

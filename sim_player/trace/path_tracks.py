@@ -9,6 +9,7 @@ Fresnel zone, and the scene moves by less than one from instant to instant.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -32,29 +33,42 @@ def tracing_step_s(world: World, own_speed_mps: float, longest_s: float) -> floa
     return float(min(longest_s, LONGEST_MOVE_M / max(own_speed_mps + speeds.max(), 1e-6)))
 
 
-class PathTrack:
-    """Paths of one scene at any time, traced at multiples of `step_s` only; deterministic whatever the order asked."""
+def scene_step_s(world: World) -> float:
+    """Return the same time for a radar that moves as the scene says."""
+    return tracing_step_s(world, world.scene.ego.speed_mps, world.radar.scan_period_s)
 
-    def __init__(self, trace: Callable[[float], Paths], step_s: float) -> None:
+
+#: Which paths [P] of a span are kept, given both of its ends and its length in seconds; bool [P].
+Kept = Callable[[Paths, Paths, float], np.ndarray]
+
+
+class PathTrack:
+    """Paths of one scene at any time, traced at multiples of `step_s` only; deterministic whatever the order asked.
+
+    `kept` chooses the paths of each span between two instants (`sim_player.planner.spans`); None: all.
+    """
+
+    def __init__(self, trace: Callable[[float], Paths], step_s: float, kept: Kept | None = None) -> None:
         if not step_s > 0.0:
             raise ValueError(f"step_s must be positive, got {step_s!r}")
-        self._trace, self._step_s = trace, step_s
+        self._trace, self._step_s, self._kept = trace, step_s, kept
         self._knots: dict[int, Paths] = {}
-        self._span: tuple[int, _Span] | None = None
+        self._span: tuple[int, Span] | None = None
 
     def at(self, time_s: float) -> Paths:
         """Return all paths at a time."""
         index = int(np.floor(time_s / self._step_s))
         if self._span is None or self._span[0] != index:
             self._knots = {knot: self._knot(knot) for knot in (index, index + 1)}
-            self._span = index, _Span(self._knots[index], self._knots[index + 1], self._step_s)
+            span = Span(self._knots[index], self._knots[index + 1], self._step_s)
+            self._span = index, span if self._kept is None else span.take(self._kept(*span.ends(), self._step_s))
         return self._span[1].at(time_s - index * self._step_s)
 
     def _knot(self, index: int) -> Paths:
         return self._knots[index] if index in self._knots else self._trace(index * self._step_s)
 
 
-class _Span:
+class Span:
     """Paths between two instants."""
 
     def __init__(self, first: Paths, last: Paths, step_s: float) -> None:
@@ -65,6 +79,19 @@ class _Span:
         self._first, self._last = first.take(here[stays]), last.take(there[stays])
         self._goes = first.take(np.setdiff1d(np.arange(len(first)), here[stays]))
         self._comes = last.take(np.setdiff1d(np.arange(len(last)), there[stays]))
+
+    def ends(self) -> tuple[Paths, Paths]:
+        """Return all paths at both instants, in the same order; those that come or go are nothing at one of them."""
+        gone, coming = _faded(self._goes, 0.0, self._step_s), _faded(self._comes, 0.0, -self._step_s)
+        return Paths.joined([self._first, self._goes, coming]), Paths.joined([self._last, gone, self._comes])
+
+    def take(self, kept: np.ndarray) -> Span:
+        """Return the span with some of its paths, bool [P] in the order of `ends`."""
+        stays, goes, comes = np.split(kept, np.cumsum([len(self._first), len(self._goes)]))
+        span = copy(self)
+        span._first, span._last = self._first.take(stays), self._last.take(stays)
+        span._goes, span._comes = self._goes.take(goes), self._comes.take(comes)
+        return span
 
     def at(self, since_s: float) -> Paths:
         """Return all paths so long after the first instant."""

@@ -10,7 +10,7 @@ import pytest
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.scene.description import Ego
 from sim_player.scene.world import World
-from sim_player.trace.path_tracks import LONGEST_MOVE_M, PathTrack, tracing_step_s
+from sim_player.trace.path_tracks import LONGEST_MOVE_M, PathTrack, Span, tracing_step_s
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from tests.sim_player.effects.point_scenes import points_world, wall
@@ -106,3 +106,47 @@ def test_instants_lie_as_close_as_the_scene_is_fast() -> None:
     assert tracing_step_s(points_world([(9.0, 0.0, 1.0)]), 0.0, 0.3) == 0.3
     with pytest.raises(ValueError, match=r"step_s must be positive, got 0\.0"):
         PathTrack(lambda at_s: trace(driving(), at_s), 0.0)
+
+
+def coming_and_going() -> Span:
+    """A span in which one echo stays, one goes and one comes."""
+    first, last = (trace(driving(), at_s, USED) for at_s in (0.0, STEP_S))
+    return Span(first.take(np.array([0, 1])), last.take(np.array([0, 2])), STEP_S)
+
+
+def test_ends_of_a_span_hold_the_same_paths() -> None:
+    """What goes is nothing at the end, what comes at the start, each where its rate carries it."""
+    span = coming_and_going()
+    first, last = span.ends()
+    np.testing.assert_array_equal(first.chain, last.chain)
+    assert ((first.amplitude == 0.0) == [False, False, True]).all()
+    assert ((last.amplitude == 0.0) == [False, True, False]).all()
+    for end, since_s in ((first, 0.0), (last, STEP_S)):
+        at = span.at(since_s)
+        np.testing.assert_array_equal(at.chain, end.chain)
+        np.testing.assert_allclose(at.length_m, end.length_m, rtol=1e-12)
+        np.testing.assert_allclose(at.amplitude, end.amplitude, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kept", [[True, False, True], [False, True, False], [False, False, False], [True, True, True]])
+def test_some_paths_of_a_span(kept: list[bool]) -> None:
+    span, mask = coming_and_going(), np.array(kept)
+    got, whole = span.take(mask).at(0.01), span.at(0.01)
+    np.testing.assert_array_equal(got.chain, whole.chain[mask])
+    np.testing.assert_array_equal(got.amplitude, whole.amplitude[mask])
+
+
+def test_a_track_keeps_what_it_is_asked_to() -> None:
+    """Chosen once for each span, with both of its ends, and not for a time within the same."""
+    asked = []
+
+    def kept(first: Paths, last: Paths, step_s: float) -> np.ndarray:
+        asked.append((len(first), len(last), step_s))
+        return np.arange(len(first)) == 1
+
+    world = driving()
+    path_track = PathTrack(lambda at_s: trace(world, at_s, USED), STEP_S, kept)
+    whole = PathTrack(lambda at_s: trace(world, at_s, USED), STEP_S)
+    for at_s in (0.001, 0.02, 0.031):
+        np.testing.assert_array_equal(path_track.at(at_s).chain, whole.at(at_s).chain[1:2])
+    assert asked == [(3, 3, STEP_S)] * 2

@@ -1,0 +1,190 @@
+"""Hard cases of plans that hold while a scene moves: what comes, turns, jumps, stands still or is no number."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from sim_player import player as player_module
+from sim_player.planner.plan import Plan, plan_world
+from sim_player.planner.purposes import Purpose
+from sim_player.player import ScenePlayer
+from sim_player.scene.description import Ego, Scene, SceneObject, Surface
+from sim_player.scene.world import World
+from sim_player.trace.path_tracks import Span
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import trace
+from tests.sim_player.effects.point_scenes import points_world, wall
+from tests.sim_player.planner.moving import doppler_bins, reference
+from tests.stability.catalogue import Errors
+
+BUDGET = 0.1
+WALL = Surface(
+    role="relay", material="concrete", polyline_m=((20.0, -10.0), (20.0, 15.0)), height_m=6.0, thickness_mm=300
+)
+CAR = SceneObject(class_="car", x_m=12.0, y_m=6.0)
+
+
+def planned(world: World) -> Plan:
+    return plan_world(world, world.setup, purpose=Purpose.PEAKS)
+
+
+def span_of(plan: Plan) -> Span:
+    world = plan.view.world
+    return Span(trace(world, 0.0, plan.used), trace(world, plan.holds_s, plan.used), plan.holds_s)
+
+
+def kept(plan: Plan, span: Span) -> np.ndarray:
+    assert plan.spans is not None
+    return plan.spans.kept(*span.ends(), plan.holds_s)
+
+
+def left_out(plan: Plan, span: Span, mask: np.ndarray) -> float:
+    """What goes without `mask` over what the law allows, the largest of all beams at nine times of a span."""
+    if mask.all():
+        return 0.0
+    weak, limit = span.take(~mask), BUDGET * reference(plan)
+    return max(
+        float((np.abs(doppler_bins(plan, weak.at(share * plan.holds_s), beam)) / limit[beam]).max())
+        for share in np.linspace(0.0, 0.999, 9)
+        for beam in range(len(plan.setup.beams))
+    )
+
+
+def strong_at(plan: Plan, *instants: Paths) -> np.ndarray:
+    """The naive choice: paths that are strong at some instants, as they stand there."""
+    assert plan.spans is not None
+    masks = [plan.spans.kept(instant, instant, plan.holds_s) for instant in instants]
+    return np.asarray(np.any(masks, axis=0))
+
+
+@pytest.mark.hard(
+    where="sim_player.planner.spans",
+    naive="paths chosen at the instant before",
+    bound=1.0,
+    unit="budgets",
+    source="the law of `peaks`",
+)
+def test_an_object_comes_into_a_mirror_between_two_instants(errors: Errors) -> None:
+    """A point passes the line beyond which the end of a wall mirrors it, 10 ms into a span of 43 ms: its image is not
+    there at the instant before, and 40 dB over the noise after.
+    """
+    world = points_world(
+        [(13.7, 2.0, 0.0)], wall((5.9, -6.0), (60.0, -6.0)), motion=[(7.0, 0.0)], ego=Ego(yaw_rate_dps=1e-3)
+    )
+    plan = planned(world)
+    span = span_of(plan)
+    first, last = span.ends()
+    comes = (first.amplitude == 0.0) & (last.order == 1) & (last.object_index == 0)
+    assert comes.any()
+    naive = strong_at(plan, first)
+    errors(naive=left_out(plan, span, naive), ours=left_out(plan, span, kept(plan, span)))
+
+
+@pytest.mark.hard(
+    where="sim_player.planner.spans",
+    naive="fields in each beam at both instants",
+    bound=1.0,
+    unit="budgets",
+    source="the law of `peaks`",
+)
+def test_a_turn_sweeps_an_echo_over_a_beam_between_two_instants(errors: Errors) -> None:
+    """The radar turns by 36 deg on the spot: at both instants a point stands in side lobes of the beam ahead, between
+    them in its middle.
+    """
+    world = points_world([(14.0, 14.0 * math.tan(math.radians(18.0)), 0.0)], ego=Ego(yaw_rate_dps=120.0))
+    world = replace(world, centre_rcs_m2=np.full_like(world.centre_rcs_m2, 1e-5))
+    plan = planned(world)
+    assert plan.spans is not None
+    span, ahead = span_of(plan), len(plan.setup.beams) // 2
+    first, last = span.ends()
+    assert first.azimuth_rad[0] * last.azimuth_rad[0] < 0.0
+    ends = np.maximum(*(plan.spans.magnitude(end, end)[:, ahead] for end in (first, last)))
+    swept = plan.spans.magnitude(first, last)[:, ahead]
+    half = span.at(0.5 * plan.holds_s)
+    truth = np.abs(doppler_bins(plan, half, ahead)).max()
+    errors(naive=truth / ends.sum(), ours=truth / swept.sum())
+
+
+@pytest.mark.hard(
+    where="sim_player.planner.spans",
+    naive="paths chosen at the instant before",
+    bound=1.0,
+    unit="budgets",
+    source="the law of `peaks`",
+)
+def test_a_turn_brings_the_flash_of_a_wall_from_behind(errors: Errors) -> None:
+    """A wall square on behind the antenna's side, where its elements see nothing: 36 deg later it flashes."""
+    angle = math.radians(100.0)
+    foot = 8.0 * np.array([math.cos(angle), math.sin(angle)])
+    along = 10.0 * np.array([-math.sin(angle), math.cos(angle)])
+    ends = [(float(x), float(y)) for x, y in (foot - along, foot + along)]
+    plan = planned(points_world([(60.0, 0.0, 0.0)], wall(*ends), ego=Ego(yaw_rate_dps=120.0)))
+    span = span_of(plan)
+    errors(naive=left_out(plan, span, strong_at(plan, span.ends()[0])), ours=left_out(plan, span, kept(plan, span)))
+
+
+@pytest.mark.hard(
+    where="sim_player.planner.spans",
+    naive="paths chosen at the instant before",
+    bound=1.0,
+    unit="budgets",
+    source="the law of `peaks`",
+)
+def test_a_scene_changed_under_the_plan(errors: Errors) -> None:
+    """An object jumps by 40 m from one instant to the next: the echo that was is faded out, the one that is faded in,
+    and both are kept.
+    """
+    near, far = (points_world([(x_m, 2.0, 0.0)], motion=[(1.0, 0.0)], ego=Ego(speed_mps=1.0)) for x_m in (60.0, 20.0))
+    plan = planned(near)
+    span = Span(trace(near, 0.0, plan.used), trace(far, plan.holds_s, plan.used), plan.holds_s)
+    first, _ = span.ends()
+    assert len(first) == 2 * len(trace(near, 0.0, plan.used))
+    naive = strong_at(plan, first)
+    errors(naive=left_out(plan, span, naive), ours=left_out(plan, span, kept(plan, span)))
+
+
+def moving_scene(speed_mps: float = 0.0, **ego: float) -> Scene:
+    user = msgspec.structs.replace(CAR, speed_mps=speed_mps)
+    return Scene(name="t", surfaces=(WALL,), objects=(user,), ego=Ego(**ego))
+
+
+def test_at_rest_a_plan_is_kept_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is planned or traced again in a thousand scans."""
+    player = ScenePlayer(moving_scene(), effects="auto", purpose="peaks", chirps_per_beam=2)
+    plan = player.plan(0)
+    assert plan is not None
+    assert (plan.holds_s, plan.spans) == (math.inf, None)
+    monkeypatch.delattr(player_module, "resolve_plan")
+    monkeypatch.delattr(player_module, "trace")
+    first, last = (player.echoes(scan, 12)[0] for scan in (0, 1000))
+    np.testing.assert_array_equal(first, last)
+    assert player.plan(1000) is plan
+
+
+@pytest.mark.parametrize(
+    ("scene", "rule"),
+    [
+        (moving_scene(math.nan), r"^objects\[0\]\.speed_mps: must be finite, got nan$"),
+        (moving_scene(math.inf), r"^objects\[0\]\.speed_mps: must be finite, got inf$"),
+        (moving_scene(1e300), r"^objects\[0\]\.speed_mps: must lie within 10000 of 0, got 1e\+300$"),
+        (moving_scene(speed_mps=1.0, yaw_rate_dps=math.nan), r"^ego\.yaw_rate_dps: must be finite, got nan$"),
+    ],
+)
+def test_speeds_that_are_none_are_refused_before_a_plan(scene: Scene, rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        ScenePlayer(scene, effects="auto", purpose="peaks")
+
+
+@pytest.mark.parametrize("scene", [moving_scene(9e3), moving_scene(speed_mps=1.0, yaw_rate_dps=1e9)])
+def test_speeds_beyond_any_road_are_planned(scene: Scene) -> None:
+    """The span is as short as the motion is fast; beams are numbers."""
+    player = ScenePlayer(scene, effects="auto", purpose="peaks", chirps_per_beam=2)
+    plan = player.plan(0)
+    assert plan is not None
+    assert 0.0 < plan.holds_s <= 0.3
+    assert np.isfinite(player.echoes(0, 3)[0]).all()
