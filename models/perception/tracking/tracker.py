@@ -174,13 +174,13 @@ class Tracker:
             if track.bernoulli.existence >= least and track.measurements >= LEAST_MEASUREMENTS
         ]
 
-    def _follow(self, frame: BevFrame, odom_from_radar: Pose2, seen: list[Sighting]) -> None:
-        """Predict, associate, update, begin and end tracks by what a scan has `seen`."""
+    def _follow(self, frame: BevFrame, odom_from_radar: Pose2, reported: list[Sighting]) -> None:
+        """Predict, associate, update, begin and end tracks by what a scan has `reported`."""
         params, stamp_ns = self.params, frame.stamp_ns
         elapsed_s = 0.0 if self._last_ns is None else s_from_ns(stamp_ns - self._last_ns)
         for track in self._tracks:
             track.bernoulli = track.bernoulli.survived(elapsed_s, params.survival_per_s)
-        measurements = self._new(seen, frame)
+        measurements = self._new(reported, frame)
         now = [track.estimate.at(stamp_ns, params.acceleration_density_m2ps3) for track in self._tracks]
         detection = detection_probabilities(frame, now, odom_from_radar, params.detection_probability)
         likelihood = self._log_likelihoods(measurements)
