@@ -1,15 +1,21 @@
 """A drive past a side street where a hidden car comes nearer: scan by scan, and tracked with and without odometry.
 
 The radar drives along a street that bends to the left, a car comes down the side street on the left, another is parked
-there; the wall across the junction mirrors both. Beams are simulated and go through the whole chain once a seed; the
-ways differ only in what follows it. Speed and yaw rate come as 50 states a second with noise and a gyroscope's bias,
-which the odometry learns in 3 s of rest before.
+there; the wall across the junction mirrors both. Beams are simulated once a seed. They go through the whole chain with
+the vehicle's states, after which three ways differ only in the tracker, and through one that gets no state, as of a
+vehicle without any. Speed and yaw rate come as 50 states a second with noise and a gyroscope's bias, which the odometry
+learns in 3 s of rest before.
+"Ego taken as standing" is no way to run it: its reports lie where the scan began, because the states have taken the
+motion out of them, and its tracker takes them to lie where the radar was when it measured them, so that it has each
+object further ahead by what the vehicle drove meanwhile.
 An object or track is a car where its face error (to the nearest visible face or the centre) is within 2 m; the error of
 its centre stands beside it (`models.evaluation.object_error`; the position is that at the time of measurement, of a
-track at the scan's stamp). Velocity is that over ground, against the true one. Of the moving car
-alone: lead, from the scan that first says it and keeps its id while the car is hidden to the scan in which it first is
-in direct sight; and foretold, the tracks' time to appear against what it was. The last line is what tracking costs a
-scan: taking in its vehicle states, and odometry and tracker.
+track at the scan's stamp). What odometry changes is against the way without states, on the same beams, with its 95 %
+interval over seeds. As a measure, the errors of the mean of the true points of each car that a mirror shows: a report
+is the mean of such points. Velocity is that over ground, against the true one. Of the moving car alone: lead, from the
+scan that first says it and keeps its id while the car is hidden to the scan in which it first is in direct sight; and
+foretold, the tracks' time to appear against what it was. The last line is what tracking costs a scan: taking in its
+vehicle states, and odometry and tracker.
 With --log a recorded CAN log moves the vehicle instead, and its decoded states, with the bias added, are what odometry
 gets: the first stretch of it that suits the street, or the one --from so many seconds.
 Usage: python -m benchmarks.accuracy.side_street [--seeds 5] [--method network|cfar] [--chirps 128] [--figure FILE]
@@ -44,8 +50,9 @@ from benchmarks.accuracy.side_street_drives import (
     scripted,
 )
 from benchmarks.perception.geometry_switches import machine
+from models.evaluation.frame_scores import bootstrap_weights
 from models.evaluation.metrics import match_objects
-from models.evaluation.object_error import as_object
+from models.evaluation.object_error import as_object, object_distances
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
@@ -53,7 +60,7 @@ from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stat
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.tracker import Tracker
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, Track
+from msgs.values.perception import BevFrame, Covariance, HiddenObject, SceneTruth, Track
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -65,6 +72,10 @@ if TYPE_CHECKING:
 
 GATE_M = 2.0
 SCAN_BY_SCAN, STANDING, TRACKED = "scan by scan", "tracked, ego taken as standing", "tracked with odometry"
+STATELESS = "tracked, no vehicle states"
+DRAWS = 2000
+#: Covariance of a position whose covariance nothing asks for.
+UNUSED_M2: Covariance = ((1.0, 0.0), (0.0, 1.0))
 
 
 class Said(msgspec.Struct, kw_only=True):
@@ -83,10 +94,11 @@ class Said(msgspec.Struct, kw_only=True):
 
 
 class Scan(msgspec.Struct, kw_only=True):
-    """A scan of the drive: its start, the view, the truth, the place that odometry gives."""
+    """A scan of the drive: its start, the views with and without states, the truth, the place that odometry gives."""
 
     time_s: float
     frame: BevFrame
+    stateless: BevFrame
     truth: SceneTruth
     place: OdometryPose
 
@@ -119,7 +131,8 @@ def drive(course: Course, seed: int, method: str, chirps: int, most: int = SCANS
     """Every scan until the car is in direct sight, and that one."""
     player = course.player(seed, chirps)
     gathering = MemoryParams(tracking=False, wall_map=True)
-    chain, odometry = Chain.of(player.setup, detector_of(method, player.setup), memory=gathering), ScanOdometry()
+    detector, odometry = detector_of(method, player.setup), ScanOdometry()
+    chain, stateless = (Chain.of(player.setup, detector, memory=gathering) for _ in range(2))
     for state in course.states(seed):
         odometry.add(state)
     scans: list[Scan] = []
@@ -128,8 +141,9 @@ def drive(course: Course, seed: int, method: str, chirps: int, most: int = SCANS
         place = odometry.at(player.stamp_ns(number))
         assert place is not None
         time_s = s_from_ns(player.stamp_ns(number) - player.stamp_ns(0))
-        frame = view(chain, player, number, place)
-        scans.append(Scan(time_s=time_s, frame=frame, truth=player.truth(number), place=place))
+        frame, without = views(chain, stateless, player, number, place)
+        truth = player.truth(number)
+        scans.append(Scan(time_s=time_s, frame=frame, stateless=without, truth=truth, place=place))
     return scans
 
 
@@ -139,12 +153,17 @@ def sight_s(scans: Sequence[Scan]) -> float:
     return scans[-1].time_s
 
 
-def view(chain: Chain, player: ScenePlayer | DrivePlayer, number: int, place: OdometryPose) -> BevFrame:
-    """One scan through the chain, its beams freed from the motion that odometry gives."""
-    stamp_ns = player.stamp_ns(number)
-    state = VehicleState(stamp_ns=stamp_ns, speed_mps=place.speed_mps, yaw_rate_rps=place.yaw_rate_rps)
-    views = [one for index in range(len(player.setup.beams)) for one in chain.add(player.beam(number, index), state)]
-    return views[0].frame
+def views(
+    chain: Chain, stateless: Chain, player: ScenePlayer | DrivePlayer, number: int, place: OdometryPose
+) -> tuple[BevFrame, BevFrame]:
+    """One scan through both chains: its beams freed from the motion that odometry gives, and as they are."""
+    state = VehicleState(stamp_ns=player.stamp_ns(number), speed_mps=place.speed_mps, yaw_rate_rps=place.yaw_rate_rps)
+    found, plain = [], []
+    for index in range(len(player.setup.beams)):
+        beam = player.beam(number, index)
+        found += chain.add(beam, state)
+        plain += stateless.add(beam)
+    return found[0].frame, plain[0].frame
 
 
 def said(scan: Scan, objects: Sequence[HiddenObject], car: int, tracks: Sequence[Track] = ()) -> Said:
@@ -173,14 +192,15 @@ Told = dict[str, list[list[Said]]]
 
 def ways(scans: Sequence[Scan]) -> Told:
     """What each way says of both cars in each scan while the moving one is hidden."""
-    trackers = {STANDING: Tracker(), TRACKED: Tracker()}
-    found: Told = {way: [[], []] for way in (SCAN_BY_SCAN, STANDING, TRACKED)}
+    trackers = {STANDING: Tracker(), STATELESS: Tracker(), TRACKED: Tracker()}
+    found: Told = {way: [[], []] for way in (SCAN_BY_SCAN, *trackers)}
     for scan in scans[:-1]:
-        views: dict[str, tuple[Sequence[HiddenObject], Sequence[Track]]] = {SCAN_BY_SCAN: (scan.frame.objects, ())}
+        seen: dict[str, tuple[Sequence[HiddenObject], Sequence[Track]]] = {SCAN_BY_SCAN: (scan.frame.objects, ())}
         for way, tracker in trackers.items():
-            tracks = tracker.step(scan.frame, stationary_pose() if way == STANDING else scan.place)
-            views[way] = [as_object(one) for one in tracks], tracks
-        for way, (objects, tracks) in views.items():
+            frame = scan.stateless if way == STATELESS else scan.frame
+            tracks = tracker.step(frame, scan.place if way == TRACKED else stationary_pose())
+            seen[way] = [as_object(one) for one in tracks], tracks
+        for way, (objects, tracks) in seen.items():
             for car in (CAR, PARKED):
                 found[way][car].append(said(scan, objects, car, tracks))
     return found
@@ -244,6 +264,59 @@ def row(way: str, told: Sequence[Told], sight_s: Sequence[float]) -> Row:
     )
 
 
+class Difference(msgspec.Struct, kw_only=True):
+    """What odometry changes of root mean squares of errors, against no state at all; 95 % intervals over seeds."""
+
+    face_m: float
+    face_interval_m: tuple[float, float]
+    centre_m: float
+    centre_interval_m: tuple[float, float]
+
+
+def difference(told: Sequence[Told]) -> Difference:
+    """Errors with odometry less those without vehicle states, on the same draws of seeds."""
+    weights = np.concatenate([np.ones((1, len(told))), bootstrap_weights(len(told), DRAWS, 0)])
+    face_m, centre_m = (
+        _drawn_rms(told, TRACKED, name, weights) - _drawn_rms(told, STATELESS, name, weights)
+        for name in ("face_error_m", "centre_error_m")
+    )
+    return Difference(
+        face_m=float(face_m[0]),
+        face_interval_m=_interval(face_m[1:]),
+        centre_m=float(centre_m[0]),
+        centre_interval_m=_interval(centre_m[1:]),
+    )
+
+
+def _drawn_rms(told: Sequence[Told], way: str, name: str, weights: np.ndarray) -> np.ndarray:
+    """Root mean squares [draws] of an error of what a way found, by the weights [draws, seeds]; NaN where nothing."""
+    errors = [np.array([getattr(one, name) for car in seed[way] for one in car if one.id is not None]) for seed in told]
+    squares, counts = (np.array([float(fold(one)) for one in errors]) for fold in (lambda one: one @ one, len))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt((weights @ squares) / (weights @ counts)))
+
+
+def _interval(values: np.ndarray) -> tuple[float, float]:
+    low, high = np.nanpercentile(values, [2.5, 97.5]) if np.isfinite(values).any() else (math.nan, math.nan)
+    return float(low), float(high)
+
+
+def visible_means(scans: Sequence[Scan]) -> list[tuple[float, float]]:
+    """Face and centre error of the mean of the visible points of each hidden car in each scan, by truth."""
+    found = []
+    for truth in (scan.truth for scan in scans[:-1]):
+        for car in (CAR, PARKED):
+            points_m = truth.hidden_points_m[truth.hidden_object == car, :2]
+            if len(points_m):
+                x_m, y_m = points_m.mean(axis=0).tolist()
+                there = HiddenObject(
+                    id=0, x_m=x_m, y_m=y_m, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=1.0, cov_m2=UNUSED_M2
+                )
+                error = object_distances([there], truth, [truth.objects[car]])
+                found.append((float(error.error_m[0, 0]), float(error.centre_m[0, 0])))
+    return found
+
+
 def _rms(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
@@ -301,7 +374,7 @@ def draw_figure(course: Course, scans: Sequence[Scan], told: Told, path: Path) -
 
 
 #: Colour of each way.
-COLOURS = {SCAN_BY_SCAN: "0.55", STANDING: "tab:orange", TRACKED: "tab:blue"}
+COLOURS = {SCAN_BY_SCAN: "0.55", STANDING: "tab:orange", STATELESS: "tab:red", TRACKED: "tab:blue"}
 
 
 def _draw_plan(plan: Axes, course: Course, scans: Sequence[Scan], told: Told) -> None:
@@ -325,8 +398,8 @@ def _draw_reports(axes: Axes, scans: Sequence[Scan], told: Told) -> None:
         lead = lead_s(moving, sight_s(scans))
         text = f"{way}: lead {'none' if lead is None else f'{lead:.1f} s'}, {switches(moving)} id switches"
         axes.text(0.0, 0.25 - row, text, fontsize=9)
-    axes.text(sight_s(scans) - 0.05, -2.65, "direct sight", fontsize=8, ha="right")
-    axes.set(title="Moving car: reported; a line where the id stays", yticks=(), ylim=(-2.8, 0.7))
+    axes.text(sight_s(scans) - 0.05, 0.35 - len(told), "direct sight", fontsize=8, ha="right")
+    axes.set(title="Moving car: reported; a line where the id stays", yticks=(), ylim=(0.2 - len(told), 0.7))
 
 
 def _draw_errors(error: Axes, velocity: Axes, told: Told) -> None:
@@ -344,7 +417,7 @@ def _draw_errors(error: Axes, velocity: Axes, told: Told) -> None:
 
 def _draw_time_to_sight(appear: Axes, scans: Sequence[Scan], told: Told) -> None:
     """Draw the time to direct sight as tracks foretell it and as it was."""
-    for way in (STANDING, TRACKED):
+    for way in (STANDING, STATELESS, TRACKED):
         moving = told[way][CAR]
         foretold = [math.nan if one.time_to_appear_s is None else one.time_to_appear_s for one in moving]
         appear.plot([one.time_s for one in moving], foretold, "o-", markersize=4, color=COLOURS[way], label=way)
@@ -399,6 +472,15 @@ def line(one: Row) -> str:
     return (
         f"{one.way:31s} hidden {one.hidden:3d}  found {one.found_share:.2f}  RMSE {rmse}{velocity}  "
         f"id switches {one.id_switches}  others {one.others_per_scan:.2f} a scan  lead {leads} s{foretold}"
+    )
+
+
+def describe(change: Difference) -> str:
+    """One line on what odometry changes."""
+    (face_low, face_high), (centre_low, centre_high) = change.face_interval_m, change.centre_interval_m
+    return (
+        f"with odometry less without vehicle states: face {change.face_m:+.2f} m [{face_low:+.2f}, {face_high:+.2f}], "
+        f"centre {change.centre_m:+.2f} m [{centre_low:+.2f}, {centre_high:+.2f}]"
     )
 
 
@@ -458,15 +540,19 @@ def main() -> int:
     command = "python -m benchmarks.accuracy.side_street " + " ".join(sys.argv[1:])
     costs = [cost for seed, scans in enumerate(drives) for cost in costs_ms(course, scans, seed)]
     drifts = [drift(course, scans) for scans in drives]
+    change, means = difference(told), [mean for scans in drives for mean in visible_means(scans)]
+    face_m, centre_m = (_rms(values) for values in zip(*means, strict=True))
     if arguments.json:
         found = {"rows": rows, "tracking_ms": costs, "stretch": course.stretch, "drift": drifts}
+        found |= {"difference": change, "visible_mean_m": {"face": face_m, "centre": centre_m}}
         print(json.dumps({"machine": machine(), "command": command, **msgspec.to_builtins(found)}))
         return 0
     cost = f"tracking a scan: median {np.median(costs):.1f} ms, largest {max(costs):.1f} ms"
     worst = max(drifts, key=lambda one: one.away_m)
     off = f"odometry: off by {worst.away_m:.2f} m and {worst.turned_deg:.2f} deg after {worst.time_s:.1f} s, at worst"
     text = [about(course.stretch)] if course.stretch else []
-    print("\n".join([*text, *map(line, rows), off, cost, command, machine()]))
+    visible = f"the mean of a car's visible points, by truth: face {face_m:.2f} m, centre {centre_m:.2f} m"
+    print("\n".join([*text, *map(line, rows), describe(change), visible, off, cost, command, machine()]))
     return 0
 
 

@@ -95,6 +95,8 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sensor: SensorLimits | None = None
     #: As the map has it.
     settled_stamp_ns: int | None = None
+    #: As the map has it. If False, each peak lies where the radar saw it at `peak_stamp_ns`, not at `stamp_ns`.
+    ego_compensated: bool = True
 
     def __post_init__(self) -> None:
         count = len(self.range_m) if isinstance(self.range_m, np.ndarray) and self.range_m.ndim == 1 else None

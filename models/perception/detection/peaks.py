@@ -143,6 +143,7 @@ def peaks_at(
         radial_speed_mps=speed_mps,
         radial_speed_std_mps=std_mps,
         settled_stamp_ns=ra_map.settled_stamp_ns,
+        ego_compensated=ra_map.ego_compensated,
     )
 
 

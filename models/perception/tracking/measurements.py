@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -13,6 +13,7 @@ from models.perception.geometry.observability import visibility_at
 from models.perception.tracking.estimate import Estimate, symmetric
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, HiddenObject, RadialSpeed, Visibility
+from msgs.values.units import s_from_ns
 
 #: An object measured further from its scan's stamp does not belong to that scan.
 LONGEST_SCAN_NS = 2_000_000_000
@@ -29,6 +30,9 @@ UNOBSERVABLE_SHARE = 0.2
 #: mean and covariance.
 _SIGMA_POINTS = math.sqrt(3.0) * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
 _SIGMA_WEIGHTS = np.array([1, 0.5, 0.5, 0.5, 0.5]) / 3.0
+
+#: Pose of the radar at a time [s] after a scan's stamp, in the odometry frame.
+RadarPath = Callable[[float], Pose2]
 
 
 @dataclass(frozen=True)
@@ -51,10 +55,14 @@ class Sighting:
         return np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
 
 
-def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
-    """Return the valid hidden objects of a scan in the odometry frame."""
+def sightings(frame: BevFrame, radar: Pose2 | RadarPath, place_std_m: float) -> list[Sighting]:
+    """Return the valid hidden objects of a scan in the odometry frame.
+
+    `radar`: `odom_from_radar` at the scan's stamp; of a scan whose ego motion was not compensated the radar's path,
+    because each object then lies in the radar's axes at its own stamp.
+    """
     valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
-    return [_sighting(item, frame, odom_from_radar, place_std_m) for item in valid]
+    return [_sighting(item, frame, radar, place_std_m) for item in valid]
 
 
 def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
@@ -68,11 +76,13 @@ def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
     return timely and bool(np.linalg.eigvalsh(symmetric(covariance))[0] >= 0.0)
 
 
-def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
+def _sighting(item: HiddenObject, frame: BevFrame, radar: Pose2 | RadarPath, place_std_m: float) -> Sighting:
+    # an object without a stamp of its own was measured at the frame's
+    stamp_ns = item.stamp_ns or frame.stamp_ns
+    odom_from_radar = radar if isinstance(radar, Pose2) else radar(s_from_ns(stamp_ns - frame.stamp_ns))
     turn = rotation(odom_from_radar)
     return Sighting(
-        # an object without a stamp of its own was measured at the frame's
-        stamp_ns=item.stamp_ns or frame.stamp_ns,
+        stamp_ns=stamp_ns,
         position_m=odom_from_radar.apply(np.array([item.x_m, item.y_m])),
         covariance_m2=symmetric(turn @ np.array(item.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2),
         score=min(max(item.score, LEAST_SCORE), GREATEST_SCORE),

@@ -174,6 +174,11 @@ def stationary_pose() -> OdometryPose:
     return OdometryPose(-1, Pose2(), 0.0, 0.0)
 
 
+def odom_from_radar_after(pose: OdometryPose, vehicle_from_radar: Pose2, elapsed_s: float) -> Pose2:
+    """Return the radar's pose `odom_from_radar` a time after that of `pose`, or before it; its motion is held."""
+    return pose.odom_from_vehicle @ ego_motion(pose.speed_mps, pose.yaw_rate_rps, elapsed_s) @ vehicle_from_radar
+
+
 def _moved(start: _StampedPose, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
     """Return the pose after a time over which the motion changes linearly to the given one."""
     mean = 0.5 * (start.speed_mps + speed_mps), 0.5 * (start.yaw_rate_rps + yaw_rate_rps)

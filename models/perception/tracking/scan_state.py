@@ -72,13 +72,13 @@ class ScanMemory:
             return None
         return partial(self._walls.step, peaks.stamp_ns, pose, peaks.vehicle_from_radar)
 
-    def tracked(self, view: BevFrame, vehicle_from_radar: Pose2) -> BevFrame:
+    def tracked(self, view: BevFrame, vehicle_from_radar: Pose2, ego_compensated: bool = True) -> BevFrame:
         """Return the view with its tracks; the radar is stationary as long as no vehicle state has arrived (`view.ego`
-        is None).
+        is None). `ego_compensated`: as its peaks have it.
         """
         if self._tracker is None:
             return view
-        tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar)
+        tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar, ego_compensated)
         return msgspec.structs.replace(view, tracks=tracks)
 
 

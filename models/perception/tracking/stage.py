@@ -86,7 +86,7 @@ class ViewStage:
             params = self._detections if peaks.sensor else self._judged if judge else self._params
             frame = recover_bev(peaks, params, self._residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
-            frame = self._memory.tracked(frame, peaks.vehicle_from_radar)
+            frame = self._memory.tracked(frame, peaks.vehicle_from_radar, peaks.ego_compensated)
         return msgspec.structs.replace(frame, ego=ego)
 
     def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None, ego: VehicleState | None) -> ObjectJudge | None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -22,7 +23,7 @@ from models.perception.tracking.association import log_likelihoods, marginal_pro
 from models.perception.tracking.bernoulli import MAX_EXISTENCE, Bernoulli, born, is_same, log_odds_of_pairs, updated
 from models.perception.tracking.estimate import Estimate
 from models.perception.tracking.measurements import Sighting, detection_probabilities, rotation, sightings
-from models.perception.tracking.odometry import OdometryPose
+from models.perception.tracking.odometry import OdometryPose, odom_from_radar_after
 from msgs.values.arrays import require_positive, require_within
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, Covariance, Track
@@ -117,12 +118,19 @@ class Tracker:
     def __post_init__(self) -> None:
         self._walls = RecentWalls(self.params.appearance.wall_memory_s)
 
-    def step(self, frame: BevFrame, pose: OdometryPose | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
+    def step(
+        self,
+        frame: BevFrame,
+        pose: OdometryPose | None,
+        vehicle_from_radar: Pose2 = FRONT,
+        ego_compensated: bool = True,
+    ) -> tuple[Track, ...]:
         """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
         `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it no object can be tracked and all tracks
         end, as they do when its frame changes. `stationary_pose` is the pose of a radar that never moves. A repeated or
-        late scan changes nothing and returns the tracks of the scan before it again.
+        late scan changes nothing and returns the tracks of the scan before it again. Objects of a scan that was not
+        `ego_compensated` lie where the radar saw them at their own stamps.
         """
         if pose is None:
             self._forget(None)
@@ -132,7 +140,8 @@ class Tracker:
         if pose.frame != self._frame or self._is_gap(frame.stamp_ns):
             self._forget(pose.frame)
         odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
-        self._follow(frame, odom_from_radar)
+        radar = odom_from_radar if ego_compensated else partial(odom_from_radar_after, pose, vehicle_from_radar)
+        self._follow(frame, odom_from_radar, sightings(frame, radar, self.params.place_std_m))
         self._last_ns = frame.stamp_ns
         a, b = self._walls.add(frame.stamp_ns, frame.walls, odom_from_radar)
         confirmed = self._confirmed()
@@ -165,13 +174,13 @@ class Tracker:
             if track.bernoulli.existence >= least and track.measurements >= LEAST_MEASUREMENTS
         ]
 
-    def _follow(self, frame: BevFrame, odom_from_radar: Pose2) -> None:
-        """Predict, associate, update, begin and end tracks."""
+    def _follow(self, frame: BevFrame, odom_from_radar: Pose2, reported: list[Sighting]) -> None:
+        """Predict, associate, update, begin and end tracks by what a scan has `reported`."""
         params, stamp_ns = self.params, frame.stamp_ns
         elapsed_s = 0.0 if self._last_ns is None else s_from_ns(stamp_ns - self._last_ns)
         for track in self._tracks:
             track.bernoulli = track.bernoulli.survived(elapsed_s, params.survival_per_s)
-        measurements = self._new(sightings(frame, odom_from_radar, params.place_std_m), frame)
+        measurements = self._new(reported, frame)
         now = [track.estimate.at(stamp_ns, params.acceleration_density_m2ps3) for track in self._tracks]
         detection = detection_probabilities(frame, now, odom_from_radar, params.detection_probability)
         likelihood = self._log_likelihoods(measurements)

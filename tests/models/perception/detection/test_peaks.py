@@ -44,6 +44,12 @@ def test_one_peak_of_each_class_with_all_it_carries():
     assert (peaks.scan_id, peaks.stamp_ns, peaks.missing_beams, peaks.saturated_share) == (4, 10, (2,), 0.25)
 
 
+@pytest.mark.parametrize("ego_compensated", [False, True])
+def test_peaks_say_whether_the_motion_was_taken_out_of_their_map(ego_compensated: bool):
+    ra_map = msgspec.structs.replace(flat_map(), ego_compensated=ego_compensated)
+    assert find_peaks(heat((0, 100, 60, 0.9)), ra_map, PeakParams()).ego_compensated is ego_compensated
+
+
 def test_threshold_and_distance():
     """Below 0.3: none. Three cells apart: the higher stays; four apart: both."""
     assert len(find_peaks(heat((0, 100, 60, 0.29)), flat_map(), PeakParams())) == 0

@@ -183,8 +183,11 @@ def test_an_object_is_where_it_was_when_its_beams_were_measured():
     assert told[0].x_m == pytest.approx(1.5 * 29, abs=0.05)
 
 
-def test_a_parked_object_stands_while_the_radar_drives_a_bend():
-    """Seen from a radar mounted ahead of the axle and turned, at 8 m/s and 0.3 rad/s."""
+@pytest.mark.parametrize(("ego_compensated", "later_s"), [(True, 0.0), (True, 0.2), (False, 0.2)])
+def test_a_parked_object_stands_while_the_radar_drives_a_bend(ego_compensated: bool, later_s: float):
+    """Seen from a radar mounted ahead of the axle and turned, at 8 m/s and 0.3 rad/s; measured 0.2 s after the scan's
+    start, 1.6 m further on, where it lies as seen from there unless ego motion is compensated.
+    """
     mounted = Pose2(2.0, 0.5, 0.4)
     tracker, odometry, parked = Tracker(), Odometry(), np.array([25.0, 12.0])
     told: tuple[Track, ...] = ()
@@ -194,9 +197,11 @@ def test_a_parked_object_stands_while_the_radar_drives_a_bend():
         one = frame(scan)
         place = odometry.at(one.stamp_ns)
         assert place is not None
-        radar = ego_motion(8.0, 0.3, 0.3 * scan) @ mounted
-        x_m, y_m = radar.inverse().apply(parked)
-        told = tracker.step(msgspec.structs.replace(one, objects=(seen(float(x_m), float(y_m)),)), place, mounted)
+        x_m, y_m = (ego_motion(8.0, 0.3, 0.3 * scan) @ mounted).inverse().apply(parked)
+        looking = ego_motion(8.0, 0.3, 0.3 * scan + (0.0 if ego_compensated else later_s)) @ mounted
+        there_m = looking.inverse().apply(parked).tolist()
+        report = seen(*there_m, stamp_ns=one.stamp_ns + round(1e9 * later_s))
+        told = tracker.step(msgspec.structs.replace(one, objects=(report,)), place, mounted, ego_compensated)
         if told:
             assert math.dist((told[0].x_m, told[0].y_m), (x_m, y_m)) < 1e-6
     assert math.hypot(told[0].velocity_x_mps, told[0].velocity_y_mps) < 1e-6
