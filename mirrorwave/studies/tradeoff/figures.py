@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ def draw_front(report: Report, path: Path) -> None:
     profiles = {row.name: row for row in report.rows if row.switch == PROFILE}
     for row in rows:
         _draw_point(axes, row, _colour(row, profiles.get(row.over)))
+    _name_profiles(axes, [row for row in rows if row.switch == PROFILE])
     ordered = sorted((row for row in rows if row.pareto), key=lambda row: point_of(row) or (0.0, 0.0))
     front = [point for row in ordered if (point := point_of(row))]
     for number, point in enumerate(front, 1):
@@ -43,7 +45,7 @@ def draw_front(report: Report, path: Path) -> None:
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("from the last beam to the view: median, line to the 99th percentile [ms]")
-    axes.set_ylabel("hidden objects found within 1 m, and nothing else said: F1, with its 95 % interval")
+    axes.set_ylabel("hidden objects found within 1 m, F1, with its 95 % interval")
     axes.set_title(f"What accuracy costs in time: {len(rows)} settings on the same {report.frames} places", loc="left")
     axes.grid(alpha=0.25, which="both")
     for part in ("forming", "detection", "geometry"):
@@ -68,10 +70,17 @@ def _draw_point(axes: Axes, row: Row, colour: str) -> None:
     if accuracy.low is not None and accuracy.high is not None:
         axes.plot([point[0]] * 2, [accuracy.low, accuracy.high], color=colour, lw=0.7, alpha=0.4)
     axes.plot(*point, "s" if profile else "o", color=colour, ms=8 if profile else 5)
-    if profile:
-        axes.annotate(
-            row.name, point, xytext=(4, -15), textcoords="offset points", fontsize=10, weight="bold", zorder=5
-        )
+
+
+def _name_profiles(axes: Axes, rows: Sequence[Row]) -> None:
+    """Write the names of profiles beside their points; those of the same parameters share one."""
+    names: dict[tuple[float, float], list[str]] = {}
+    for row in rows:
+        if point := point_of(row):
+            names.setdefault(point, []).append(row.name)
+    for point, shared in names.items():
+        text = ", ".join(shared)
+        axes.annotate(text, point, xytext=(4, -15), textcoords="offset points", fontsize=10, weight="bold", zorder=5)
 
 
 def _colour(row: Row, profile: Row | None) -> str:
