@@ -98,6 +98,7 @@ class DoubleChain:
             noise_power_mw=beam_noise_mw * float(np.sum(np.abs(forward) ** 2) / len(forward)),
             incoherent=incoherent,
             settled_stamp_ns=None,
+            ego_compensated=stamps.ego_compensated,
             missing_beams=(),
             saturated_share=stamps.saturated_share,
             faults=stamps.faults,

@@ -85,7 +85,7 @@ class Side:
             self.bus.subscribe(topic)
         command = [sys.executable, "-P", "-m", "nodes.node", "nodes.link", "--name", f"link_{name}"]
         command += ["--run-dir", str(self.run_dir), "--params", json.dumps(params), "--die-with", str(os.getpid())]
-        self._said_to = (folder / f"{name}.log").open("w")
+        self._said_to = (folder / f"{name}.log").open("w+")
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(inside(command), env=environment, stderr=self._said_to)
         #: Of a command that `inside` did not put another process around.
@@ -97,6 +97,11 @@ class Side:
     @property
     def is_running(self) -> bool:
         return self._process.poll() is None
+
+    def last_words(self) -> str:
+        """Exit code of a process that has ended, and the end of what it wrote."""
+        self._said_to.seek(0)
+        return f"exit code {self._process.poll()}: {self._said_to.read()[-2000:]}"
 
     def counted(self) -> Counter[str]:
         """What the last heartbeat counts."""
@@ -188,7 +193,10 @@ class Stand:
         return self
 
     def __exit__(self, *details: object) -> None:
+        ended = {name: side.last_words() for name, side in self.sides.items() if not side.is_running}
         self._stack.close()
+        if ended:
+            raise RuntimeError(f"no attack may end a link: {ended}")
 
     def _make_keys(self, folder: Path) -> None:
         """Keys of both ends and of two more peers that are on the list."""

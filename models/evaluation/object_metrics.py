@@ -264,17 +264,17 @@ def object_measures(scores: ObjectScores, weights: np.ndarray | None = None) -> 
     found objects and reports; false reports and missed objects with them a scan. NaN where a draw has nothing to count.
     """
     weights = np.ones((1, len(scores.places))) if weights is None else weights
-    asked, found = weights @ scores.of_objects(lambda item: True), weights @ scores.of_objects(_is_found)
+    asked, found_count = weights @ scores.of_objects(lambda item: True), weights @ scores.of_objects(_is_found)
     loud = weights @ scores.of_objects(_is_loud)
     loud_found = weights @ scores.of_objects(lambda item: _is_loud(item) and _is_found(item))
     reports, false = weights @ scores.of_reports(lambda item: 1.0), weights @ scores.of_reports(is_false)
     scans = weights @ scores.scans_by_place
     return {
-        "object_recall": _quotient(found, asked),
+        "object_recall": _quotient(found_count, asked),
         "object_recall_25_db": _quotient(loud_found, loud),
-        "object_f1": _quotient(2.0 * found, asked + reports),
+        "object_f1": _quotient(2.0 * found_count, asked + reports),
         "false_objects_per_scan": _quotient(false, scans),
-        "object_loss_per_scan": _quotient(asked - found + false, scans),
+        "object_loss_per_scan": _quotient(asked - found_count + false, scans),
     }
 
 

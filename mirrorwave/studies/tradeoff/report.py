@@ -132,8 +132,8 @@ class _Scores:
 
 
 def _intervals(objects: dict[str, Estimate], places: dict[str, Estimate]) -> dict[str, Interval]:
-    named = {name: objects[name] for name in OBJECTS} | {name: places[key] for name, key in PLACES.items()}
-    return {name: Interval.of(estimate) for name, estimate in named.items()}
+    reported = {name: objects[name] for name in OBJECTS} | {name: places[key] for name, key in PLACES.items()}
+    return {name: Interval.of(estimate) for name, estimate in reported.items()}
 
 
 def _named(row: Setting) -> dict[str, Any]:

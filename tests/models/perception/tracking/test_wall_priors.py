@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import msgspec
@@ -211,9 +212,11 @@ def test_the_object_network_gets_the_walls_with_priors() -> None:
         def suits(self, ra_map: object) -> bool:
             return True
 
-        def objects(self, ra_map: object, peaks: Peaks, walls: list, returns: object, moving: bool) -> tuple:
+        def judge(
+            self, ra_map: object, peaks: Peaks, walls: list, returns: object, moving: bool
+        ) -> Callable[[], tuple]:
             judged.append(len(walls))
-            return ()
+            return tuple
 
     views = ViewStage(memory=MemoryParams(tracking=False), predictor=Judge())  # type: ignore[arg-type]
     for messages in ([], [message()]):
