@@ -27,6 +27,13 @@ WALL = Surface(
     role="relay", material="concrete", polyline_m=((20.0, -10.0), (20.0, 15.0)), height_m=6.0, thickness_mm=300
 )
 CAR = SceneObject(class_="car", x_m=12.0, y_m=6.0)
+CHOSEN_BEFORE = pytest.mark.hard(
+    where="sim_player.planner.spans",
+    naive="paths chosen at the instant before",
+    bound=1.0,
+    unit="budgets",
+    source="the law of `peaks`",
+)
 
 
 def planned(world: World) -> Plan:
@@ -62,13 +69,13 @@ def strong_at(plan: Plan, *instants: Paths) -> np.ndarray:
     return np.asarray(np.any(masks, axis=0))
 
 
-@pytest.mark.hard(
-    where="sim_player.planner.spans",
-    naive="paths chosen at the instant before",
-    bound=1.0,
-    unit="budgets",
-    source="the law of `peaks`",
-)
+def compare(errors: Errors, plan: Plan, span: Span) -> None:
+    """What goes without the paths chosen at the instant before, and without those that ours keeps."""
+    naive = strong_at(plan, span.ends()[0])
+    errors(naive=left_out(plan, span, naive), ours=left_out(plan, span, kept(plan, span)))
+
+
+@CHOSEN_BEFORE
 def test_an_object_comes_into_a_mirror_between_two_instants(errors: Errors) -> None:
     """A point passes the line beyond which the end of a wall mirrors it, 10 ms into a span of 43 ms: its image is not
     there at the instant before, and 40 dB over the noise after.
@@ -81,8 +88,7 @@ def test_an_object_comes_into_a_mirror_between_two_instants(errors: Errors) -> N
     first, last = span.ends()
     comes = (first.amplitude == 0.0) & (last.order == 1) & (last.object_index == 0)
     assert comes.any()
-    naive = strong_at(plan, first)
-    errors(naive=left_out(plan, span, naive), ours=left_out(plan, span, kept(plan, span)))
+    compare(errors, plan, span)
 
 
 @pytest.mark.hard(
@@ -110,13 +116,7 @@ def test_a_turn_sweeps_an_echo_over_a_beam_between_two_instants(errors: Errors) 
     errors(naive=truth / ends.sum(), ours=truth / swept.sum())
 
 
-@pytest.mark.hard(
-    where="sim_player.planner.spans",
-    naive="paths chosen at the instant before",
-    bound=1.0,
-    unit="budgets",
-    source="the law of `peaks`",
-)
+@CHOSEN_BEFORE
 def test_a_turn_brings_the_flash_of_a_wall_from_behind(errors: Errors) -> None:
     """A wall square on behind the antenna's side, where its elements see nothing: 36 deg later it flashes."""
     angle = math.radians(100.0)
@@ -124,17 +124,10 @@ def test_a_turn_brings_the_flash_of_a_wall_from_behind(errors: Errors) -> None:
     along = 10.0 * np.array([-math.sin(angle), math.cos(angle)])
     ends = [(float(x), float(y)) for x, y in (foot - along, foot + along)]
     plan = planned(points_world([(60.0, 0.0, 0.0)], wall(*ends), ego=Ego(yaw_rate_dps=120.0)))
-    span = span_of(plan)
-    errors(naive=left_out(plan, span, strong_at(plan, span.ends()[0])), ours=left_out(plan, span, kept(plan, span)))
+    compare(errors, plan, span_of(plan))
 
 
-@pytest.mark.hard(
-    where="sim_player.planner.spans",
-    naive="paths chosen at the instant before",
-    bound=1.0,
-    unit="budgets",
-    source="the law of `peaks`",
-)
+@CHOSEN_BEFORE
 def test_a_scene_changed_under_the_plan(errors: Errors) -> None:
     """An object jumps by 40 m from one instant to the next: the echo that was is faded out, the one that is faded in,
     and both are kept.
@@ -144,8 +137,7 @@ def test_a_scene_changed_under_the_plan(errors: Errors) -> None:
     span = Span(trace(near, 0.0, plan.used), trace(far, plan.holds_s, plan.used), plan.holds_s)
     first, _ = span.ends()
     assert len(first) == 2 * len(trace(near, 0.0, plan.used))
-    naive = strong_at(plan, first)
-    errors(naive=left_out(plan, span, naive), ours=left_out(plan, span, kept(plan, span)))
+    compare(errors, plan, span)
 
 
 def moving_scene(speed_mps: float = 0.0, **ego: float) -> Scene:

@@ -34,8 +34,6 @@ from nodes.geometry import confidence_paths
 
 #: A scan comes so often: a view that takes longer after the last beam is late.
 DEADLINE_MS = 300.0
-#: Measures of `models.evaluation.object_metrics` under their own names.
-OBJECTS = ("object_recall", "object_recall_25_db", "object_f1", "false_objects_per_scan", "object_loss_per_scan")
 #: Measures of `models.evaluation.frame_scores` by the names of the report.
 PLACES = {
     "dense_macro_f1": "dense_macro_f1",
@@ -132,7 +130,8 @@ class _Scores:
 
 
 def _intervals(objects: dict[str, Estimate], places: dict[str, Estimate]) -> dict[str, Interval]:
-    reported = {name: objects[name] for name in OBJECTS} | {name: places[key] for name, key in PLACES.items()}
+    # those of objects have their own names already
+    reported = objects | {name: places[key] for name, key in PLACES.items()}
     return {name: Interval.of(estimate) for name, estimate in reported.items()}
 
 

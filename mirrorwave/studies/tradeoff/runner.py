@@ -34,7 +34,7 @@ from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.perception.objects.predictor import ObjectPredictor
-from models.perception.tracking.stage import ViewStage
+from models.perception.tracking.stage import ViewStage, judged_params
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
@@ -165,10 +165,7 @@ class _Geometry:
     @property
     def folding(self) -> tuple[GeometryParams, Residual | None, Confidence | None]:
         """Parts that fold images back: with the walls of the object network, where one judges."""
-        if self.predictor is None:
-            return self.params, self.residual, self.confidence
-        params = msgspec.structs.replace(self.params, walls=self.predictor.card.encoding.walls)
-        return params, self.residual, self.confidence
+        return judged_params(self.params, self.predictor), self.residual, self.confidence
 
 
 @dataclass

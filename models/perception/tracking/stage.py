@@ -46,10 +46,8 @@ class ViewStage:
         self._params, self._residual, self._confidence = params or GeometryParams(), residual, confidence
         #: For peaks of a radar that gives detections.
         self._detections = detections or self._params
-        #: For scans that the network judges: with the walls that it was trained on.
-        self._judged = self._params
-        if predictor is not None:
-            self._judged = msgspec.structs.replace(self._params, walls=predictor.card.encoding.walls)
+        #: For scans that the network judges.
+        self._judged = judged_params(self._params, predictor)
         self._memory, self._states = ScanMemory(memory or MemoryParams()), StateHistory()
         self._timed = timed
         for used in {self._params, self._detections}:
@@ -98,3 +96,8 @@ class ViewStage:
             return None
         moving = ego is not None and ego.valid and abs(ego.speed_mps) >= MOVING_MPS
         return partial(self.predictor.judge, ra_map, peaks, moving=moving)
+
+
+def judged_params(params: GeometryParams, predictor: ObjectPredictor | None) -> GeometryParams:
+    """Return the parameters of scans that a network judges: with the walls that it was trained on."""
+    return params if predictor is None else msgspec.structs.replace(params, walls=predictor.card.encoding.walls)
