@@ -1,4 +1,4 @@
-"""Random places with Kirchhoff's lobe on every wall beside Lambert's, the default: what it would change.
+"""Random places with Kirchhoff's lobe on every wall, the default, beside Lambert's: what it changes.
 
 All effects, at rest, no noise. Compared are cells (beams and map, `sim_player.planner.cells`) that either lobe lifts
 10 dB over noise rms, and the power of all diffuse echoes without the antenna.
@@ -64,7 +64,7 @@ def answer_of(scene: Scene, seed: int) -> Answer:
 
 
 def change_of(scene: Scene, seed: int) -> dict[str, float | None]:
-    """Return what changes from the default lobe to Kirchhoff's: clear cells, and diffuse power [dB]; None: there is
+    """Return what changes from the cosine law to the default lobe: clear cells, and diffuse power [dB]; None: there is
     none.
     """
     before, after = (answer_of(with_lobe(scene, lobe), seed) for lobe in ("lambert", "kirchhoff"))

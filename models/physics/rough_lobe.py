@@ -20,9 +20,12 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numba import njit
 
 #: Orders of scattering that stand for all, and how many standard deviations of the Poisson law they span.
 ORDERS, SPAN = 65, 7.0
+#: Past the mean, orders of a smaller share (of the first one's) than this are left out.
+NEGLIGIBLE = 1e-15
 #: Cosines at which the normalisation is tabled, polar and azimuthal nodes of its integrals, and rounds to find it.
 TABLE_COSINES, POLAR_NODES, AZIMUTH_NODES, ROUNDS = 24, 32, 12, 60
 #: Rms slope at most: beyond it Kirchhoff's facets would shade each other, and the lobe is that of this slope.
@@ -80,16 +83,10 @@ class RoughLobe:
     ) -> np.ndarray:
         """Return K; of `across`, the other component of u_i + u_s, the mean over 0..`across`."""
         wave = 2.0 * math.pi / self.wavelength_m
-        width = wave * self.effective_correlation_m
-        depth = np.square(wave * self.roughness_m * (cos_in + cos_out))
-        order, share = poisson_orders(depth)
-        along, across = np.asarray(along)[..., None], np.asarray(across)[..., None]
-        scale = 0.5 * width / np.sqrt(order)
-        lobe = np.exp(-np.square(scale * along)) * _gaussian_mean(scale * across)
-        gain = width * math.sqrt(math.pi) / np.sqrt(order) if self.in_plane else np.square(width) / order
-        # |v_i + v_s|^2 = 2 + 2 v_i . v_s
-        facet = 0.5 * (np.square(cos_in + cos_out) + np.square(along[..., 0])) / (cos_in + cos_out)
-        return np.asarray(np.square(facet) * np.sum(share * gain * lobe, axis=-1))
+        size = wave * self.roughness_m, wave * self.effective_correlation_m, self.in_plane
+        given = np.broadcast_arrays(cos_in, cos_out, along, across)
+        flat = [np.ascontiguousarray(values, np.float64).ravel() for values in given]
+        return np.asarray(_kernels(*flat, size)).reshape(given[0].shape)
 
     def _normalisation_at(self, cosine: np.ndarray) -> np.ndarray:
         nodes, values = self._normalisation
@@ -103,10 +100,18 @@ class RoughLobe:
         target = cosine * -np.expm1(-np.square(4.0 * math.pi * self.roughness_m * cosine / self.wavelength_m))
         cos_out, along, weight = self._directions(cosine)
         power = weight * self._kernel(np.broadcast_to(cosine[:, None], cos_out.shape), cos_out, along, 0.0)
+        # what leaves to the table's own cosines: its line between them is linear in the values
+        between = np.minimum(cos_out * (TABLE_COSINES - 1), TABLE_COSINES - 1.0)
+        lower = np.minimum(between.astype(int), TABLE_COSINES - 2)
+        share = between - lower
+        row = TABLE_COSINES * np.arange(TABLE_COSINES)[:, None]
+        count = TABLE_COSINES**2
+        to = np.bincount((row + lower).ravel(), (power * (1.0 - share)).ravel(), count)
+        to += np.bincount((row + lower + 1).ravel(), (power * share).ravel(), count)
+        to = to.reshape(TABLE_COSINES, TABLE_COSINES)
         values = np.ones(len(nodes))
         for _ in range(ROUNDS):
-            radiated = values * np.sum(power * np.interp(cos_out, nodes, values), axis=1)
-            values *= np.sqrt(target / np.maximum(radiated, 1e-300))
+            values *= np.sqrt(target / np.maximum(values * (to @ values), 1e-300))
         return nodes, values
 
     def _directions(self, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -145,27 +150,44 @@ def rough_lobe(roughness_m: float, correlation_m: float, wavelength_m: float) ->
     return RoughLobe(roughness_m, correlation_m, wavelength_m)
 
 
-def poisson_orders(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return orders m >= 1 [..., ORDERS] and their probability under Poisson laws of means [...].
+@njit(cache=True, nogil=True, error_model="numpy")
+def _kernels(cos_in, cos_out, along, across, size):  # type: ignore[no-untyped-def]
+    """Return K of each direction, [N]; `size`: k s, k l, and whether in the plane."""
+    height, width, in_plane = size
+    values = np.empty(len(cos_in))
+    for n in range(len(cos_in)):
+        both = cos_in[n] + cos_out[n]
+        # |v_i + v_s|^2 = 2 + 2 v_i . v_s
+        facet = 0.5 * (both * both + along[n] * along[n]) / both
+        depth = height * height * both * both
+        values[n] = facet * facet * mean_over_orders(depth, width, along[n], across[n], in_plane)
+    return values
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mean_over_orders(depth, width, along, across, in_plane):  # type: ignore[no-untyped-def]
+    """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`, mean over 0..`across` as well.
 
     All whole orders that count where they are few; else as many in equal steps, which is as exact for smooth terms.
-    The probabilities sum to 1 - exp(-mean).
     """
-    from scipy.special import gammaln
-
-    mean = np.maximum(np.asarray(mean, np.float64), 1e-300)[..., None]
-    half = SPAN * np.sqrt(mean) + 0.5 * ORDERS - SPAN * 2.0
-    low = np.maximum(np.floor(mean - half), 1.0)
-    step = np.maximum((mean + half - low) / (ORDERS - 1), 1.0)
-    order = low + step * np.arange(ORDERS)
-    log_share = order * np.log(mean) - mean - gammaln(order + 1.0)
-    share = np.exp(log_share - log_share.max(axis=-1, keepdims=True))
-    return order, share * (-np.expm1(-mean) / share.sum(axis=-1, keepdims=True))
-
-
-def _gaussian_mean(reach: np.ndarray) -> np.ndarray:
-    """Return the mean of exp(-x^2) over 0..reach."""
-    from scipy.special import erf
-
-    wide = np.maximum(reach, NARROW)
-    return np.where(reach > NARROW, 0.5 * math.sqrt(math.pi) * erf(wide) / wide, 1.0)
+    depth = max(depth, 1e-300)
+    half = SPAN * math.sqrt(depth) + 0.5 * ORDERS - SPAN * 2.0
+    low = max(math.floor(depth - half), 1.0)
+    step = max((depth + half - low) / (ORDERS - 1), 1.0)
+    middle = max(low, depth)
+    most = middle * math.log(depth) - math.lgamma(middle + 1.0)
+    total, mean, share, order = 0.0, 0.0, 1.0, low
+    for _ in range(ORDERS):
+        if step > 1.0:
+            share = math.exp(order * math.log(depth) - math.lgamma(order + 1.0) - most)
+        scale = 0.5 * width / math.sqrt(order)
+        gain = width * math.sqrt(math.pi / order) if in_plane else width * width / order
+        beside = scale * across
+        spread = 0.5 * math.sqrt(math.pi) * math.erf(beside) / beside if beside > NARROW else 1.0
+        total += share
+        mean += share * gain * spread * math.exp(-((scale * along) ** 2))
+        if order > depth and share < NEGLIGIBLE * total:
+            break
+        order += step
+        share *= depth / order
+    return -math.expm1(-depth) * mean / total

@@ -126,6 +126,8 @@ def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
             height_m=surface.height_m,
             thickness_mm=surface.thickness_mm,
             roughness_mm=surface.roughness_mm,
+            # the first series keeps the signals that it was drawn with
+            diffuse_lobe="lambert",
         )
         for surface in surfaces
     )

@@ -107,8 +107,8 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     roughness_mm: float = 0.0
     #: Distance along the wall over which its heights stay alike.
     correlation_mm: float = 30.0
-    #: Directions of what roughness takes from the mirror: cosine law, or Kirchhoff's of height and correlation length.
-    diffuse_lobe: DiffuseLobe = "lambert"
+    #: Directions of what roughness takes from the mirror: Kirchhoff's of height and correlation length, or cosine law.
+    diffuse_lobe: DiffuseLobe = "kirchhoff"
     #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the direction of the
     #: polyline.
     curvature_per_m: float = 0.0

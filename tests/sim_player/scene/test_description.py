@@ -57,8 +57,8 @@ def test_written_scene_reads_back_the_same() -> None:
 def test_default_lobe_is_not_written() -> None:
     """Scenes drawn before surfaces had it keep their text and their hash; another lobe changes both."""
     plain = scene_from_yaml(scene())
-    stated = scene_from_yaml(scene(WALL.replace("}", ", diffuse_lobe: lambert}").join("[]")))
-    other = scene_from_yaml(scene(WALL.replace("}", ", diffuse_lobe: kirchhoff}").join("[]")))
+    stated = scene_from_yaml(scene(WALL.replace("}", ", diffuse_lobe: kirchhoff}").join("[]")))
+    other = scene_from_yaml(scene(WALL.replace("}", ", diffuse_lobe: lambert}").join("[]")))
     assert "diffuse_lobe" not in scene_to_yaml(plain)
     assert (scene_to_yaml(stated), scene_sha256(stated)) == (scene_to_yaml(plain), scene_sha256(plain))
     assert scene_from_yaml(scene_to_yaml(other)) == other
