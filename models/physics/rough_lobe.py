@@ -166,7 +166,7 @@ def _kernels(cos_in, cos_out, along, across, size):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mean_over_orders(depth, width, along, across, in_plane):  # type: ignore[no-untyped-def]
-    """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`, mean over 0..`across` as well.
+    """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`; the mean over 0..`across`.
 
     All whole orders that count where they are few; else as many in equal steps, which is as exact for smooth terms.
     """

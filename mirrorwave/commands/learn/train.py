@@ -10,6 +10,7 @@ import typer
 
 from mirrorwave.commands.learn.train_confidence import confidence
 from mirrorwave.commands.learn.train_objects import objects
+from mirrorwave.commands.learn.train_probabilities import probabilities
 from mirrorwave.commands.learn.train_residual import residual
 from mirrorwave.console import print_json, print_line
 
@@ -23,6 +24,7 @@ app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set."
 app.command()(residual)
 app.command()(confidence)
 app.command()(objects)
+app.command()(probabilities)
 
 
 @app.command()

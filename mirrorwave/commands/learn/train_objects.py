@@ -89,10 +89,10 @@ def objects(
     _check_data(scenes, judges)
     _check_start(start, config)
     adopt_config(out, config)
-    maker = _Maker(detector, config.encoding)
+    maker = Maker(detector, config.encoding)
     with Progress(console=Console(stderr=True)) as progress, joined_ranks() as ranks:
-        train = _samples(scenes, maker, out / TRAIN_SAMPLES, seed, workers, progress)
-        chosen_by = _samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
+        train = object_samples(scenes, maker, out / TRAIN_SAMPLES, seed, workers, progress)
+        chosen_by = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
         training = ObjectTraining(config, train, chosen_by, out, ranks)
         best = _run(training, progress)
     file = out / MODEL_FILE
@@ -125,7 +125,7 @@ def _check_start(start: Path | None, config: ObjectRunConfig) -> None:
         load_exported(ObjectUNet(config.network), start)
 
 
-class _Maker(NamedTuple):
+class Maker(NamedTuple):
     """How samples are made, for any process."""
 
     detector: Path
@@ -137,15 +137,15 @@ class _Job(NamedTuple):
 
     data: Path
     scans: range
-    maker: _Maker
+    maker: Maker
     path: Path
     seed: int | None
 
 
-def _samples(
-    scenes: Sequence[DataSet], maker: _Maker, folder: Path, seed: int | None, workers: int, progress: Progress
+def object_samples(
+    scenes: Sequence[DataSet], maker: Maker, folder: Path, seed: int | None, workers: int, progress: Progress
 ) -> list[Path]:
-    """Samples of all scans of the data sets, kept in the run folder."""
+    """Samples of all scans of the data sets, kept in a folder."""
     from models.training.data.object_store import sample_files
     from sim_player.dataset.executors import map_jobs
 
@@ -177,7 +177,7 @@ def _data_set(folder: Path) -> DataSet:
 
 
 @cache
-def _sample_maker(folder: Path, maker: _Maker) -> SampleMaker:
+def _sample_maker(folder: Path, maker: Maker) -> SampleMaker:
     """Parts of a vehicle for the radar of a data set, loaded once a process."""
     from models.perception.detection.detectors import NetworkDetector
     from models.training.data.object_samples import SampleMaker

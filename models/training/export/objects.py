@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -12,30 +11,25 @@ import numpy as np
 import torch
 from scipy.special import expit
 
-from models.evaluation.object_metrics import ObjectReport, Ratio
 from models.networks.object_unet import ObjectUNet
 from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.perception.detection.score_calibration import ScoreTable
 from models.perception.objects.answers import ANSWERS
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.predictor import ObjectCard, ObjectPredictor
-from models.training.calibration import fit_table
 from models.training.data.frames import DataSet
 from models.training.data.object_samples import SampleMaker
-from models.training.data.object_store import StoredSample, load_samples
+from models.training.data.object_store import load_samples
 from models.training.export.onnx import require_onnx, write_card, write_onnx
 from models.training.export.quantize import quantize_int8
 from models.training.files import file_sha256
-from models.training.object_scoring import ObjectTally
+from models.training.object_probabilities import with_probabilities
 from models.training.train_objects import ObjectRunConfig, load_best_objects
 
 #: Largest difference of an answer between torch and ONNX Runtime, relative to the largest answer.
 PARITY = 1e-4
 #: Scans of the parity check.
 PARITY_SCANS = 4
-#: Probabilities that may be thresholds; answers above the first one fit the calibration, in so many groups.
-THRESHOLDS, GROUPS = tuple(round(0.05 * step, 2) for step in range(1, 16)), 60
 
 
 def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path) -> ObjectCard:
@@ -54,13 +48,9 @@ def export_objects_run(run_dir: Path, validation: list[Path], model_path: Path) 
         draft = _draft(network, run, epoch, file_sha256(file), model_path.stem, _command(run, run_dir))
         write_card(draft, file)
         _check_parity(model_path, network, ObjectPredictor(file), validation)
-        predictor = ObjectPredictor(file, flip_test=True)
-        draft = _calibrated(draft, predictor, validation)
-        tally = _tally(draft, predictor, validation)
+        card = with_probabilities(draft, ObjectPredictor(file, flip_test=True), validation, run.training.false_cost)
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
-    threshold, report = tally.best(run.training.false_cost)
-    card = msgspec.structs.replace(draft, threshold=threshold, scores=_scores(report))
     write_card(card, model_path)
     return card
 
@@ -110,15 +100,6 @@ def _probability_difference(exact: ObjectPredictor, rounded: ObjectPredictor, in
     return float(np.abs(np.array(answers[0]) - np.array(answers[1])).max())
 
 
-def calibration(tally: ObjectTally) -> ScoreTable:
-    """Return the table from answers to the share of reports that are a hidden object, one to one; of all reports that
-    reach the lowest threshold.
-    """
-    reports = [report for row in tally.rows[min(tally.rows)] for report in row.reports]
-    score = np.array([report.score for report in reports], np.float64)
-    return fit_table(score, np.array([report.found for report in reports], bool), GROUPS)
-
-
 def _command(run: ObjectRunConfig, run_dir: Path) -> str:
     """Return the command of a run."""
     schedule, data = run.training.schedule, run.data
@@ -162,39 +143,3 @@ def _check_parity(path: Path, network: ObjectUNet, predictor: ObjectPredictor, f
         difference = float(np.abs(predictor.answer(cells) - wanted).max() / np.abs(wanted).max())
         if not difference <= PARITY:
             raise ValueError(f"{path}: answers must agree with torch within {PARITY}, differ by {difference}")
-
-
-def _calibrated(draft: ObjectCard, predictor: ObjectPredictor, files: list[Path]) -> ObjectCard:
-    """Return the card with tables for a vehicle at rest and for one that moves."""
-    tallies = {moving: ObjectTally(draft.encoding, THRESHOLDS[:1]) for moving in (False, True)}
-    for stored in _samples(files):
-        tallies[stored.ego_compensated].add(stored, predictor.answer(stored.sample.cells.astype(np.float32)))
-    return msgspec.structs.replace(
-        draft, calibration=calibration(tallies[False]), calibration_moving=calibration(tallies[True])
-    )
-
-
-def _tally(card: ObjectCard, predictor: ObjectPredictor, files: list[Path]) -> ObjectTally:
-    tally = ObjectTally(card.encoding, THRESHOLDS, card.calibration_of)
-    for stored in _samples(files):
-        tally.add(stored, predictor.answer(stored.sample.cells.astype(np.float32)))
-    return tally
-
-
-def _samples(files: list[Path]) -> Iterator[StoredSample]:
-    for path in files:
-        yield from load_samples(path)
-
-
-def _scores(report: ObjectReport) -> dict[str, float]:
-    """Return the headline measures, those without a value left out."""
-    ratios: dict[str, Ratio] = {
-        "recall": report.recall,
-        "recall_single_25_db": report.recall_single_25_db,
-        "precision": report.precision,
-        "false_per_scan": report.false_per_scan,
-        "loss_per_scan": report.loss,
-    }
-    return {"scans": float(report.scans)} | {
-        name: round(ratio.value, 4) for name, ratio in ratios.items() if ratio.value is not None
-    }

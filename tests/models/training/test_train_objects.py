@@ -22,8 +22,9 @@ from models.perception.objects.predictor import ObjectPredictor, load_object_car
 from models.training.data.frames import FrameLabels
 from models.training.data.object_samples import ObjectSample, ObjectTargets
 from models.training.data.object_store import StoredSample, save_samples
-from models.training.export.objects import calibration, export_objects_run
+from models.training.export.objects import export_objects_run
 from models.training.exported_weights import load_exported
+from models.training.object_probabilities import probability_table
 from models.training.object_scoring import ObjectTally
 from models.training.objectives.objects import (
     ObjectLossConfig,
@@ -229,6 +230,24 @@ def test_calibration_counts_reports_that_are_objects() -> None:
             ReportRow(score=score, found=index < true, error_m=None, centre_m=None, box_m=None) for index in range(200)
         ]
         tally.rows[0.1].append(ScanRow(place=len(tally.rows[0.1]), scan=0, hidden=[], reports=reports))
-    table = calibration(tally)
+    table = probability_table(tally)
     at = calibrated(table, np.array([0.3, 0.7]))
     np.testing.assert_allclose(at, [0.3, 0.8], atol=0.05)
+
+
+def test_a_fainter_report_takes_no_object_from_a_surer_one() -> None:
+    """In every scan a report at 0.75 finds the object where lists begin at 0.5, and one at 0.15 takes it where they
+    begin at 0.1: both count as found, each in its own list.
+    """
+    tally = ObjectTally(ENCODING, [0.1, 0.5])
+
+    def report(score: float, found: bool) -> ReportRow:
+        return ReportRow(score=score, found=found, error_m=None, centre_m=None, box_m=None)
+
+    for scan in range(100):
+        tally.rows[0.1].append(
+            ScanRow(place=scan, scan=0, hidden=[], reports=[report(0.75, False), report(0.15, True)])
+        )
+        tally.rows[0.5].append(ScanRow(place=scan, scan=0, hidden=[], reports=[report(0.75, True)]))
+    at = calibrated(probability_table(tally), np.array([0.15, 0.75]))
+    np.testing.assert_allclose(at, [0.97, 0.97], atol=0.03)

@@ -113,8 +113,7 @@ def test_the_laws_with_kirchhoffs_lobe(
     """
     place = random_place(21, 1)
     surfaces = tuple(
-        msgspec.structs.replace(surface, roughness_mm=2.0, correlation_mm=correlation_mm)
-        for surface in place.surfaces
+        msgspec.structs.replace(surface, roughness_mm=2.0, correlation_mm=correlation_mm) for surface in place.surfaces
     )
     asked = msgspec.structs.replace(place, surfaces=surfaces)
     world = prepare(asked, 1)

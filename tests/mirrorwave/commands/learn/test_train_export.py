@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from mirrorwave.commands.learn.export import export
 from mirrorwave.commands.learn.train import dense
 from mirrorwave.commands.learn.train_objects import objects
+from mirrorwave.commands.learn.train_probabilities import probabilities
 from models.perception.detection.onnx_model import DensePredictor
 from models.perception.objects.predictor import DEFAULT_OBJECTS, ObjectPredictor, load_object_card
 from models.training.data.frames import fixed_splits
@@ -84,6 +86,27 @@ def test_an_object_network_in_whole_numbers_answers_as_the_exact_one(
     assert (card.calibration, card.threshold) == (exact.calibration, exact.threshold)
     assert card.training["quantized"]["source_sha256"] == exact.sha256
     assert out.stat().st_size < 0.4 * DEFAULT_OBJECTS.stat().st_size
+
+
+@pytest.mark.slow
+def test_tables_of_a_shipped_network_are_fitted_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Eight scenes: another table, threshold and scores in its card, the same bytes the second time, and it loads."""
+    write_dataset(tmp_path / "data", 8, 5, Recipe(effects="basic", truth=True))
+    network = tmp_path / "objects.int8.onnx"
+    for suffix in (".onnx", ".json"):
+        shutil.copyfile(DEFAULT_OBJECTS.with_suffix(f".int8{suffix}"), network.with_suffix(suffix))
+    shipped = load_object_card(network)
+    probabilities(network, [tmp_path / "data"], tmp_path / "run")
+    card, written = ObjectPredictor(network).card, network.with_suffix(".json").read_bytes()
+    assert f"{network}: least loss {card.scores['loss_per_scan']:.3f} a scan from {card.threshold:g}" in (
+        capsys.readouterr().out
+    )
+    assert card.scores["scans"] == 8.0
+    assert card.calibration != shipped.calibration
+    assert (card.calibration_moving, card.sha256) == ((), shipped.sha256), "nothing moved, and the network is the same"
+    assert card.training["probabilities"]["command"].startswith(f"mirrorwave train probabilities {network} --valid")
+    probabilities(network, [tmp_path / "data"], tmp_path / "run")
+    assert network.with_suffix(".json").read_bytes() == written
 
 
 @pytest.mark.parametrize(("precision", "data"), [("fp32", Path("data")), ("int8", None)])
