@@ -43,8 +43,11 @@ class Answer:
 
 
 def with_lobe(scene: Scene, lobe: DiffuseLobe) -> Scene:
-    """Return a scene whose surfaces all scatter so."""
-    surfaces = tuple(msgspec.structs.replace(surface, diffuse_lobe=lobe) for surface in scene.surfaces)
+    """Return a scene whose walls all scatter so."""
+    surfaces = tuple(
+        surface if surface.role == "ground" else msgspec.structs.replace(surface, diffuse_lobe=lobe)
+        for surface in scene.surfaces
+    )
     return msgspec.structs.replace(scene, surfaces=surfaces)
 
 

@@ -390,6 +390,8 @@ def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
             f"{field}.diffuse_lobe: must be one of {', '.join(get_args(DiffuseLobe))}, got {surface.diffuse_lobe!r}"
         )
     if surface.role == "ground":
+        if surface.diffuse_lobe != _PLAIN_SURFACE.diffuse_lobe:
+            raise ValueError(f"{field}.diffuse_lobe: a ground mirrors and has none, got {surface.diffuse_lobe!r}")
         return
     if not surface.height_m > 0.0:
         raise ValueError(f"{field}.height_m: must be positive, got {surface.height_m!r}")

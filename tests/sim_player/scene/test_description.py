@@ -126,6 +126,10 @@ def test_unknown_lobes_of_scenes_made_by_hand_are_refused() -> None:
             scene(f"[{WALL}, {{role: ground, material: hedge}}]"),
             "a ground must be a surf",
         ),
+        (
+            scene(f"[{WALL}, {{role: ground, material: wet_ground, diffuse_lobe: lambert}}]"),
+            "surfaces[1].diffuse_lobe: a ground mirrors and has none, got 'lambert'",
+        ),
         (scene(WALL.replace("concrete", "double_glazing").replace("}", ", thickness_mm: 6}").join("[]")), "thickness"),
         (scene(WALL.replace("}", ", correlation_mm: 0}").join("[]")), "surfaces[0].correlation_mm: must be positive"),
         (scene(WALL.replace("}", ", correlation_mm: .nan}").join("[]")), "surfaces[0].correlation_mm: must be finite"),
