@@ -143,6 +143,11 @@ object-network: setup-dev  ## the object network from places and drives drawn fo
 		--epochs 4 --workers 2 --threads 2
 	$(BIN)/mirrorwave export models/weights/object_unet.onnx --precision int8 --data data/object_places \
 		--out models/weights/object_unet.int8.onnx
+	$(BIN)/mirrorwave train probabilities models/weights/object_unet.onnx --flip-test --out runs/probabilities --workers 2 \
+		--validation data/object_places_validation --validation data/object_drives_validation
+	$(BIN)/mirrorwave train probabilities models/weights/object_unet.int8.onnx --out runs/probabilities_int8 --workers 2 \
+		--model models/weights/compact_unet.int8.onnx \
+		--validation data/object_places_validation --validation data/object_drives_validation
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

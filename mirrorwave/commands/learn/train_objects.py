@@ -130,6 +130,7 @@ class Maker(NamedTuple):
 
     detector: Path
     encoding: ObjectEncoding
+    flip_test: bool = False
 
 
 class _Job(NamedTuple):
@@ -182,7 +183,8 @@ def _sample_maker(folder: Path, maker: Maker) -> SampleMaker:
     from models.perception.detection.detectors import NetworkDetector
     from models.training.data.object_samples import SampleMaker
 
-    return SampleMaker(maker.encoding, NetworkDetector(_data_set(folder).setup, maker.detector))
+    detector = NetworkDetector(_data_set(folder).setup, maker.detector, flip_test=maker.flip_test)
+    return SampleMaker(maker.encoding, detector)
 
 
 def _run(training: ObjectTraining, progress: Progress) -> ObjectEpoch:

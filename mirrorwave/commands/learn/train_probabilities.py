@@ -25,7 +25,7 @@ def probabilities(
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
     ] = None,
     flip_test: Annotated[
-        bool, typer.Option("--flip-test", help="Mean answer to a scan and to its mirror image.")
+        bool, typer.Option("--flip-test", help="Both networks look at a scan and at its mirror image.")
     ] = False,
     false_cost: Annotated[
         float, typer.Option(min=0.0, help="Missed objects that a false report costs, for the threshold.")
@@ -46,7 +46,7 @@ def probabilities(
 
     detector, judges = model or DEFAULT_MODEL, list(map(DataSet, validation))
     predictor = ObjectPredictor(network, flip_test=flip_test)
-    maker = Maker(detector, predictor.card.encoding)
+    maker = Maker(detector, predictor.card.encoding, flip_test)
     with Progress(console=Console(stderr=True), disable=json) as progress:
         files = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
         card = with_probabilities(predictor.card, predictor, files, false_cost)
