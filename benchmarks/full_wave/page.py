@@ -76,13 +76,13 @@ normal, over the smooth mirror, and what the lobes in the plane have over it. A 
 
 PLACES = """### What it changes
 
-{places} random places, all effects, with Kirchhoff's lobe on every wall in place of Lambert's, once the default (`python -m
+{places} random places, all effects, with Kirchhoff's lobe on every wall in place of Lambert's (`python -m
 benchmarks.simulator.diffuse_lobe --places {places} --seed {seed}`). Cells are clear if either lobe lifts them 10 dB
 over noise rms. In {maps_over_1_db} of {places} maps clear cells move by more than 1 dB.
 """
-VERDICT = """The full wave decides for Kirchhoff's lobe at all angles: it is the default. Not measured: correlation lengths
-of real walls (drawn from 5 to 100 mm), the lobe out of the plane (space and plane share one expression), slopes beyond
-0.2.
+VERDICT = """The full wave decides for Kirchhoff's lobe at all angles: it is the default. Not measured:
+correlation lengths of real walls (drawn from 5 to 100 mm), the lobe out of the plane (space and plane share one
+expression), slopes beyond 0.2.
 """
 
 

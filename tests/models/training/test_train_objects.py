@@ -236,8 +236,8 @@ def test_calibration_counts_reports_that_are_objects() -> None:
 
 
 def test_a_fainter_report_takes_no_object_from_a_surer_one() -> None:
-    """In each of 100 scans a report at 0.75 finds the object where lists begin at 0.5; in 40 one at 0.15 lies nearer and
-    takes it where they begin at 0.1. Each counts in its own list: 0.4 and 1, one of each kind added to groups of 33.
+    """In each of 100 scans a report at 0.75 finds the object where lists begin at 0.5; in 40 one at 0.15 lies nearer
+    and takes it where they begin at 0.1. Each counts in its own list: 0.4 and 1, one of each kind added to groups.
     """
     tally = ObjectTally(ENCODING, [0.1, 0.5])
 

@@ -86,7 +86,7 @@ def test_lobe_belongs_to_its_surface() -> None:
 
 
 def test_cosine_law_has_the_bytes_of_the_first_series() -> None:
-    """4 (1 - rho) cos^2 h ds and the radar equation, in the order in which they were always multiplied: no bit moves."""
+    """4 (1 - rho) cos^2 h ds and the radar equation, in the order in which they were first multiplied: no bit moves."""
     world = points_world(FAR, wall(*ENDS, diffuse_lobe="lambert", **ROUGH))
     tracing = traced(world, NAME)
     echoes, (routes, occlusion) = tracing.echoes[NAME], straight_routes(tracing.view, world.rough_patches[1])
