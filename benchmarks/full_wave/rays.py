@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import hankel2
 
+from models.physics.mirror import mirrored
 from models.physics.rough_lobe import RoughLobe
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
@@ -33,6 +34,7 @@ from sim_player.trace.ray_tracing import trace_echoes
 
 #: Bends and arcs turn a route by other angles than walls along the axes do.
 TURNS = bit("edge_diffraction") | bit("curved_wall")
+BENT_BY_MIRROR = bit("mirrored_diffraction")
 DIFFUSE = bit("diffuse_scattering")
 
 
@@ -82,11 +84,12 @@ def _phase(
     """Return the phase of one-way routes on the grid [rad], [frequencies, E].
 
     Walls along the axes mirror a direction into one of the same wave number. A route that an edge or an arc turns has
-    two segments: the turn is where the first, along the departure, leaves the length to the target for the second.
+    two segments, unfolded at its mirror: the turn is where the first, along the departure, leaves the length to the
+    target or its image for the second.
     """
-    ray = echoes.point[:, :2] - view.origin
+    ray, turned = _unfolded(view, echoes, length_m, depart)
     along = np.sum(depart[:, :2] * ray, axis=1)
-    turned = ((echoes.needs & TURNS) > 0) & (echoes.object_index >= 0) & (length_m - along > 1e-9)
+    turned &= length_m - along > 1e-9
     first = np.where(
         turned, 0.5 * (length_m**2 - np.sum(ray**2, axis=1)) / np.where(turned, length_m - along, 1.0), length_m
     )
@@ -94,6 +97,44 @@ def _phase(
     onwards /= np.linalg.norm(onwards, axis=1, keepdims=True)
     segments = ((depart[:, :2], first), (onwards, length_m - first))
     return np.asarray(sum(grid.wave_number(frequency_hz, direction) * span_m for direction, span_m in segments))
+
+
+def _unfolded(
+    view: Snapshot, echoes: Echoes, length_m: np.ndarray, depart: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vectors [E, 2] to the targets or, behind a mirror, their images, and which routes are turned [E].
+
+    Echoes with a bend beside a mirror do not say which of their two routes has it: its edge stands where a wall ends.
+    """
+    ray = echoes.point[:, :2] - view.origin
+    of_object = echoes.object_index >= 0
+    turned = ((echoes.needs & TURNS) > 0) & of_object
+    for index in np.flatnonzero(((echoes.needs & BENT_BY_MIRROR) > 0) & of_object):
+        ray[index], turned[index] = _unfold(view, ray[index], length_m[index], depart[index, :2])
+    return ray, turned
+
+
+def _unfold(view: Snapshot, ray: np.ndarray, length_m: float, depart: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return the vector to a target's image by which a route along `depart` is straight, or else bends at an edge."""
+    world, ends = view.world, np.concatenate([view.world.wall_a, view.world.wall_b])
+    plain = [(ray, ends)]
+    for wall in np.flatnonzero(world.is_flat):
+        line = *view.normal[wall], view.offset[wall]
+        image = np.array(mirrored(*(view.origin + ray), *line)) - view.origin
+        # before the mirror the edge stands where it is, behind it at its image
+        plain.append((image, np.concatenate([ends, np.column_stack(mirrored(*ends.T, *line))])))
+    best = (np.inf, ray, True)
+    for towards, edges in plain:
+        missing = length_m - float(depart @ towards)
+        if missing < 1e-9:
+            return towards, False
+        first = 0.5 * (length_m**2 - float(towards @ towards)) / missing
+        best = min(best, (_nearest_m(view.origin + first * depart, edges), towards, True), key=lambda found: found[0])
+    return best[1], best[2]
+
+
+def _nearest_m(point: np.ndarray, others: np.ndarray) -> float:
+    return float(np.linalg.norm(others - point, axis=1).min())
 
 
 def _plane(view: Snapshot, echoes: Echoes) -> np.ndarray:
@@ -128,7 +169,7 @@ def _names(echoes: Echoes) -> list[str]:
     return [_name(*row) for row in zip(needs, echoes.object_index >= 0, same, echoes.order, strict=True)]
 
 
-_NAMED = ("edge_diffraction", "second_relay", "diffuse_scattering", "non_cofocal")
+_NAMED = ("edge_diffraction", "mirrored_diffraction", "second_relay", "diffuse_scattering", "non_cofocal")
 
 
 def _name(needs: set[str], of_object: bool, same: bool, order: int) -> str:
@@ -140,6 +181,8 @@ def _name(needs: set[str], of_object: bool, same: bool, order: int) -> str:
             if "second_relay" in needs
             else "flash"
         )
+    if "mirrored_diffraction" in needs:
+        return "mirrored, bent" if same else "mirrored, bent, mixed"
     if "edge_diffraction" in needs:
         return "diffracted" if same else "diffracted, mixed, twice mirrored" if order == 2 else "diffracted, mixed"
     if "non_cofocal" in needs:

@@ -3,7 +3,7 @@
 Upright edges by the uniform theory (`models.physics.diffraction`): a free end is a half plane that lets through and
 reflects what its wall does, a corner that points at the radar a wedge. One bend on one or both ways, by the same edge.
 Left out: the walls' top edges, joints of materials in one plane, corners that open towards the radar and places where
-more than two walls meet, bends before or after a mirror, the faces' roughness, edges of vehicles.
+more than two walls meet, the faces' roughness, edges of vehicles. Bends before or after a mirror have their own file.
 """
 
 from __future__ import annotations
@@ -91,13 +91,11 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     pieces = scene[2]
     rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
-    top = low = start[2]
-    for n in range(len(point)):
-        top, low = max(top, point[n, 2]), min(low, point[n, 2])
+    low, top = height_span(start[2], point)
     for e in range(len(edges)):
         x, y, _, _, face_rad, sense, n_half, height = edges[e]
         source_plan = math.hypot(x - start[0], y - start[1])
-        to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
+        to_source = turn_from_face(start[0] - x, start[1] - y, face_rad, sense)
         if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M:
             continue
         # seen at the greatest height at which a ray to any point may meet it
@@ -113,7 +111,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
                 continue
             # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
             bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
-            to_target = _turn(end[0] - x, end[1] - y, face_rad, sense)
+            to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
             if to_target >= n_half * np.pi or bend[2] >= height:
                 continue
             before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
@@ -129,12 +127,23 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
             arrive, target_m = direction_of(bend, end)
             fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
             row.edge, row.foliage = e, leaves
-            row.whole, row.front = _field(edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene)
+            row.whole, row.front = bend_field(
+                edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene
+            )
     return rows[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
+def height_span(height, point):  # type: ignore[no-untyped-def]
+    """Return the least and the greatest of a height and those of points [N, 3]."""
+    low = top = height
+    for n in range(len(point)):
+        low, top = min(low, point[n, 2]), max(top, point[n, 2])
+    return low, top
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bend_field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
     """Return the uniform field of a bend over that of a free ray as long, with whole walls and their front faces."""
     builds, (transmission, wall_build), _, wavelength_m = scene
     first, last, n = int(edge[2]), int(edge[3]), edge[6]
@@ -157,31 +166,52 @@ def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _turn(x, y, face_rad, sense):  # type: ignore[no-untyped-def]
+def turn_from_face(x, y, face_rad, sense):  # type: ignore[no-untyped-def]
     """Return the angle of a direction around an edge from the first face through the air, 0..2 pi."""
     return (sense * (math.atan2(y, x) - face_rad)) % (2.0 * np.pi)
 
 
 def edges_of(view: Snapshot) -> Edges:
-    """Free ends of walls, and corners of two walls whose open side is wider than a half turn and faces the radar."""
-    world, ends = view.world, view.world.wall_ends
-    alone, end_1, end_2 = ends.alone, ends.first, ends.second
-    towards = np.arctan2(*(view.origin - ends.position[end_1]).T[::-1])
-    left = (ends.face_rad[end_2] - ends.face_rad[end_1]) % (2.0 * np.pi)
-    # the radar stands on one side of the corner: the air is the turn that holds it
-    is_left = (towards - ends.face_rad[end_1]) % (2.0 * np.pi) < left
-    turn = np.where(is_left, left, 2.0 * np.pi - left)
-    corner = np.flatnonzero(turn > np.pi + LEAST_TURN_RAD)
-    first, last = np.concatenate([alone, end_1[corner]]), np.concatenate([alone, end_2[corner]])
+    """Edges that the radar faces: free ends of walls, and corners whose open side, wider than a half turn, holds it."""
+    edges = open_edges(view.world)
+    faces = _faces(view.world, view.origin)
+    if view.ahead_only:
+        faces &= view.is_ahead(edges.point - view.origin)
+    return edges.take(faces)
+
+
+def open_edges(world: World) -> Edges:
+    """Free ends of walls, and corners of two walls with the side that is wider than a half turn, wherever it opens."""
+    ends = world.wall_ends
+    corner, left = _corners(world)
+    first, last = np.concatenate([ends.alone, ends.first[corner]]), np.concatenate([ends.alone, ends.second[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
-    edges = Edges(
+    alone = np.ones(len(ends.alone))
+    return Edges(
         point=ends.position[first],
         first=wall_1,
         last=wall_2,
         face_rad=ends.face_rad[first],
-        sense=np.concatenate([np.ones(len(alone)), np.where(is_left[corner], 1.0, -1.0)]),
-        n=np.concatenate([np.full(len(alone), 2.0), turn[corner] / np.pi]),
+        sense=np.concatenate([alone, np.where(left > np.pi, 1.0, -1.0)]),
+        n=np.concatenate([2.0 * alone, np.maximum(left, 2.0 * np.pi - left) / np.pi]),
         height_m=np.minimum(world.wall_height_m[wall_1], world.wall_height_m[wall_2]),
         number=2 * world.wall_id[wall_1] + (first >= len(ends.wall) // 2),
     )
-    return edges.take(view.is_ahead(edges.point - view.origin)) if view.ahead_only else edges
+
+
+def _corners(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Return which pairs of ends that meet are edges, and the turns through the air to the left of their first face."""
+    ends = world.wall_ends
+    left = (ends.face_rad[ends.second] - ends.face_rad[ends.first]) % (2.0 * np.pi)
+    corner = np.flatnonzero(np.maximum(left, 2.0 * np.pi - left) > np.pi + LEAST_TURN_RAD)
+    return corner, left[corner]
+
+
+def _faces(world: World, origin: np.ndarray) -> np.ndarray:
+    """Return which of `open_edges` have a point in the air that they are open to, bool [E]."""
+    ends = world.wall_ends
+    corner, left = _corners(world)
+    end = ends.first[corner]
+    towards = np.arctan2(*(origin - ends.position[end]).T[::-1])
+    is_left = (towards - ends.face_rad[end]) % (2.0 * np.pi) < left
+    return np.concatenate([np.ones(len(ends.alone), bool), is_left == (left > np.pi)])

@@ -17,6 +17,7 @@ PATH_EFFECTS = (
     "edge_diffraction",
     "ground_bounce",
     "object_interreflection",
+    "mirrored_diffraction",
 )
 #: Bits of `Paths.needs`.
 MAX_PATH_EFFECTS = 32

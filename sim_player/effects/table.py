@@ -25,6 +25,7 @@ from sim_player.effects import (
     ground_bounce,
     los_objects,
     los_surfaces,
+    mirrored_diffraction,
     non_cofocal,
     object_interreflection,
     second_relay,
@@ -106,6 +107,9 @@ PATHS: dict[str, PathEffect] = {
     "ground_bounce": PathEffect("echoes of objects by way of the ground", ground_bounce.absent, ground_bounce.apply),
     "object_interreflection": PathEffect(
         "echoes by way of two objects", object_interreflection.absent, object_interreflection.apply
+    ),
+    "mirrored_diffraction": PathEffect(
+        "echoes bent before or after a mirror", mirrored_diffraction.absent, mirrored_diffraction.apply
     ),
 }
 WEIGHTS: dict[str, WeightEffect] = {

@@ -19,6 +19,8 @@ from scipy.spatial import cKDTree
 from models.physics.antenna import element_field
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
+from sim_player.effects.edge_diffraction import open_edges
+from sim_player.effects.mirrored_diffraction import mirrors_beside
 from sim_player.scene.visibility import PlanWalls, lit_in_mirrors, lit_walls, split_walls
 from sim_player.scene.world import (
     BEHIND,
@@ -78,7 +80,9 @@ def reachable_snapshot(
     np.maximum.at(lit[:, 1], pairs[:, 1], share[:, 1])
     visible = np.flatnonzero(_any(lit))
     distant = _distant_mirrors(world, near, origin, ahead)
-    walls = np.union1d(near.walls[visible], distant)
+    antenna = np.array([*origin, world.radar_height_m])
+    around_edges = _any(lit) | _beside_edges(near, around, antenna, time_s, direct, ahead)
+    walls = np.union1d(near.walls[around_edges], distant)
     inside, place = np.isin(walls, near.walls[visible]), np.searchsorted(walls, near.walls)
     of_walls = np.tile([np.inf, -np.inf], (2, len(walls), 1))
     of_walls[:, inside] = direct[visible], lit[visible]
@@ -86,7 +90,7 @@ def reachable_snapshot(
     # what scatters on walls beyond reach is beyond reach
     part = _with_specks(part, _lit_specks(part, *of_walls) & ~np.isin(walls, distant)[part.speck_wall])
     view = snapshot(replace(part, reach_m=reach_m(world.setup)), time_s, radar)
-    blockers = join_blockers(view.blockers, near.blockers.take(~_any(lit) & ~np.isin(near.walls, distant)))
+    blockers = join_blockers(view.blockers, near.blockers.take(~around_edges & ~np.isin(near.walls, distant)))
     return replace(
         view,
         blockers=replace(blockers, tree=True),
@@ -245,6 +249,21 @@ def _lit(
     share = np.concatenate([share, np.tile([0.0, 1.0], (len(every), 1))])
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     return direct, np.column_stack([mirrors[pairs[:, 0]], pairs[:, 1]])[order], share[order]
+
+
+def _beside_edges(
+    near: _Surroundings, around: World, antenna: np.ndarray, time_s: float, lit: np.ndarray, ahead: np.ndarray | None
+) -> np.ndarray:
+    """Return which pieces of wall may mirror to objects what bends at an edge in direct sight, bool [W]."""
+    edges = open_edges(near.world)
+    low, high = lit[edges.first].T
+    share = (edges.number % 2).astype(np.float64)
+    seen = (share >= low - ROUNDING) & (share <= high + ROUNDING)
+    if ahead is not None:
+        seen &= (edges.point - antenna[:2]) @ ahead >= -BEHIND
+    centre_m = around.centre_m.copy()
+    centre_m[:, :2] += around.velocity_mps[around.centre_object] * time_s
+    return mirrors_beside(near.world, edges.take(seen), antenna, centre_m, around.centre_object)
 
 
 def _ahead(world: World, origin: np.ndarray, ahead: np.ndarray | None, lit: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ class Routes(RowTable):
     #: First and second mirror from the antenna, -1 for none.
     wall = Column("i4")
     wall2 = Column("i4")
-    #: Number of the edge at which it bends (`Edges.number`), -1 for none.
+    #: Number of the edge at which it bends (`Edges.number`), -1 for none, -2 - number for one behind a mirror.
     edge = Column("i4")
     #: Bits of all effects that it needs.
     needs = Column("u4")

@@ -27,7 +27,8 @@ VISIBLE_SNR_DB = 10.0
 UNLABELLED = bits(
     frozenset(
         {
-            *("non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"),
+            *("non_cofocal", "edge_diffraction", "mirrored_diffraction"),
+            *("object_interreflection", "wall_transmission", "ground_bounce"),
             *PLUGGED_IN,
         }
     )
