@@ -30,6 +30,8 @@ NODE_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
+    # `malloc_trim` gives back the end of the first heap alone, and what a socket's thread receives would lie in its own
+    "MALLOC_ARENA_MAX": "1",
 }
 #: What several nodes import, or their kernels need. Not onnxruntime: it starts threads, which a fork does not copy.
 LIBRARIES = ("msgs.bus.zmq", "nodes.node", "numba", "scipy.fft", "scipy.ndimage")

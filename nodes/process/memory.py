@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import mmap
 import re
 from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-#: A beam: free heap that has grown by more is given back once it has been free for so many looks, since beams on their
-#: way take it and leave it from one look to the next.
-GROWN_BYTES, LOOKS = 4 << 20, 4
+#: Two beams, one on its way and one at work: free heap that has grown by more is given back once it has been free for
+#: so many looks.
+GROWN_BYTES, LOOKS = 8 << 20, 4
 _MADV_DONTNEED = 4
 _MALLOC_INFO = [
     "arena",
@@ -88,25 +89,26 @@ def release_unused() -> None:
 
 
 class FreeHeap:
-    """Free heap of this process, given back whenever it has grown: by the beams that waited for a stopped receiver.
+    """Free heap of this process, given back whenever it has grown: by beams that waited while others had the processor.
 
-    glibc keeps what is freed, up to `MALLOC_TRIM_THRESHOLD_` at the end of the heap and without limit within it.
+    glibc keeps what is freed, up to `MALLOC_TRIM_THRESHOLD_` at the end of a heap and without limit within it. What was
+    given back it still counts as free, so that beams which come and go between two looks would pass unseen: counted are
+    pages in memory that nothing uses.
     """
 
     def __init__(self) -> None:
-        self._least_bytes = free_heap_bytes()
+        self._kept_bytes = unused_bytes()
         self._looks: deque[int] = deque(maxlen=LOOKS)
 
     def give_back(self) -> None:
         """Look, and give free heap back if in the last `LOOKS` there was always `GROWN_BYTES` more than once."""
-        free_bytes = free_heap_bytes()
-        self._looks.append(free_bytes)
-        self._least_bytes = min(self._least_bytes, free_bytes)
-        if len(self._looks) == LOOKS and min(self._looks) > self._least_bytes + GROWN_BYTES:
+        unused = unused_bytes()
+        self._looks.append(unused)
+        self._kept_bytes = min(self._kept_bytes, unused)
+        if len(self._looks) == LOOKS and min(self._looks) > self._kept_bytes + GROWN_BYTES:
             trim_heap()
             self._looks.clear()
-            # pages within the heap are given back but still count as free
-            self._least_bytes = free_heap_bytes()
+            self._kept_bytes = unused_bytes()
 
 
 class _MallocInfo(ctypes.Structure):
@@ -115,13 +117,18 @@ class _MallocInfo(ctypes.Structure):
     _fields_ = [(name, ctypes.c_size_t) for name in _MALLOC_INFO]
 
 
-def free_heap_bytes() -> int:
-    """Return how much of the heap is free; 0 where the C library does not say."""
+def unused_bytes() -> int:
+    """Return how much memory of this process is in pages that no file holds and that its heap does not use.
+
+    0 where the system does not say.
+    """
     mallinfo2 = getattr(ctypes.CDLL(None), "mallinfo2", None)
     if mallinfo2 is None:
         return 0
     mallinfo2.restype = _MallocInfo
-    return int(mallinfo2().fordblks)
+    heap = mallinfo2()
+    _, resident, shared, *_ = map(int, Path("/proc/self/statm").read_text("ascii").split())
+    return int((resident - shared) * mmap.PAGESIZE - heap.uordblks - heap.hblkhd)
 
 
 def trim_heap() -> None:

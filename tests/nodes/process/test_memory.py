@@ -72,21 +72,30 @@ def resident():
 
 heap, kept = FreeHeap(), []
 before = resident()
-waiting = [(np.ones(1 << 20, np.int32), bytes(700)) for _ in range(40)]
-full = resident()
-# small things that live on hold the heap's end
-kept = [small for _, small in waiting]
-waiting.clear()
-freed = resident()
+
+def burst():
+    waiting = [(np.ones(1 << 20, np.int32), bytes(1 << 16)) for _ in range(40)]
+    # small things that live on hold the heap's end
+    kept.extend(small for _, small in waiting)
+    return resident()
+
+full, freed = burst(), resident()
 for _ in range(LOOKS):
     heap.give_back()
 after = resident()
+# as many more between two looks
+for _ in range(LOOKS):
+    heap.give_back()
+burst()
+for _ in range(LOOKS):
+    heap.give_back()
+again = resident()
 # beams that come and go between the looks
 for look in range(3 * LOOKS):
     beam = np.ones((1 << 20) * (1 + look % 2), np.int32)
     heap.give_back()
     del beam
-print(before, full, freed, after, resident())
+print(before, full, freed, after, again, resident())
 """
 
 
@@ -105,9 +114,11 @@ def test_code_that_only_the_start_ran_goes_and_comes_back() -> None:
 
 @pytest.mark.slow
 def test_beams_that_waited_leave_no_memory_behind() -> None:
-    """Under the allocator's settings of a node 160 MiB stayed for good."""
-    before, full, freed, after, later = _said(_BEAMS)
+    """Under the allocator's settings of a node 160 MiB stayed for good, and as much again that came between two looks.
+
+    5 MiB are small things that live on, two beams are on their way.
+    """
+    before, full, freed, after, again, later = _said(_BEAMS)
     assert full > before + 150
     assert freed > before + 100
-    assert after < before + 16
-    assert later < before + 16
+    assert max(after, again, later) < before + 24
