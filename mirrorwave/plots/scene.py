@@ -95,7 +95,8 @@ def _first(words: str, labels: set[str]) -> str:
 def path_kinds(paths: Paths) -> tuple[np.ndarray, np.ndarray]:
     """Return each path's index into `MIRRORS` and into `PASSAGES`, int [P] each."""
     mirrors = np.where(paths.kind == PathClass.MIRRORED, np.clip(paths.order, 1, 2), 0)
-    through, bent = ((paths.needs & bit(name)) != 0 for name in ("wall_transmission", "edge_diffraction"))
+    through = (paths.needs & np.uint32(bit("wall_transmission"))) != 0
+    bent = (paths.needs & np.uint32(bit("edge_diffraction") | bit("mirrored_diffraction"))) != 0
     return mirrors, np.where(bent, 2, np.where(through, 1, 0))
 
 

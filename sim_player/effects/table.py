@@ -29,13 +29,13 @@ from sim_player.effects import (
     non_cofocal,
     object_interreflection,
     second_relay,
-    signal,
     specular_relay,
     wall_transmission,
     weights,
 )
 from sim_player.effects.names import MAX_PATH_EFFECTS, PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.scene.world import World
+from sim_player.signal import absences
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.snapshot import TraceContext
 
@@ -121,18 +121,18 @@ WEIGHTS: dict[str, WeightEffect] = {
     "atmosphere": WeightEffect("gases and rain along the paths", always, weights.atmosphere),
 }
 SIGNAL: dict[str, SignalEffect] = {
-    "motion": SignalEffect("Doppler, and the scene moves on from beam to beam", signal.no_motion),
+    "motion": SignalEffect("Doppler, and the scene moves on from beam to beam", absences.no_motion),
     "element_pattern": ArrayEffect("gain falls off the element's axis", always),
-    "quantised_phases": ArrayEffect("phase shifters round", signal.no_phase_steps),
-    "mutual_coupling": ArrayEffect("columns couple into each other", signal.no_coupling),
+    "quantised_phases": ArrayEffect("phase shifters round", absences.no_phase_steps),
+    "mutual_coupling": ArrayEffect("columns couple into each other", absences.no_coupling),
     "squint": SignalEffect("the beam turns with the frequency of the sweep", always, cost_s=30e-6),
     "chirp_overlap": SignalEffect("a chirp begins before the last one's echoes are in", always, cost_s=60e-6),
     "thermal_noise": SignalEffect("it is the floor", always),
-    "flicker": SignalEffect("1/f noise of the receiver at short range", signal.no_flicker),
-    "leakage": SignalEffect("transmitter straight into the receiver", signal.no_leakage),
+    "flicker": SignalEffect("1/f noise of the receiver at short range", absences.no_flicker),
+    "leakage": SignalEffect("transmitter straight into the receiver", absences.no_leakage),
     "adc": SignalEffect("rounding of the converter", always),
-    "iq_imbalance": SignalEffect("gain and phase between I and Q", signal.no_iq_imbalance),
-    "spurs": SignalEffect("tones of the electronics", signal.no_spurs),
+    "iq_imbalance": SignalEffect("gain and phase between I and Q", absences.no_iq_imbalance),
+    "spurs": SignalEffect("tones of the electronics", absences.no_spurs),
 }
 #: Those that come with the code.
 SHIPPED = frozenset((*PATHS, *WEIGHTS, *SIGNAL))

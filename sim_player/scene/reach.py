@@ -258,12 +258,12 @@ def _beside_edges(
     edges = open_edges(near.world)
     low, high = lit[edges.first].T
     share = (edges.number % 2).astype(np.float64)
-    seen = (share >= low - ROUNDING) & (share <= high + ROUNDING)
+    in_sight = (share >= low - ROUNDING) & (share <= high + ROUNDING)
     if ahead is not None:
-        seen &= (edges.point - antenna[:2]) @ ahead >= -BEHIND
+        in_sight &= (edges.point - antenna[:2]) @ ahead >= -BEHIND
     centre_m = around.centre_m.copy()
     centre_m[:, :2] += around.velocity_mps[around.centre_object] * time_s
-    return mirrors_beside(near.world, edges.take(seen), antenna, centre_m, around.centre_object)
+    return mirrors_beside(near.world, edges.take(in_sight), antenna, centre_m, around.centre_object)
 
 
 def _ahead(world: World, origin: np.ndarray, ahead: np.ndarray | None, lit: np.ndarray) -> np.ndarray:

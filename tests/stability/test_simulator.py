@@ -60,6 +60,23 @@ CASES = {
     "a hand's breadth away": scene(
         wall((0.4, -0.3), (0.4, 0.3)), SceneObject(class_="pedestrian", x_m=0.8, y_m=0.0), GROUND
     ),
+    "a mirror at grazing beside an edge": scene(
+        wall((2.0, 0.01), (60.0, 0.01)), wall((8.0, -2.0), (8.0, -6.0)), SceneObject(class_="car", x_m=30.0, y_m=-1.5)
+    ),
+    "an edge on the mirror's line": scene(wall((20.0, -9.0), (20.0, 2.0)), wall((20.0, 4.0), (24.0, 4.0)), CAR, GROUND),
+    "an edge on the mirror itself": scene(wall((20.0, -9.0), (20.0, 9.0)), wall((20.0, 2.0), (14.0, 2.0)), CAR),
+    "an object close to the mirror": scene(
+        wall((20.0, -9.0), (20.0, 9.0)),
+        wall((9.0, 2.0), (9.0, 6.0)),
+        SceneObject(primitive="sphere", size_m=(0.5,), x_m=19.7, y_m=3.0),
+    ),
+    "the radar as high as the edge": scene(
+        wall((20.0, -9.0), (20.0, 9.0)), wall((9.0, 1.0), (9.0, 6.0), height_m=SceneRadar().height_m or 1.0), CAR
+    ),
+    "the radar beside an edge": scene(wall((20.0, -9.0), (20.0, 9.0)), wall((0.0, 0.101), (0.0, 6.0)), CAR),
+    "a wall of a centimetre beside a mirror": scene(
+        wall((20.0, -9.0), (20.0, 9.0)), wall((9.0, 1.0), (9.0, 1.011)), CAR
+    ),
     "rough beyond any mirror": scene(
         wall((20.0, -9.0), (20.0, 9.0), roughness_mm=50.0), CAR, radar=SceneRadar(preset="77ghz")
     ),

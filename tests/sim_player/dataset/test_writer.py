@@ -182,7 +182,8 @@ def test_labels_are_of_geometric_ways_alone() -> None:
     scan = labelled_scan(scene, 4, "all")
     assert scan.plan is not None
     paths: Paths = scan.plan.paths
-    refused = sum(map(bit, ("non_cofocal", "edge_diffraction", "object_interreflection", "ground_bounce")))
+    bends = "edge_diffraction", "mirrored_diffraction"
+    refused = sum(map(bit, ("non_cofocal", *bends, "object_interreflection", "ground_bounce")))
     mixed = (paths.needs & np.uint32(refused)) != 0
     assert mixed.any()
     assert not labelled(paths)[mixed].any()

@@ -240,3 +240,15 @@ def test_what_is_left_out_is_as_weak_as_it_says(least: float, monkeypatch: pytes
     # and the walls that a part of a world keeps for them are enough
     beside = mirrors_beside(world, edges_of(view), view.antenna, view.centre, np.zeros(len(points), np.int32))
     assert beside[strong.wall[strong.edge >= 0]].all()
+
+
+def test_points_on_walls_and_edges_stay_finite() -> None:
+    """Points on the mirror, on the edge, on the screen, in the mirror's line beyond its end, and behind the mirror."""
+    on_walls = [(20.0, 5.0, 1.0), (10.0, 3.0, 1.0), (10.0, 1.0, 1.0)]
+    points = [*on_walls, (20.0, 400.0, 1.0), (25.0, 5.0, 1.0), (5.0, 8.0, 5.0)]
+    routes = traced(points_world(points, MIRROR, BEFORE, BEHIND), NAME).routes[NAME]
+    assert len(routes) > 0
+    for values in (routes.whole, routes.front, routes.length_m, routes.depart, routes.arrive):
+        assert np.isfinite(values).all()
+    # what stands on the mirror or behind it is not seen in it from the edge
+    assert not np.isin(routes.target[(routes.wall == 0) & (routes.edge >= 0)], [0, 3, 4]).any()

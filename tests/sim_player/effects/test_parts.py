@@ -12,7 +12,7 @@ from sim_player.signal.switches import SignalEffects
 
 FOLDER = CHECKOUT / "sim_player" / "effects"
 #: Files that are no path effect.
-SHARED = {"__init__", "names", "table", "weights", "signal"}
+SHARED = {"__init__", "names", "table", "weights"}
 
 
 def test_one_file_a_path_effect() -> None:

@@ -91,7 +91,7 @@ def test_the_picture_of_paths_says_what_its_lines_mean(
 
 def _passage(effects: list[str]) -> str:
     """How a path passes walls, in the picture's words."""
-    if "edge_diffraction" in effects:
+    if {"edge_diffraction", "mirrored_diffraction"} & set(effects):
         return ", bent at a wall's end (drawn straight)"
     return ", through a wall" if "wall_transmission" in effects else ""
 

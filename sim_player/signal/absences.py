@@ -1,4 +1,4 @@
-"""Signal effects: when a scene has none of one of the array, the waveform or the receiver.
+"""Absences of signal effects: when a scene has none of one of the array, the waveform or the receiver.
 
 Each is a switch of its name in `SignalEffects` (`sim_player.signal.switches`, which says what off means); its physics
 stands where the signal is made.

@@ -10,10 +10,10 @@ import pytest
 
 from models.physics.antenna import setup_weights
 from msgs.values.radar import ArrayParams, RadarSetup
-from sim_player.effects.signal import no_coupling, no_flicker, no_iq_imbalance, no_leakage, no_phase_steps, no_spurs
 from sim_player.scene.description import Scene, SceneRadar
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import World, prepare
+from sim_player.signal.absences import no_coupling, no_flicker, no_iq_imbalance, no_leakage, no_phase_steps, no_spurs
 from sim_player.signal.switches import IDEAL, SignalEffects, column_weights
 from tests.sim_player.effects.point_scenes import wall
 
