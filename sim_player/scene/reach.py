@@ -257,12 +257,12 @@ def _beside_edges(
     antenna: np.ndarray,
     time_s: float,
     lit: np.ndarray,
-    seen: np.ndarray,
+    kept: np.ndarray,
     ahead: np.ndarray | None,
 ) -> np.ndarray:
     """Return which further pieces of wall mirror to objects what bends at an edge in direct sight, bool [W].
 
-    `seen` [W]: those that are there anyhow.
+    `kept` [W]: those that are there anyhow.
     """
     edges = open_edges(near.world)
     low, high = lit[edges.first].T
@@ -273,7 +273,7 @@ def _beside_edges(
     centre_m = around.centre_m.copy()
     centre_m[:, :2] += around.velocity_mps[around.centre_object] * time_s
     ends = antenna, centre_m, around.centre_object
-    return mirrors_beside(near.world, edges.take(in_sight), near.world.is_flat & ~seen, ends, near.blockers)
+    return mirrors_beside(near.world, edges.take(in_sight), near.world.is_flat & ~kept, ends, near.blockers)
 
 
 def _ahead(world: World, origin: np.ndarray, ahead: np.ndarray | None, lit: np.ndarray) -> np.ndarray:
