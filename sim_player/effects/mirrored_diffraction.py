@@ -180,7 +180,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                 radius, tx, ty = groups[g, 2], images[m, g, 0] - x, images[m, g, 1] - y
                 if front * images[m, g, 2] <= -radius or side * (ax * ty - ay * tx) < -radius * away_a:
                     continue
-                if side * (tx * by - ty * bx) < -radius * away_b:
+                if is_done[m] or side * (tx * by - ty * bx) < -radius * away_b:
                     continue
                 if _most_bent(table[e], (to_source, source_plan), (tx, ty, radius), top - low, wavelength_m) < least:
                     continue
@@ -220,11 +220,9 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
                     row.edge, row.foliage = e, before * behind
                     _fill_fields(row, w, bent, bounce(scene[0], w, abs(onwards[0] * line[0] + onwards[1] * line[1])))
-                    is_done[m] = one_each
                     if one_each:
+                        is_done[m] = True
                         break
-                if is_done[m]:
-                    break
     return rows[:count], bends[:count]
 
 
