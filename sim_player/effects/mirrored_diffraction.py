@@ -39,7 +39,7 @@ from sim_player.trace.routes import (
     lit_shares,
     owners,
 )
-from sim_player.trace.segments import clear_series, passage
+from sim_player.trace.segments import Blockers, clear_series, is_screened, passage
 from sim_player.trace.snapshot import TraceContext
 
 #: Bends that leave less than this of the field of a free ray as long are left out, and echoes of which the bends out
@@ -91,7 +91,7 @@ def mirrored_edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray)
     scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
     ahead = view.is_ahead(edges.point - view.origin) if view.ahead_only else np.ones(len(edges), bool)
     table, ends = edges.table(), (point_m, owners(owner, len(point_m)))
-    first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND)
+    first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND, False)
     second = _mirror_first(view.antenna, ends, table, (flat, view.walls, lit_shares(view)), scene, LEAST_BEND)
     before, behind = (Routes(rows).with_columns(edge=edges.number[rows["edge"]]) for rows, _ in (first, second))
     routes = join_routes([before, behind.with_columns(edge=_BEHIND_MIRROR - behind.edge)])
@@ -99,31 +99,21 @@ def mirrored_edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray)
 
 
 def mirrors_beside(
-    world: World, edges: Edges, antenna: np.ndarray, point_m: np.ndarray, owner: np.ndarray
+    world: World, edges: Edges, asked: np.ndarray, ends: tuple[np.ndarray, np.ndarray, np.ndarray], blockers: Blockers
 ) -> np.ndarray:
-    """Return which pieces of wall may send on to points [N, 3] what edges bend of a ray from an antenna [3], bool [W].
+    """Return which straight pieces of wall send on to points what edges bend of a ray from an antenna, bool [W].
 
-    What stands in the way is not asked.
+    `asked` [W]: the pieces to test; `ends`: antenna [3], points [N, 3] and their owners [N]; `blockers`: what stands in
+    the way.
     """
-    normal, offset = wall_lines(world, antenna[:2])
-    walls = np.flatnonzero(world.is_flat), (world.wall_a, world.wall_b, normal, offset)
-    groups, low, top = _groups(point_m, owners(owner, len(point_m)), antenna[2])
-    return _beside(antenna, edges.table(), walls, groups, top - low, world.radar.wavelength_m, LEAST_BEND)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _beside(antenna, table, walls, groups, climb, wavelength_m, least):  # type: ignore[no-untyped-def]
-    flat, (a, b, normal, offset) = walls
-    beside = np.zeros(len(a), np.bool_)
-    for w in flat:
-        line = normal[w, 0], normal[w, 1], offset[w]
-        for e in range(len(table)):
-            if beside[w] or _most_bent_to(table[e], antenna, climb, a[w], b[w], wavelength_m) < least:
-                continue
-            for group in groups:
-                if _most_bent(table[e], antenna, group, climb, line, a[w], b[w], wavelength_m) >= least:
-                    beside[w] = True
-                    break
+    antenna, point_m, owner = ends
+    scene = world.builds, (world.transmission, world.wall_build), blockers.pieces, world.radar.wavelength_m
+    lines = world.wall_a, world.wall_b, *wall_lines(world, antenna[:2]), world.wall_height_m
+    points, every = (point_m, owners(owner, len(point_m))), np.ones(len(edges), bool)
+    mirrors = np.flatnonzero(asked & world.is_flat), lines
+    rows, _ = _edge_first(antenna, points, (edges.table(), every), mirrors, scene, LEAST_BEND, True)
+    beside = np.zeros(len(world.wall_a), bool)
+    beside[rows["wall"]] = True
     return beside
 
 
@@ -144,13 +134,28 @@ def _groups(point, owner, height):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _edge_first(antenna, ends, edges, mirrors, scene, least):  # type: ignore[no-untyped-def]
+def _images(groups, flat, normal, offset):  # type: ignore[no-untyped-def]
+    """Return the groups' places mirrored at walls, and their heights over them, [M, G, 3]."""
+    images = np.empty((len(flat), len(groups), 3))
+    for m in range(len(flat)):
+        nx, ny, over = normal[flat[m], 0], normal[flat[m], 1], offset[flat[m]]
+        for g in range(len(groups)):
+            x, y = groups[g, 0], groups[g, 1]
+            images[m, g, 0], images[m, g, 1] = mirrored(x, y, nx, ny, over)
+            images[m, g, 2] = x * nx + y * ny + over
+    return images
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type: ignore[no-untyped-def]
+    """Return routes antenna -> edge -> wall -> points and what their bends leave; of each wall only one if asked."""
     (table, ahead), (point, owner) = edges, ends
     flat, (a, b, normal, offset, tops) = mirrors
     pieces, wavelength_m = scene[2], scene[3]
     rows, bends, count = np.empty(len(point), ROUTE), np.empty(len(point)), 0
     start = antenna[0], antenna[1], antenna[2]
     groups, low, top = _groups(point, owner, start[2])
+    images, is_done = _images(groups, flat, normal, offset), np.zeros(len(flat), np.bool_)
     for e in range(len(table)):
         x, y, _, _, face_rad, sense, n_half, height = table[e]
         source_plan = math.hypot(x - start[0], y - start[1])
@@ -161,17 +166,27 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least):  # type: ignore[no
         if not passage(start, (x, y, top), -1, pieces, True)[0]:
             continue
         is_open = clear_series((start, (x, y, low)), -1, pieces) == 1.0
-        for w in flat:
+        for m in range(len(flat)):
+            w = flat[m]
+            over = x * normal[w, 0] + y * normal[w, 1] + offset[w]
+            if is_done[m] or abs(over) <= NEAREST_EDGE_M:
+                continue
             line = normal[w, 0], normal[w, 1], offset[w]
-            over = x * line[0] + y * line[1] + line[2]
-            if abs(over) <= NEAREST_EDGE_M:
-                continue
-            if _most_bent_to(table[e], start, top - low, a[w], b[w], wavelength_m) < least:
-                continue
-            for group in groups:
-                if _most_bent(table[e], start, group, top - low, line, a[w], b[w], wavelength_m) < least:
+            ax, ay, bx, by = a[w, 0] - x, a[w, 1] - y, b[w, 0] - x, b[w, 1] - y
+            front, side = math.copysign(1.0, over), math.copysign(1.0, ax * by - ay * bx)
+            away_a, away_b = math.sqrt(ax * ax + ay * ay), math.sqrt(bx * bx + by * by)
+            for g in range(len(groups)):
+                # the group stands before the wall, and its image, seen from the edge, not beside it
+                radius, tx, ty = groups[g, 2], images[m, g, 0] - x, images[m, g, 1] - y
+                if front * images[m, g, 2] <= -radius or side * (ax * ty - ay * tx) < -radius * away_a:
                     continue
-                for n in range(int(group[3]), int(group[4])):
+                if is_done[m] or side * (tx * by - ty * bx) < -radius * away_b:
+                    continue
+                if _most_bent(table[e], (to_source, source_plan), (tx, ty, radius), top - low, wavelength_m) < least:
+                    continue
+                if _is_hidden((x, y), (images[m, g, 0], images[m, g, 1]), groups[g], top, line, pieces):
+                    continue
+                for n in range(int(groups[g, 3]), int(groups[g, 4])):
                     at, is_met = _met(line, (x, y, over), (point[n, 0], point[n, 1]), a[w], b[w], (0.0, 1.0))
                     if not is_met:
                         continue
@@ -205,6 +220,9 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least):  # type: ignore[no
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
                     row.edge, row.foliage = e, before * behind
                     _fill_fields(row, w, bent, bounce(scene[0], w, abs(onwards[0] * line[0] + onwards[1] * line[1])))
+                    if one_each:
+                        is_done[m] = True
+                        break
     return rows[:count], bends[:count]
 
 
@@ -215,7 +233,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
     pieces, wavelength_m = scene[2], scene[3]
     rows, bends, count = np.empty(len(point), ROUTE), np.empty(len(point)), 0
     start = antenna[0], antenna[1], antenna[2]
-    low, top = height_span(start[2], point)
+    groups, low, top = _groups(point, owner, start[2])
     for w in flat:
         line = normal[w, 0], normal[w, 1], offset[w]
         over = start[0] * line[0] + start[1] * line[1] + line[2]
@@ -234,96 +252,76 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
                 continue
             is_open = clear_series((start, (at[0], at[1], low), (x, y, low)), -1, pieces) == 1.0
             source_plan, mirror_plan = math.hypot(x - ix, y - iy), math.hypot(at[0] - start[0], at[1] - start[1])
-            for n in range(len(point)):
-                end = point[n, 0], point[n, 1], point[n, 2]
-                target_plan = math.hypot(end[0] - x, end[1] - y)
-                to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
-                if to_target >= n_half * np.pi or target_plan <= NEAREST_EDGE_M:
+            for group in groups:
+                circle = group[0] - x, group[1] - y, group[2]
+                if _most_bent(table[e], (to_source, source_plan), circle, top - low, wavelength_m) < least:
                     continue
-                rise = (end[2] - start[2]) / (source_plan + target_plan)
-                mirror = at[0], at[1], start[2] + mirror_plan * rise
-                bend = x, y, start[2] + source_plan * rise
-                if bend[2] >= height or mirror[2] >= tops[w]:
-                    continue
-                _, source_m = direction_of((ix, iy, start[2]), bend)
-                arrive, target_m = direction_of(bend, end)
-                lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
-                if _bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
-                    continue
-                before = 1.0 if is_open else clear_series((start, mirror, bend), -1, pieces)
-                behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
-                if behind < 0.0:
-                    continue
-                bent = bend_field(table[e], (to_source, to_target), lengths, source_plan, scene)
-                if max(abs(bent[0]), abs(bent[1])) < least:
-                    continue
-                if count == len(rows):
-                    rows, bends = grown(rows), grown(bends)
-                bends[count] = max(abs(bent[0]), abs(bent[1]))
-                row = rows[count]
-                count += 1
-                depart, _ = direction_of(start, mirror)
-                fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-                row.edge, row.foliage = e, before * behind
-                _fill_fields(row, w, bent, bounce(scene[0], w, abs(depart[0] * line[0] + depart[1] * line[1])))
+                for n in range(int(group[3]), int(group[4])):
+                    end = point[n, 0], point[n, 1], point[n, 2]
+                    target_plan = math.hypot(end[0] - x, end[1] - y)
+                    to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
+                    if to_target >= n_half * np.pi or target_plan <= NEAREST_EDGE_M:
+                        continue
+                    rise = (end[2] - start[2]) / (source_plan + target_plan)
+                    mirror = at[0], at[1], start[2] + mirror_plan * rise
+                    bend = x, y, start[2] + source_plan * rise
+                    if bend[2] >= height or mirror[2] >= tops[w]:
+                        continue
+                    _, source_m = direction_of((ix, iy, start[2]), bend)
+                    arrive, target_m = direction_of(bend, end)
+                    lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
+                    if _bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
+                        continue
+                    before = 1.0 if is_open else clear_series((start, mirror, bend), -1, pieces)
+                    behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
+                    if behind < 0.0:
+                        continue
+                    bent = bend_field(table[e], (to_source, to_target), lengths, source_plan, scene)
+                    if max(abs(bent[0]), abs(bent[1])) < least:
+                        continue
+                    if count == len(rows):
+                        rows, bends = grown(rows), grown(bends)
+                    bends[count] = max(abs(bent[0]), abs(bent[1]))
+                    row = rows[count]
+                    count += 1
+                    depart, _ = direction_of(start, mirror)
+                    fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
+                    row.edge, row.foliage = e, before * behind
+                    _fill_fields(row, w, bent, bounce(scene[0], w, abs(depart[0] * line[0] + depart[1] * line[1])))
     return rows[:count], bends[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _most_bent_to(edge, source, climb, a, b, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return a bound of what an edge (a row of `Edges.table`) bends from a source to a wall from a to b.
+def _most_bent(edge, source, image, climb, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return a bound of what an edge (a row of `Edges.table`) bends from a source towards points of a circle.
 
-    Over the field of free rays as long, which rise by `climb` at most.
+    Over the field of free rays as long, which rise by `climb` at most. `source`: its turn from the first face and its
+    distance in plan; `image`: middle of the circle from the edge, and radius.
     """
-    x, y, face_rad, sense = edge[0], edge[1], edge[4], edge[5]
-    wx, wy = b[0] - a[0], b[1] - a[1]
-    share = min(max(((x - a[0]) * wx + (y - a[1]) * wy) / (wx * wx + wy * wy), 0.0), 1.0)
-    nearest, source_plan = (
-        math.hypot(a[0] + share * wx - x, a[1] + share * wy - y),
-        math.hypot(source[0] - x, source[1] - y),
-    )
-    to_source = turn_from_face(source[0] - x, source[1] - y, face_rad, sense)
-    first = turn_from_face(a[0] - x, a[1] - y, face_rad, sense)
-    last = first + _half_turn(turn_from_face(b[0] - x, b[1] - y, face_rad, sense) - first)
-    stretch = math.hypot(1.0, climb / (source_plan + nearest))
-    return _bound(edge, to_source, (first, last), (source_plan, nearest), stretch, wavelength_m)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _half_turn(angle):  # type: ignore[no-untyped-def]
-    """Return an angle as one between -pi and pi."""
-    return angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _most_bent(edge, source, group, climb, line, a, b, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return a bound of what an edge (a row of `Edges.table`) bends from a source by a wall to a group of points.
-
-    Over the field of free rays as long, which rise by `climb` at most; 0 where the wall mirrors none of the group.
-    """
-    x, y, face_rad, sense, n = edge[0], edge[1], edge[4], edge[5], edge[6]
-    over = x * line[0] + y * line[1] + line[2]
-    facing = math.copysign(1.0, over) * (group[0] * line[0] + group[1] * line[1] + line[2])
-    if abs(over) <= NEAREST_EDGE_M or facing <= -group[2]:
-        return 0.0
-    # seen from the edge, the group's image must not lie beside the wall
-    ax, ay, bx, by = a[0] - x, a[1] - y, b[0] - x, b[1] - y
-    ix, iy = mirrored(group[0], group[1], line[0], line[1], line[2])
-    tx, ty = ix - x, iy - y
-    side = math.copysign(group[2], ax * by - ay * bx)
-    beside_a, beside_b = (ax * ty - ay * tx) / side, (tx * by - ty * bx) / side
-    if beside_a < -math.hypot(ax, ay) or beside_b < -math.hypot(bx, by):
-        return 0.0
-    away, source_plan = math.hypot(tx, ty), math.hypot(source[0] - x, source[1] - y)
-    if away <= 2.0 * group[2]:
+    (to_source, source_plan), (x, y, radius) = source, image
+    away = math.hypot(x, y)
+    if away <= 2.0 * radius:
         return np.inf
-    to_source = turn_from_face(source[0] - x, source[1] - y, face_rad, sense)
-    if to_source >= n * np.pi:
-        return 0.0
-    middle, half = turn_from_face(tx, ty, face_rad, sense), math.asin(group[2] / away)
-    stretch = math.hypot(1.0, climb / (source_plan + away - group[2]))
-    lengths = source_plan, away - group[2]
-    return _bound(edge, to_source, (middle - half, middle + half), lengths, stretch, wavelength_m)
+    middle, half = turn_from_face(x, y, edge[4], edge[5]), math.asin(radius / away)
+    stretch = math.hypot(1.0, climb / (source_plan + away - radius))
+    return _bound(edge, to_source, (middle - half, middle + half), (source_plan, away - radius), stretch, wavelength_m)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_hidden(edge, image, group, top, line, pieces):  # type: ignore[no-untyped-def]
+    """Return whether one wall before a mirror hides all of a group from it, or its image from an edge, up to `top`."""
+    ex, ey = mirrored(edge[0], edge[1], line[0], line[1], line[2])
+    # where the way from the edge to the middle meets the mirror
+    over = edge[0] * line[0] + edge[1] * line[1] + line[2]
+    beyond = image[0] * line[0] + image[1] * line[1] + line[2]
+    share = over / (over - beyond)
+    at = edge[0] + share * (image[0] - edge[0]), edge[1] + share * (image[1] - edge[1])
+    front = math.copysign(1.0, over)
+    side = front * line[0], front * line[1], front * line[2]
+    if is_screened(edge, (image[0], image[1], group[2]), (edge, at), top, side, pieces):
+        return True
+    place = group[0], group[1]
+    return is_screened((ex, ey), (group[0], group[1], group[2]), (at, place), top, side, pieces)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

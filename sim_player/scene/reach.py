@@ -81,7 +81,7 @@ def reachable_snapshot(
     visible = np.flatnonzero(_any(lit))
     distant = _distant_mirrors(world, near, origin, ahead)
     antenna = np.array([*origin, world.radar_height_m])
-    around_edges = _any(lit) | _beside_edges(near, around, antenna, time_s, direct, ahead)
+    around_edges = _any(lit) | _beside_edges(near, around, antenna, time_s, direct, _any(lit), ahead)
     walls = np.union1d(near.walls[around_edges], distant)
     inside, place = np.isin(walls, near.walls[visible]), np.searchsorted(walls, near.walls)
     of_walls = np.tile([np.inf, -np.inf], (2, len(walls), 1))
@@ -252,9 +252,18 @@ def _lit(
 
 
 def _beside_edges(
-    near: _Surroundings, around: World, antenna: np.ndarray, time_s: float, lit: np.ndarray, ahead: np.ndarray | None
+    near: _Surroundings,
+    around: World,
+    antenna: np.ndarray,
+    time_s: float,
+    lit: np.ndarray,
+    kept: np.ndarray,
+    ahead: np.ndarray | None,
 ) -> np.ndarray:
-    """Return which pieces of wall may mirror to objects what bends at an edge in direct sight, bool [W]."""
+    """Return which further pieces of wall mirror to objects what bends at an edge in direct sight, bool [W].
+
+    `kept` [W]: those that are there anyhow.
+    """
     edges = open_edges(near.world)
     low, high = lit[edges.first].T
     share = (edges.number % 2).astype(np.float64)
@@ -263,7 +272,8 @@ def _beside_edges(
         in_sight &= (edges.point - antenna[:2]) @ ahead >= -BEHIND
     centre_m = around.centre_m.copy()
     centre_m[:, :2] += around.velocity_mps[around.centre_object] * time_s
-    return mirrors_beside(near.world, edges.take(in_sight), antenna, centre_m, around.centre_object)
+    ends = antenna, centre_m, around.centre_object
+    return mirrors_beside(near.world, edges.take(in_sight), near.world.is_flat & ~kept, ends, near.blockers)
 
 
 def _ahead(world: World, origin: np.ndarray, ahead: np.ndarray | None, lit: np.ndarray) -> np.ndarray:

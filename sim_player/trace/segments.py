@@ -25,6 +25,8 @@ STRAIGHT = 1e-6
 #: Pieces in a box of the tree that is not divided further, and by how much boxes are wider than what they hold.
 LEAF = 4
 BOX_MARGIN_M = 1e-3
+#: A wall hides all of something only where it does so by this much.
+SCREEN_M = 1e-3
 
 BODY, WALL, VOLUME = 0, 1, 2
 
@@ -285,6 +287,62 @@ def clear_series(points, own, pieces):  # type: ignore[no-untyped-def]
             return -1.0
         leaves *= foliage
     return leaves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-untyped-def]
+    """Return whether one straight wall blocks what rays from a source to a circle have on the positive side of a line.
+
+    All in plan, rays no higher than `top`; circle: place and radius; line: unit normal and offset, source and circle on
+    different sides. Looked for are walls that stand between two points of the middle ray; no does not mean free.
+    """
+    piece, _, boxes = pieces
+    (sx, sy), (ex, ey) = between
+    rx, ry = ex - sx, ey - sy
+    ray = (sx, sy, top, rx, ry, 0.0, math.hypot(rx, ry))
+    box = 0
+    while box < len(boxes):
+        if _misses(sx, sy, rx, ry, boxes, box):
+            box = int(boxes[box, 6])
+            continue
+        for m in range(int(boxes[box, 4]), int(boxes[box, 5])):
+            # arcs, foliage, and what does not block its owner's own rays
+            if piece[m, 9] != 0.0 or piece[m, 10] != WALL or piece[m, 11] >= 0.0 or piece[m, 6] <= top + SCREEN_M:
+                continue
+            wall = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5], piece[m, 6])
+            ends = piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8]
+            if _straight(ray, wall) >= 0.0 and _screens(ends, source, circle, line):
+                return True
+        box += 1
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _screens(ends, source, circle, line):  # type: ignore[no-untyped-def]
+    """Return whether a stretch on the positive side of a line parts a source from all of a circle, by `SCREEN_M`."""
+    (ax, ay, bx, by), (nx, ny, offset) = ends, line
+    if min(ax * nx + ay * ny, bx * nx + by * ny) + offset < SCREEN_M:
+        return False
+    x, y, radius = circle[0] - source[0], circle[1] - source[1], circle[2] + SCREEN_M
+    away = math.sqrt(x * x + y * y)
+    if away <= 2.0 * radius:
+        return False
+    # source and circle on both sides of it
+    wx, wy = bx - ax, by - ay
+    wall = math.sqrt(wx * wx + wy * wy)
+    before = wx * (source[1] - ay) - wy * (source[0] - ax)
+    behind = wx * (circle[1] - ay) - wy * (circle[0] - ax)
+    if before * behind >= 0.0 or abs(before) < SCREEN_M * wall or abs(behind) < radius * wall:
+        return False
+    # one end beyond each tangent: by the distance from it
+    sine = radius / away
+    cosine = math.sqrt(1.0 - sine * sine)
+    x, y = x / away, y / away
+    side = math.copysign(1.0, behind)
+    ax, ay, bx, by = side * (ax - source[0]), side * (ay - source[1]), side * (bx - source[0]), side * (by - source[1])
+    to_a = (cosine * x - side * sine * y) * ay - (cosine * y + side * sine * x) * ax
+    to_b = (cosine * x + side * sine * y) * by - (cosine * y - side * sine * x) * bx
+    return to_a > SCREEN_M and to_b < -SCREEN_M
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

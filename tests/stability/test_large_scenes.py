@@ -115,10 +115,9 @@ def test_nothing_ahead_is_nothing() -> None:
 
 @pytest.mark.slow
 def test_ten_thousand_walls_in_one_spot() -> None:
-    """They cross each other many times over: a few hundred are seen, others may mirror bends, and paths stay finite."""
+    """They cross each other many times over: a few hundred are seen or mirror bends, and paths stay finite."""
     view = reachable_snapshot(world_of(spot(10_000)), ahead_only=True)
-    assert 100 < (view.lit[:, 1] >= view.lit[:, 0]).sum() < 1000
-    assert len(view.world.wall_a) < 5000
+    assert 100 < len(view.world.wall_a) < 1000
     echoes = trace_echoes(view, ALL_EFFECTS)
     assert len(echoes) > 100
     assert np.isfinite(echoes.weight).all()

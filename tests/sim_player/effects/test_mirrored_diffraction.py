@@ -237,9 +237,12 @@ def test_what_is_left_out_is_as_weak_as_it_says(least: float, monkeypatch: pytes
     for name in ("target", "wall", "edge", "length_m", "whole", "depart", "arrive"):
         assert np.array_equal(getattr(strong, name), getattr(expected, name)), name
     assert (strengths >= least).all()
-    # and the walls that a part of a world keeps for them are enough
-    beside = mirrors_beside(world, edges_of(view), view.antenna, view.centre, np.zeros(len(points), np.int32))
-    assert beside[strong.wall[strong.edge >= 0]].all()
+    # and a part of a world keeps the walls of those that begin at an edge, of the walls that it asks for
+    first = np.unique(strong.wall[strong.edge >= 0])
+    for asked in (world.is_flat, np.arange(len(world.wall_a)) % 2 == 0):
+        beside = mirrors_beside(world, edges_of(view), asked, (view.antenna, view.centre, ends[2]), view.blockers)
+        assert np.array_equal(np.flatnonzero(beside), first[asked[first]])
+    assert len(first) > 2
 
 
 def test_points_on_walls_and_edges_stay_finite() -> None:

@@ -18,6 +18,7 @@ from sim_player.trace.segments import (
     WALL,
     Blockers,
     free_segments,
+    is_screened,
     segment_occlusion,
     without,
 )
@@ -216,3 +217,49 @@ def test_every_piece_stands_in_one_box(count: int) -> None:
     glass = replace(glass, transmission=np.full((max(count, 1), TABLE_STEPS + 1), factor + 0j))
     legs = segment_occlusion(np.array([0.0, 0.0, 1.0]), level(np.array([[9.0, 0.0], [4.0, 0.0]])), glass)
     np.testing.assert_allclose(legs.foliage, [factor**count, 1.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("before_line", [True, False])
+def test_a_screened_bundle_has_no_free_ray(before_line: bool) -> None:
+    """3000 bundles over a line, before or behind it one wall: where it screens them, each of 60 rays is blocked.
+
+    It does so for two of five, at least, whose 60 rays are all blocked: not where the wall itself crosses the line.
+    """
+    rng = np.random.default_rng(4)
+    screened, blocked = 0, 0
+    for _ in range(3000):
+        source, place = np.array([rng.uniform(-4, 4), 6.0]), np.array([rng.uniform(-4, 4), -6.0])
+        radius, turn = rng.uniform(0.05, 1.5), rng.uniform(0.0, 2.0 * np.pi, 60)
+        line = (0.0, 1.0, 0.0) if before_line else (0.0, -1.0, 0.0)
+        walls = blockers(*rng.uniform(-9.0, 9.0, (2, 1, 2)))
+        points = place + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+        middle = 0.5 * (source + place)
+        cuts = source + (points - source) * (source[1] / (source[1] - points[:, 1]))[:, None]
+        ends = (np.tile(source, (60, 1)), cuts) if before_line else (cuts, points)
+        free = segment_occlusion(level(ends[0], 2.0), level(ends[1], 2.0), walls).free
+        between = (source, middle) if before_line else (middle, place)
+        pairs = tuple(tuple(end.tolist()) for end in between)
+        found = is_screened(tuple(source.tolist()), (*place.tolist(), radius), pairs, 2.0, line, walls.pieces)
+        assert not (found and free.any())
+        screened, blocked = screened + found, blocked + (not free.any())
+    assert 50 < 0.4 * blocked < screened <= blocked
+
+
+def test_a_screen_must_be_wide_high_and_a_wall() -> None:
+    """Circle of radius 1 at 10 m, wall at 4 m: tangents meet it at 4 tan(asin(0.1)) to either side."""
+    half = 4.0 * math.tan(math.asin(0.1))
+
+    def screens(left: float, right: float, top: float = 2.0, **more: object) -> bool:
+        walls = blockers(np.array([[-left, 4.0]]), np.array([[right, 4.0]]), **more)
+        return bool(
+            is_screened((0.0, 0.0), (0.0, 10.0, 1.0), ((0.0, 0.0), (0.0, 6.0)), top, (0.0, -1.0, 6.0), walls.pieces)
+        )
+
+    wide = half + 0.01
+    assert screens(wide, wide)
+    assert not screens(half - 0.01, wide)
+    assert not screens(wide, half - 0.01)
+    assert not screens(wide, wide, top=5.0)
+    assert not screens(wide, wide, kind=np.array([VOLUME], np.int8))
+    assert not screens(wide, wide, kind=np.array([BODY], np.int8), owner=np.array([3], np.int32))
+    assert not screens(wide, wide, curvature_per_m=np.array([0.5]))
