@@ -134,8 +134,8 @@ def server(board: Board) -> Iterator[ViewerServer]:
 @pytest.fixture(scope="module")
 def corner() -> list[Any]:
     """One scan of the demo scene through the real chain: map, peaks, truth, view, vehicle's state."""
-    from models.perception.detection.cfar import CfarParams
-    from models.perception.detection.detectors import CfarDetector
+    from models.perception.detection.detectors import NetworkDetector
+    from models.perception.detection.onnx_model import DEFAULT_MODEL
     from models.perception.forming.ra_former import RaFormer
     from models.perception.forming.ra_forming import FormingParams
     from models.perception.geometry.stage import GeometryParams, recover_bev
@@ -144,7 +144,7 @@ def corner() -> list[Any]:
     player = scene_player(Params(scene=SCENE, chirps_per_beam=8, effects="basic"))
     former = RaFormer(player.setup, FormingParams())
     (ra_map,) = [one for index in range(25) for one in former.add(player.beam(0, index), None)]
-    found = CfarDetector(player.setup, CfarParams()).detect(ra_map)
+    found = NetworkDetector(player.setup, DEFAULT_MODEL).detect(ra_map)
     return [player.vehicle_state(0), ra_map, found, player.truth(0), recover_bev(found, GeometryParams())]
 
 
