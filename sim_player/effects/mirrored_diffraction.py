@@ -218,8 +218,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                     count += 1
                     arrive, _ = direction_of(mirror, end)
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-                    row.edge, row.foliage = e, before * behind
-                    _fill_fields(row, w, bent, bounce(scene[0], w, abs(onwards[0] * line[0] + onwards[1] * line[1])))
+                    _fill_turns(row, (e, w), bent, before * behind, onwards, line, scene[0])
                     if one_each:
                         is_done[m] = True
                         break
@@ -286,8 +285,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
                     count += 1
                     depart, _ = direction_of(start, mirror)
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-                    row.edge, row.foliage = e, before * behind
-                    _fill_fields(row, w, bent, bounce(scene[0], w, abs(depart[0] * line[0] + depart[1] * line[1])))
+                    _fill_turns(row, (e, w), bent, before * behind, depart, line, scene[0])
     return rows[:count], bends[:count]
 
 
@@ -370,6 +368,9 @@ def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_fields(row, wall, bent, mirrored_by):  # type: ignore[no-untyped-def]
-    """Write the mirror of a route and the factors of bend and mirror together."""
-    fill_bounce(row, wall, (bent[0] * mirrored_by[0], bent[1] * mirrored_by[1], mirrored_by[2]))
+def _fill_turns(row, turns, bent, leaves, incident, line, builds):  # type: ignore[no-untyped-def]
+    """Write what turns a route: an edge and a wall, met along `incident`, with the factors of both together."""
+    row.edge, wall = turns
+    row.foliage = leaves
+    whole, front, rough = bounce(builds, wall, abs(incident[0] * line[0] + incident[1] * line[1]))
+    fill_bounce(row, wall, (bent[0] * whole, bent[1] * front, rough))
