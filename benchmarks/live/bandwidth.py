@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 
 from mirrorwave.studies.tradeoff.runner import socket_hop
+from models.compiled import compiled
 from models.perception.forming.ra_forming import BeamFolder, FormingParams
 from models.perception.forming.slow_time_sums import fold_chirps
 from msgs.bus.codec import encode_inline
@@ -50,7 +50,7 @@ class Step(NamedTuple):
     act: Callable[[int], object]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sum(values: np.ndarray) -> int:
     total = 0
     for value in values:

@@ -105,15 +105,13 @@ def alone(node: str) -> dict[str, float]:
     for name in LIBRARIES:
         importlib.import_module(name)
         note(name)
-    from numba.core import caching
-    from numba.core.registry import cpu_target
+    from models.compiled import KernelCache, prepare
 
-    cpu_target.typing_context.refresh()
-    cpu_target.target_context.refresh()
-    note("compiler set-up")
+    prepare()
+    note("kernels' runtime")
     importlib.import_module(f"nodes.{node}")
     note("node's modules")
-    loads_ms = _count_loads(caching.Cache)
+    loads_ms = _count_loads(KernelCache)
     _make(node)
     kernels_ms = sum(loads_ms)
     note("made and set up")

@@ -18,8 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.mirror import SHORTEST_WALL_M
 
 #: A Fermat point; one near its caustic or several merged; none, but within reach of the caustic's field.
@@ -203,7 +203,7 @@ def _search(
 _SHORTEST, _LONGEST, _INFLECTION = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _all_targets(start, ends, rise, half, curvature, wavenumber, counts, s, kind, gain):  # type: ignore[no-untyped-def]
     """Run `_stationary` and, for a finite wavenumber, `_gather` over all targets."""
     for i in range(len(ends)):
@@ -214,7 +214,7 @@ def _all_targets(start, ends, rise, half, curvature, wavenumber, counts, s, kind
             counts[i] = _gather(scene, rise[i], wavenumber, counts[i], s[i], kind[i], gain[i])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _plan(scene):  # type: ignore[no-untyped-def]
     """Return the length of the path over the middle of the arc, from which the slope of a path is estimated."""
     return (
@@ -223,13 +223,13 @@ def _plan(scene):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sinc(t):  # type: ignore[no-untyped-def]
     """Return sin(t) / t, also for complex t."""
     return np.sin(t) / t if t != 0.0 else 1.0 + 0.0 * t
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _segment(s, px, py, half, curvature):  # type: ignore[no-untyped-def]
     """Return the distance of p from the arc at s, and its tangential and normal component; s real or complex."""
     turn = curvature * s
@@ -243,7 +243,7 @@ def _segment(s, px, py, half, curvature):  # type: ignore[no-untyped-def]
     return distance, (cosine * dx + sine * dy) / distance, (cosine * dy - sine * dx) / distance
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _slope(s, scene):  # type: ignore[no-untyped-def]
     """Return minus the first and second derivative of the plan length l1 + l2 along the arc."""
     px, py, qx, qy, half, curvature = scene
@@ -255,7 +255,7 @@ def _slope(s, scene):  # type: ignore[no-untyped-def]
     return t1 + t2, second
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _derivatives(s, scene):  # type: ignore[no-untyped-def]
     """Return the second, third and fourth derivative of l1 + l2 along the arc (u = normal component over distance)."""
     px, py, qx, qy, half, k = scene
@@ -270,7 +270,7 @@ def _derivatives(s, scene):  # type: ignore[no-untyped-def]
     return second, third, fourth
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bounds(r1, r2, k):  # type: ignore[no-untyped-def]
     """Return upper bounds of the third and fourth derivative where the segments are at least r1 and r2 long."""
     k = abs(k)
@@ -282,7 +282,7 @@ def _bounds(r1, r2, k):  # type: ignore[no-untyped-def]
     return third, fourth
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _zero(low, high, scene, order):  # type: ignore[no-untyped-def]
     """Return the zero of the first (order 0) or second (1) derivative in a bracket: Newton inside bisection."""
     rising = _slope(high, scene)[order] >= 0.0
@@ -304,13 +304,13 @@ def _zero(low, high, scene, order):  # type: ignore[no-untyped-def]
     return s
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _changes(low, high, scene, order):  # type: ignore[no-untyped-def]
     """Return whether the derivative changes its sign; zero counts as positive, so no root belongs to two neighbours."""
     return (_slope(low, scene)[order] >= 0.0) != (_slope(high, scene)[order] >= 0.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _lit(s, scene):  # type: ignore[no-untyped-def]
     """Return whether both ends see the same face at s, with no other part of the arc between."""
     px, py, qx, qy, half, curvature = scene
@@ -321,7 +321,7 @@ def _lit(s, scene):  # type: ignore[no-untyped-def]
     return not (_blocked(s, r1, t1, n1, half, curvature) or _blocked(s, r2, t2, n2, half, curvature))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _blocked(s, distance, tangential, normal, half, curvature):  # type: ignore[no-untyped-def]
     """Return whether a segment leaving the hollow face meets the arc again: its circle's chord ends before it does."""
     if curvature * normal <= 0.0 or distance * abs(curvature) <= 2.0 * abs(normal):
@@ -331,7 +331,7 @@ def _blocked(s, distance, tangential, normal, half, curvature):  # type: ignore[
     return abs(again) <= half
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _stationary(scene, wavenumber, points, kind):  # type: ignore[no-untyped-def]
     """Find all lit stationary points (and, for a finite wavenumber, inflections not yet dark) in order of s.
 
@@ -381,7 +381,7 @@ def _stationary(scene, wavenumber, points, kind):  # type: ignore[no-untyped-def
     return count
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _claim(low, high, scene, points, kind, count):  # type: ignore[no-untyped-def]
     """Add the root of a monotone interval, if it has one and it is lit."""
     if count < _MAX_POINTS and _changes(low, high, scene, 0):
@@ -393,7 +393,7 @@ def _claim(low, high, scene, points, kind, count):  # type: ignore[no-untyped-de
     return count
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bent(low, high, scene, dim, points, kind, count):  # type: ignore[no-untyped-def]
     """Add the roots of an interval that bends one way: two, one, or none but an inflection that is not yet dark."""
     if not _changes(low, high, scene, 1):
@@ -414,7 +414,7 @@ def _bent(low, high, scene, dim, points, kind, count):  # type: ignore[no-untype
 # --- fields: rays where they hold, the integral along the arc where they do not
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _gather(scene, rise, wavenumber, count, s, kind, gain):  # type: ignore[no-untyped-def]
     """Merge points of nearly one phase, in place; kinds become RAY, CAUSTIC or FADING. Return the number of bounces."""
     bounces, first = 0, 0
@@ -436,7 +436,7 @@ def _gather(scene, rise, wavenumber, count, s, kind, gain):  # type: ignore[no-u
     return bounces
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _length(s, scene, rise):  # type: ignore[no-untyped-def]
     """Return the length in space over the arc at s."""
     plan = (
@@ -445,7 +445,7 @@ def _length(s, scene, rise):  # type: ignore[no-untyped-def]
     return np.sqrt(plan * plan + rise * rise)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _apart(s1, s2, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     """Return the phase between the paths over two points; points on two faces of the wall are never merged."""
     if (
@@ -457,7 +457,7 @@ def _apart(s1, s2, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     return wavenumber * abs(_length(s1, scene, rise) - _length(s2, scene, rise))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ray_error(s, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     """Return the relative correction of stationary phase: 5 L3^2 / (24 k L2^3) and L4 / (8 k L2^2), summed."""
     second, third, fourth = _derivatives(s, scene)
@@ -467,7 +467,7 @@ def _ray_error(s, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     return (5.0 * third**2 / (24.0 * second) + 0.125 * abs(fourth)) / (wavenumber * second * second)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ray(s, scene):  # type: ignore[no-untyped-def]
     """Return the field at a Fermat point over that of a flat mirror of the same length, by geometrical optics.
 
@@ -482,7 +482,7 @@ def _ray(s, scene):  # type: ignore[no-untyped-def]
     return (1.0 if spread > 0.0 else 1j) / np.sqrt(abs(spread)) + 0j
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _integrand(s, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     """Return Kirchhoff's integrand along the arc, heights done by stationary phase; s may be complex.
 
@@ -496,7 +496,7 @@ def _integrand(s, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def
     return np.sqrt(wavenumber / (2.0 * np.pi)) * np.exp(0.25j * np.pi - 1j * wavenumber * length) * obliquity
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _straight(start, end, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     """Return the integral along a straight piece of the complex s plane: Gauss-Legendre, two nodes a radian."""
     panels = 1 + int(wavenumber * abs(_length(end, scene, rise) - _length(start, scene, rise)) / 6.0)
@@ -509,7 +509,7 @@ def _straight(start, end, side, scene, rise, wavenumber):  # type: ignore[no-unt
     return 0.5 * step * total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     """Return the end of the path that leaves the real axis at s, outwards, and the decay [neper] reached there.
 
@@ -537,7 +537,7 @@ def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-
     return best_end, best
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _arc_integral(points, more_left, more_right, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
     """Return the field of a group of merged points: along the real axis between them, outwards by steepest descent.
 

@@ -11,8 +11,9 @@ import cmath
 import math
 
 import numpy as np
-from numba import njit
 from scipy.special import wofz
+
+from models.compiled import compiled
 
 
 def transition(x: np.ndarray) -> np.ndarray:
@@ -81,7 +82,7 @@ def _series(order: int) -> tuple[float, np.ndarray]:
 _SCALE, _TERMS = _series(32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def scaled_erfc(root):  # type: ignore[no-untyped-def]
     """Return e^{jx} erfc(e^{j pi/4} sqrt x) for one sqrt(x) >= 0: `wofz` on the ray of the Fresnel integrals."""
     # z = e^{3j pi/4} root
@@ -93,7 +94,7 @@ def scaled_erfc(root):  # type: ignore[no-untyped-def]
     return 2.0 * total / (below * below) + (1.0 / math.sqrt(math.pi)) / below
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def passed_share_at(v):  # type: ignore[no-untyped-def]
     """Return the share of a wave that passes an edge at Fresnel's argument v, 1/2 + (1 + j)/2 (C(v) - j S(v))."""
     root = math.sqrt(0.5 * math.pi) * abs(v)
@@ -101,7 +102,7 @@ def passed_share_at(v):  # type: ignore[no-untyped-def]
     return dark if v < 0.0 else 1.0 - dark
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def wedge_terms_at(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew):  # type: ignore[no-untyped-def]
     """Return `wedge_terms` of one wave."""
     k = 2.0 * np.pi / wavelength_m
@@ -112,7 +113,7 @@ def wedge_terms_at(n, to_source_rad, to_target_rad, distance_m, wavelength_m, si
     return scale * incident, scale * first, scale * last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _term_at(n, beta, sign, kl, dark):  # type: ignore[no-untyped-def]
     turns = np.rint((beta + sign * np.pi) / (2.0 * np.pi * n))
     half = math.cos(0.5 * (2.0 * n * np.pi * turns - beta))

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numba import njit
+
+from models.compiled import compiled
 
 Polarisation = Literal["te", "tm"]
 
@@ -224,7 +225,7 @@ def _checked(permittivity: np.ndarray, cos_theta: np.ndarray) -> tuple[np.ndarra
 # --- one wave at one wall, for callers that are compiled themselves: the same laws without their checks
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def half_space_at(permittivity, cos_theta, is_tm):  # type: ignore[no-untyped-def]
     """Return `half_space_reflection` of one wave, and 1 - r^2."""
     q = _inner_cosine_at(permittivity, cos_theta)
@@ -235,7 +236,7 @@ def half_space_at(permittivity, cos_theta, is_tm):  # type: ignore[no-untyped-de
     return (outer - q) / total, 4.0 * (outer / total) * (q / total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def slab_at(permittivity, cos_theta, thickness_m, wavelength_m):  # type: ignore[no-untyped-def]
     """Return `slab_reflection` of one wave (TE), and that of the slab's front face alone."""
     r, kept = half_space_at(permittivity, cos_theta, False)
@@ -251,7 +252,7 @@ def slab_at(permittivity, cos_theta, thickness_m, wavelength_m):  # type: ignore
     return (r if denominator == 0.0 else r * lost / denominator), r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def stack_at(permittivities, thicknesses_m, cos_theta, wavelength_m):  # type: ignore[no-untyped-def]
     """Return `stack_reflection` of one wave (TE), and that of the front face alone."""
     reflected, behind = 0.0j, 1.0 + 0.0j
@@ -270,7 +271,7 @@ def stack_at(permittivities, thicknesses_m, cos_theta, wavelength_m):  # type: i
     return reflected, half_space_at(permittivities[0], cos_theta, False)[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _inner_cosine_at(permittivity, cos_theta):  # type: ignore[no-untyped-def]
     q = cmath.sqrt(permittivity - 1.0 + cos_theta * cos_theta)
     return -q if q.imag > 0.0 else q

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from models.compiled import compiled
 
 #: Walls shorter than this have no well-defined direction.
 SHORTEST_WALL_M = 1e-6
@@ -31,7 +32,7 @@ def reflect(points: np.ndarray, normal: np.ndarray, offset_m: float | np.ndarray
     return np.concatenate([image, points[..., 2:]], axis=-1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def mirrored(x, y, nx, ny, offset_m):  # type: ignore[no-untyped-def]
     """Return `reflect` of one point of the plane, for callers that are compiled themselves."""
     distance = (x * nx + y * ny + offset_m) / (nx * nx + ny * ny)
@@ -66,7 +67,7 @@ def crossing_parameters(
     return _crossings(*_plain(origin, targets, a, b))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _crossings(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     along_ray, along_wall = np.empty((len(targets), len(a))), np.empty((len(targets), len(a)))
     for n in range(len(targets)):
@@ -84,13 +85,13 @@ def _plain(
     return tuple(copies)  # type: ignore[return-value]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ray_and_wall(origin, targets, a, b, n, m):  # type: ignore[no-untyped-def]
     """Return the coordinates of one ray and one wall."""
     return origin[n, 0], origin[n, 1], targets[n, 0], targets[n, 1], a[m, 0], a[m, 1], b[m, 0], b[m, 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _shares(ox, oy, tx, ty, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Return `crossing_parameters` of one ray o -> t and one wall a -> b."""
     rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay
@@ -113,7 +114,7 @@ def crosses(
     return _all_cuts(*_plain(origin, targets, a, b), clearance_m)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _all_cuts(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, clearance_m: float) -> np.ndarray:
     out = np.empty((len(targets), len(a)), np.bool_)
     for n in range(len(targets)):
@@ -122,7 +123,7 @@ def _all_cuts(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndar
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def segments_cross(ox, oy, tx, ty, ax, ay, bx, by, clearance_m):  # type: ignore[no-untyped-def]
     """Return `crosses` of one ray o -> t and one wall a -> b, for callers that are compiled themselves."""
     rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay

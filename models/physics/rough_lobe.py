@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import njit
+
+from models.compiled import compiled
 
 #: Orders of scattering that stand for all, and how many standard deviations of the Poisson law they span.
 ORDERS, SPAN = 65, 7.0
@@ -150,7 +151,7 @@ def rough_lobe(roughness_m: float, correlation_m: float, wavelength_m: float) ->
     return RoughLobe(roughness_m, correlation_m, wavelength_m)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _kernels(cos_in, cos_out, along, across, size):  # type: ignore[no-untyped-def]
     """Return K of each direction, [N]; `size`: k s, k l, and whether in the plane."""
     height, width, in_plane = size
@@ -164,7 +165,7 @@ def _kernels(cos_in, cos_out, along, across, size):  # type: ignore[no-untyped-d
     return values
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def mean_over_orders(depth, width, along, across, in_plane):  # type: ignore[no-untyped-def]
     """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`; the mean over 0..`across`.
 

@@ -162,11 +162,9 @@ def load_libraries() -> None:
     """Import what nodes need, and what the first compiled kernel would set up."""
     for name in LIBRARIES:
         importlib.import_module(name)
-    from numba.core.registry import cpu_target
+    from models.compiled import prepare
 
-    # typing and lowering of all that kernels may call
-    cpu_target.typing_context.refresh()
-    cpu_target.target_context.refresh()
+    prepare()
 
 
 def threads() -> int:

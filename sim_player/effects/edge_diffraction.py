@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.diffraction import wedge_terms_at
 from msgs.values.array_table import ArrayTable
 from sim_player.effects.names import bit
@@ -86,7 +86,7 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     return routes.with_columns(edge=edges.number[routes.edge])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untyped-def]
     pieces = scene[2]
     rows, count = np.empty(len(point), ROUTE), 0
@@ -133,7 +133,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     return rows[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def height_span(height, point):  # type: ignore[no-untyped-def]
     """Return the least and the greatest of a height and those of points [N, 3]."""
     low = top = height
@@ -142,7 +142,7 @@ def height_span(height, point):  # type: ignore[no-untyped-def]
     return low, top
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def bend_field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
     """Return the uniform field of a bend over that of a free ray as long, with whole walls and their front faces."""
     builds, (transmission, wall_build), _, wavelength_m = scene
@@ -165,7 +165,7 @@ def bend_field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-un
     return built * spread, front * spread
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def turn_from_face(x, y, face_rad, sense):  # type: ignore[no-untyped-def]
     """Return the angle of a direction around an edge from the first face through the air, 0..2 pi."""
     return (sense * (math.atan2(y, x) - face_rad)) % (2.0 * np.pi)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.fresnel import half_space_at
 from models.physics.mirror import mirrored
 from sim_player.effects.names import bit
@@ -60,7 +60,7 @@ def apply(tracing: TraceContext) -> Echoes:
     return join_echoes([object_echoes(view, ground, cofocal(ground), bit("ground_bounce")), mixed])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _straight(antenna, centre, owner, face, pieces):  # type: ignore[no-untyped-def]
     """Antenna -> ground -> centre."""
     rows, count = np.empty(len(centre), ROUTE), 0
@@ -82,7 +82,7 @@ def _straight(antenna, centre, owner, face, pieces):  # type: ignore[no-untyped-
     return rows[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # type: ignore[no-untyped-def]
     """Antenna -> wall and ground, in the order that heights decide -> centre."""
     wall, target, points = bounces
@@ -121,7 +121,7 @@ def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # 
     return rows[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _reflection(face, cosine):  # type: ignore[no-untyped-def]
     """TM reflection of the ground, and the field that its roughness leaves."""
     permittivity, roughness_m, wavelength_m = face

@@ -10,8 +10,8 @@ import cmath
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
@@ -64,7 +64,7 @@ def _flashes(view: Snapshot) -> Echoes:
     return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces"))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _feet(antenna, flat, walls, builds, pieces):  # type: ignore[no-untyped-def]
     """Walls, their points and the routes there; one bounce on a round trip is half of it each way."""
     a, b, normal, offset, top = walls

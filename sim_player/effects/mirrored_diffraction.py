@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.mirror import mirrored
 from sim_player.effects.edge_diffraction import (
     NEAREST_EDGE_M,
@@ -117,7 +117,7 @@ def mirrors_beside(
     return beside
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _groups(point, owner, height):  # type: ignore[no-untyped-def]
     """Return circles around the points of each object, [G, 5]: place, radius, first and last point; heights' span."""
     groups, count, first = np.empty((len(point), 5)), 0, 0
@@ -133,7 +133,7 @@ def _groups(point, owner, height):  # type: ignore[no-untyped-def]
     return groups[:count], low, top
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _images(groups, flat, normal, offset):  # type: ignore[no-untyped-def]
     """Return the groups' places mirrored at walls, and their heights over them, [M, G, 3]."""
     images = np.empty((len(flat), len(groups), 3))
@@ -146,7 +146,7 @@ def _images(groups, flat, normal, offset):  # type: ignore[no-untyped-def]
     return images
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type: ignore[no-untyped-def]
     """Return routes antenna -> edge -> wall -> points and what their bends leave; of each wall only one if asked."""
     (table, ahead), (point, owner) = edges, ends
@@ -225,7 +225,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
     return rows[:count], bends[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[no-untyped-def]
     point, owner = ends
     flat, (a, b, normal, offset, tops), lit = mirrors
@@ -289,7 +289,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
     return rows[:count], bends[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _most_bent(edge, source, image, climb, wavelength_m):  # type: ignore[no-untyped-def]
     """Return a bound of what an edge (a row of `Edges.table`) bends from a source towards points of a circle.
 
@@ -305,7 +305,7 @@ def _most_bent(edge, source, image, climb, wavelength_m):  # type: ignore[no-unt
     return _bound(edge, to_source, (middle - half, middle + half), (source_plan, away - radius), stretch, wavelength_m)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _is_hidden(edge, image, group, top, line, pieces):  # type: ignore[no-untyped-def]
     """Return whether one wall before a mirror hides all of a group from it, or its image from an edge, up to `top`."""
     ex, ey = mirrored(edge[0], edge[1], line[0], line[1], line[2])
@@ -322,7 +322,7 @@ def _is_hidden(edge, image, group, top, line, pieces):  # type: ignore[no-untype
     return is_screened((ex, ey), (group[0], group[1], group[2]), (at, place), top, side, pieces)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _bound(edge, to_source, to_target, lengths, stretch, wavelength_m):  # type: ignore[no-untyped-def]
     """Return a bound of `bend_field` for targets between two turns: |F| <= 1, four cotangents that peak at the ends.
 
@@ -347,7 +347,7 @@ def _bound(edge, to_source, to_target, lengths, stretch, wavelength_m):  # type:
     return total * stretch / (4.0 * np.pi * n * math.sqrt(turns))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
     """Return where a wall's line mirrors two points of the plan to each other, and whether that is on a share of it.
 
@@ -367,7 +367,7 @@ def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
     return (x, y), share[0] <= along <= share[1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fill_turns(row, turns, bent, leaves, incident, line, builds):  # type: ignore[no-untyped-def]
     """Write what turns a route: an edge and a wall, met along `incident`, with the factors of both together."""
     row.edge, wall = turns

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import ECHO, Echoes, fill_echo, rate_of, rcs_towards
@@ -39,7 +39,7 @@ def apply(tracing: TraceContext) -> Echoes:
     return Echoes(_lit(routes.rows, unit, world.orders_alike, centres, view.radar_velocity, pieces, numbers))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _lit(routes, unit, alike, centres, radar_velocity, pieces, numbers):  # type: ignore[no-untyped-def]
     owner = centres[4]
     rows, count = np.empty(64, ECHO), 0
@@ -59,7 +59,7 @@ def _lit(routes, unit, alike, centres, radar_velocity, pieces, numbers):  # type
     return rows[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _one_by_another(row, route_1, route_2, unit, scene):  # type: ignore[no-untyped-def]
     """Write the echo antenna -> first -> second -> antenna; return how many there are, 0 or 1."""
     centres, radar_velocity, pieces, (wall_id, centre_id, object_id) = scene

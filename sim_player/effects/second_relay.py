@@ -11,8 +11,8 @@ import cmath
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.diffraction import passed_share_at
 from models.physics.mirror import mirrored
 from sim_player.effects.los_surfaces import flash_weight
@@ -140,7 +140,7 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     return surface_echoes(view, numbered, weight, point[routes.target], routes.wall, needs)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _two_bounces(antenna, point, pairs, walls):  # type: ignore[no-untyped-def]
     """Points of both walls and the end: one straight line from image to image, cut by both; [M, 3, 3]."""
     normal, offset = walls[2], walls[3]
@@ -159,7 +159,7 @@ def _two_bounces(antenna, point, pairs, walls):  # type: ignore[no-untyped-def]
     return vertices
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):  # type: ignore[no-untyped-def]
     normal, top = walls[2], walls[4]
     rows, count = np.empty(len(pairs), ROUTE), 0
@@ -187,7 +187,7 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
     return rows[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-untyped-def]
     """Walls, vertices and share of the wave of all loops by corners [C] that the radar is in.
 
@@ -222,7 +222,7 @@ def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-unty
     return kept[:count], vertices[:count], other[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _image(point, line):  # type: ignore[no-untyped-def]
     """Return a point mirrored in a line (normal and offset)."""
     nx, ny, offset = line
@@ -230,7 +230,7 @@ def _image(point, line):  # type: ignore[no-untyped-def]
     return x, y, point[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cut(start, end, line):  # type: ignore[no-untyped-def]
     """Return where a straight line from one side of a wall's line to the other cuts it: by the heights over it."""
     nx, ny, offset = line
@@ -243,7 +243,7 @@ def _cut(start, end, line):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _search(origin, point, flat, walls, lit, visible):  # type: ignore[no-untyped-def]
     """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3].
 
@@ -300,7 +300,7 @@ def _search(origin, point, flat, walls, lit, visible):  # type: ignore[no-untype
     return pairs[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyped-def]
     """Return where on a wall, 0..1, the line from the image behind it to a point in front passes."""
     height = x * nx + y * ny + d
@@ -310,7 +310,7 @@ def _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyp
     return (px * wx + py * wy) / (wx * wx + wy * wy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _seen(ix, iy, reach, a, b, nx, ny, d, first, second):  # type: ignore[no-untyped-def]
     """False where no point of the second wall is seen from the image through the first; both ends tell."""
     low = a[second, 0] * nx + a[second, 1] * ny + d

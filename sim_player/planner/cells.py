@@ -9,8 +9,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.perception.forming.coarray import AzimuthInterpolator
 from msgs.values.radar import ArrayParams, BeamGrid, ElementPattern, RadarParams, RadarSetup
 from sim_player.planner.purposes import DETECTION, Purpose, object_paths
@@ -113,7 +113,7 @@ def _cells(radar: RadarParams, array: ArrayParams, element: ElementPattern, beam
     return Cells(RadarSetup(radar=radar, array=array, element=element, beams=beams))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _strongest_near(values, rows_near):  # type: ignore[no-untyped-def]
     """Largest value within some rows and one bin, [rows, bins]."""
     rows, bins = values.shape
@@ -130,7 +130,7 @@ def _strongest_near(values, rows_near):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _least_of(limit, owner, beams):  # type: ignore[no-untyped-def]
     """Least of the rows that each of the first `beams` rows owns among the rest, and of its own."""
     out = limit[:beams].copy()

@@ -11,9 +11,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy import fft
 
+from models.compiled import compiled
 from msgs.values.radar import RadarParams
 from sim_player.planner.sweep_terms import MAX_TERMS, SweepTerms
 from sim_player.signal.switches import sampled
@@ -159,7 +159,7 @@ class _HeadGroup:
         return (coarse @ self._matrix) * self._back, near
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _fields(terms, mine, table):  # type: ignore[no-untyped-def]
     """Sums over the terms with a weight for each path; complex64 [paths, B]."""
     out = np.zeros((len(mine), terms.shape[2]), np.complex64)
@@ -191,7 +191,7 @@ def _last_turn(radar: RadarParams, tone: np.ndarray) -> np.ndarray:
     return (np.exp(2j * np.pi * (turns % 1.0)) * passes).astype(np.complex64)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _weakest_within(most, spare):  # type: ignore[no-untyped-def]
     """Mask of the weakest whose sum stays within `spare`, bool [P]."""
     mask, left = np.zeros(len(most), np.bool_), spare
@@ -203,7 +203,7 @@ def _weakest_within(most, spare):  # type: ignore[no-untyped-def]
     return mask
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _last_forms(off, head, at, turn_rad, count, early, loose):  # type: ignore[no-untyped-def]
     """What the last chirp's unit echo leaves in the bins `at`, `off` from 0, where it is cut; complex64 [P, bins].
 
@@ -239,7 +239,7 @@ def _end_tables(share: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     return values.astype(np.float32), slopes.astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _head_forms(tone, head, at, turn_rad, strength, swing, sample_rad):  # type: ignore[no-untyped-def]
     """Integrals over [0, X] of (1 - cos 2 pi x) exp(2 pi j d x) and of the same times x - X, d = tone - bin, complex64
     [P, bins] each, every next bin turned by `turn_rad` more; bounds of the errors of a signal of this strength,
@@ -307,7 +307,7 @@ def _interpolation(range_bins: int, step: int) -> np.ndarray:
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _gather(grid, terms, middle, count, position, margin, part, turns):  # type: ignore[no-untyped-def]
     _, _, beams = grid.shape
     taps = np.empty(WIDTH, np.float32)
@@ -335,7 +335,7 @@ def _gather(grid, terms, middle, count, position, margin, part, turns):  # type:
                     row[beam] += taps[tap] * value[beam]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _weighted_sum(spectra, kernels):  # type: ignore[no-untyped-def]
     """Sums over the terms of spectra [terms, frequencies, beams] times kernels [terms, frequencies]."""
     terms, frequencies, beams = spectra.shape

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.radar import RadarParams
 from sim_player.planner.evaluation import (
     BEYOND_BINS,
@@ -133,7 +133,7 @@ def _head_ratios(echoes: SweepTerms, allowed: np.ndarray) -> np.ndarray:
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _head_skirts(tone, strength, area, slope, inverse):  # type: ignore[no-untyped-def]
     out = np.empty((len(tone), len(inverse)), np.float32)
     for path in range(len(tone)):
@@ -144,7 +144,7 @@ def _head_skirts(tone, strength, area, slope, inverse):  # type: ignore[no-untyp
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _weakest_heads(ratios, order, share):  # type: ignore[no-untyped-def]
     """Mask of the weakest paths whose powers stay within share^2 in every block; bool [P]."""
     mask = np.zeros(len(order), np.bool_)
@@ -160,7 +160,7 @@ def _weakest_heads(ratios, order, share):  # type: ignore[no-untyped-def]
     return mask
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _weakest(ratios, cell, order, share):  # type: ignore[no-untyped-def]
     """Masks of the paths that keep squint, and of those that stay: the first half of `ratios` is what the squint of
     each changes, the second what all of it does; the weakest go, as long as powers stay within share^2 of each bin.
@@ -183,7 +183,7 @@ def _weakest(ratios, cell, order, share):  # type: ignore[no-untyped-def]
     return squints, kept
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _tightest(inverse, skirt, cells):  # type: ignore[no-untyped-def]
     """Largest skirt over limit that a tone in each of `cells` bins meets in each beam, float32 [cells, B]."""
     beams, bins = inverse.shape
@@ -198,7 +198,7 @@ def _tightest(inverse, skirt, cells):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _largest(magnitude, per_bin, cell):  # type: ignore[no-untyped-def]
     """Largest product of a path's magnitudes [P, B] and its bin's factors; [P]."""
     out = np.zeros(len(cell), np.float32)

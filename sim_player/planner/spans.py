@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.antenna import element_field
 from models.physics.waveform import beat_frequency_hz
 from msgs.values.radar import ElementPattern, RadarSetup
@@ -167,7 +167,7 @@ def _pattern_table(setup: RadarSetup, weights: np.ndarray) -> np.ndarray:
     return np.array(table, np.float32)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _most(patterns, amplitude, directions, least, most):  # type: ignore[no-untyped-def]
     """Products of the amplitudes [P] and the largest patterns between directions [1 or 2, ends, 2, P], scaled by
     `least` [P] to `most`; float32 [P, B].
@@ -194,7 +194,7 @@ def _most(patterns, amplitude, directions, least, most):  # type: ignore[no-unty
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sines(ends):  # type: ignore[no-untyped-def]
     """Least and largest sin(azimuth) cos(elevation) between two directions [ends, 2], by the shorter way round."""
     first, up, last_up = ends[0, 0], ends[0, 1], ends[1, 1]
@@ -211,7 +211,7 @@ def _sines(ends):  # type: ignore[no-untyped-def]
     return low * (wide if low < 0.0 else narrow), high * (wide if high > 0.0 else narrow)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _strongest(magnitude, low, high, order, limit, skirt, area, far):  # type: ignore[no-untyped-def]
     """Mask of the paths that stay once the weakest have gone that fit the limits [bins] in all beams; bool [P]."""
     bins, beams = len(limit), magnitude.shape[1]

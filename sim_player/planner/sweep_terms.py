@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.antenna import element_field
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
 from msgs.values.radar import RadarSetup
@@ -132,7 +132,7 @@ def _reach_m(setup: RadarSetup, across: np.ndarray, up: np.ndarray, both: bool) 
     return np.asarray((across_m * np.abs(across[:steered]) + up_m * np.abs(up[:steered])).sum(axis=0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _needed(full, swing_rad, tolerance):  # type: ignore[no-untyped-def]
     """Return the fewest terms that each path needs, int64 [P], and what they leave out at most, float32 [P].
 
@@ -174,7 +174,7 @@ def _transforms() -> np.ndarray:
     return transforms
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _fill_terms(  # type: ignore[no-untyped-def]
     weights_re, weights_im, steps, rows, both, across, up, recorded, centre, half_band, count, nodes, transforms
 ):
@@ -237,7 +237,7 @@ def _fill_terms(  # type: ignore[no-untyped-def]
     return terms, middle
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _one_way(weights_re, weights_im, steps, rows, across, up, out_re, out_im):  # type: ignore[no-untyped-def]
     """Fill in the one-way pattern of all beams, as `models.physics.antenna.one_way_pattern` without the element."""
     columns, beams = weights_re.shape
@@ -258,7 +258,7 @@ def _one_way(weights_re, weights_im, steps, rows, across, up, out_re, out_im):  
         phase_re, phase_im = phase_re * step_re - phase_im * step_im, phase_re * step_im + phase_im * step_re
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _squint_magnitude(terms, middle, count):  # type: ignore[no-untyped-def]
     paths, _, beams = terms.shape
     out = np.empty((paths, beams), np.float32)

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.mirror import mirrored
 
 #: Ends nearer than this to a ray stop it no more than they are met by it.
@@ -79,7 +79,7 @@ def lit_in_mirrors(
     return pairs, share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _mirrored_sweeps(source, walls, passing, normal, offset, window):  # type: ignore[no-untyped-def]
     pairs, share, image, count = np.empty((64, 2), np.int64), np.empty((64, 2)), np.empty(2), 0
     for k in range(len(normal)):
@@ -96,7 +96,7 @@ def _mirrored_sweeps(source, walls, passing, normal, offset, window):  # type: i
     return pairs[:count], share[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cut(a, b):  # type: ignore[no-untyped-def]
     """Shares at which walls are met by others, as stretches: owner, begin, end."""
     count = len(a)
@@ -134,7 +134,7 @@ def _cut(a, b):  # type: ignore[no-untyped-def]
     return owners[1:][stretch], shares[:-1][stretch], shares[1:][stretch]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-untyped-def]
     a, b = walls[0], walls[1]
     lit = np.empty((len(passing), 2))
@@ -183,7 +183,7 @@ def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-un
     return lit
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _place(nearest, inside, count, distance):  # type: ignore[no-untyped-def]
     """Return how many of the spans that rays are inside of are nearer than a distance."""
     low, high = 0, count
@@ -196,7 +196,7 @@ def _place(nearest, inside, count, distance):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _nearest(source, a, b, piece):  # type: ignore[no-untyped-def]
     """Return a distance that no point of each span's wall is nearer than, by a margin for rays that run along it."""
     nearest = np.empty(len(piece))
@@ -208,7 +208,7 @@ def _nearest(source, a, b, piece):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _spans(source, a, b, middle, half, window):  # type: ignore[no-untyped-def]
     """Directions from the middle between which each wall stands, within half a window; wall of each span."""
     low, high, piece = np.empty(2 * len(a)), np.empty(2 * len(a)), np.empty(2 * len(a), np.int64)
@@ -236,7 +236,7 @@ def _spans(source, a, b, middle, half, window):  # type: ignore[no-untyped-def]
     return low[:count], high[:count], piece[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _stands_aside(source, a, b, lines):  # type: ignore[no-untyped-def]
     """Return whether a wall stands behind one of three lines, well beyond rounding; lines by vectors from a source."""
     ax, ay, bx, by = a[0] - source[0], a[1] - source[1], b[0] - source[0], b[1] - source[1]
@@ -248,7 +248,7 @@ def _stands_aside(source, a, b, lines):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _meet(source, walls, passing, least, window, narrow, between, spans, inside, lit):  # type: ignore[no-untyped-def]
     """Light the walls that the rays between two directions meet, nearest first."""
     a, b, begin, end, wall = walls
@@ -281,7 +281,7 @@ def _meet(source, walls, passing, least, window, narrow, between, spans, inside,
         after = distance + GRAZE_M
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _look(source, walls, passing, least, window, narrow, along, angle, span, spans, inside, lit):  # type: ignore[no-untyped-def]
     """Light the wall of a span whose end lies in a direction, unless others stand before that end on both sides."""
     a, b, begin, end, wall = walls
@@ -310,19 +310,19 @@ def _look(source, walls, passing, least, window, narrow, along, angle, span, spa
         lit[wall[m], 1] = max(lit[wall[m], 1], end[m] if edge_on else place)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _ray(angle):  # type: ignore[no-untyped-def]
     """Unit vector of a direction."""
     return math.cos(angle), math.sin(angle)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _start(source, window, narrow, ray):  # type: ignore[no-untyped-def]
     """Distance at which a ray passes the window."""
     return _distance(source, ray, window[0], window[1]) + GRAZE_M if narrow else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _distance(source, ray, a, b):  # type: ignore[no-untyped-def]
     """Distance at which a ray cuts the line through two points; that of the nearer one where it runs along them."""
     wx, wy = b[0] - a[0], b[1] - a[1]
@@ -333,7 +333,7 @@ def _distance(source, ray, a, b):  # type: ignore[no-untyped-def]
     return (ox * wy - oy * wx) / turn
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _share(source, ray, a, b):  # type: ignore[no-untyped-def]
     """Where on a wall, 0..1, a ray meets it."""
     wx, wy = b[0] - a[0], b[1] - a[1]
@@ -345,7 +345,7 @@ def _share(source, ray, a, b):  # type: ignore[no-untyped-def]
     return min(max((ox * cy - oy * cx) / turn, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _wrapped(angle):  # type: ignore[no-untyped-def]
     """Angle in -pi..pi."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)

@@ -11,9 +11,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy import fft
 
+from models.compiled import compiled
 from models.physics.waveform import beat_frequency_hz
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.scene.front_end import FrontEnd
@@ -129,7 +129,7 @@ def _taps(step: int, highest: float) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(taps.real, np.float32), np.ascontiguousarray(taps.imag, np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _spread(grid, weights, centred, position):  # type: ignore[no-untyped-def]
     """Add each tone to the grid steps next to it, by exp(beta (sqrt(1 - z^2) - 1)); grid [size, 2 sums]."""
     size, columns = grid.shape
@@ -148,7 +148,7 @@ def _spread(grid, weights, centred, position):  # type: ignore[no-untyped-def]
                 row[i] += kernel * tones[i]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _join(spectrum, slow):  # type: ignore[no-untyped-def]
     """Instants joined by their polynomials, samples from the middle outwards put in order; float32 [2, terms, low]."""
     size, instants, terms = spectrum.shape
@@ -164,7 +164,7 @@ def _join(spectrum, slow):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _interpolate(samples, taps_re, taps_im, count):  # type: ignore[no-untyped-def]
     """The same at the full rate: sample step * m + q from the taps of phase q; complex64 [terms, count]."""
     terms, (step, taps) = samples.shape[1], taps_re.shape

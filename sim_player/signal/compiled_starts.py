@@ -11,8 +11,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.radar import RadarParams
 from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_instants
 
@@ -123,7 +123,7 @@ def _grid(count: int, part: int, parts: int, turn: float) -> tuple[int, np.ndarr
     return steps, np.ascontiguousarray(tones.reshape(steps, parts, part).swapaxes(0, 1), np.complex64)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _turned(tones, values, start, slope, instants):  # type: ignore[no-untyped-def]
     """Write values [2, chirps, instants, R, P] by path: this chirp's taken off, the previous one's corrected."""
     _, _, count, terms, paths = values.shape
@@ -137,7 +137,7 @@ def _turned(tones, values, start, slope, instants):  # type: ignore[no-untyped-d
                 tones[p, 1, k, r, 0], tones[p, 1, k, r, 1] = a * re - b * im, a * im + b * re
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _collect(grid, rest, tones, cycles, ends, slow):  # type: ignore[no-untyped-def]
     """Spread each tone over the grid of all parts that it fills, and sum it in the part in which it stops.
 
@@ -184,7 +184,7 @@ def _collect(grid, rest, tones, cycles, ends, slow):  # type: ignore[no-untyped-
         grid[filled] += grid[filled + 1]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _rows(rows, grid, slow):  # type: ignore[no-untyped-def]
     """Write the grid of each part under the slow factor at its start, and under the factor's rise over the part."""
     parts, _, _, terms, steps = rows.shape
@@ -200,7 +200,7 @@ def _rows(rows, grid, slow):  # type: ignore[no-untyped-def]
                     rows[b, 0, chirp, r, g], rows[b, 1, chirp, r, g] = here, rise
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _add_line(sums, tone_re, tone_im, line, size):  # type: ignore[no-untyped-def]
     """Add a tone times a straight line (value, rise a sample); sums [2, part]."""
     a, b, c, d = line

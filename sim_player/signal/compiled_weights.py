@@ -8,8 +8,8 @@ later, but for a constant of each path and a phase that moves by 1e-4 rad (`prev
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.antenna import element_field
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarSetup
@@ -94,7 +94,7 @@ class EchoWeights:
         return np.stack([self._delay, self._turn, factor.real, factor.imag, *phases])
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _weigh(out, table, instants, squint, array, series, place):  # type: ignore[no-untyped-def]
     columns, rows, steered_ways = array
     paths = table.shape[1]
@@ -131,7 +131,7 @@ def _weigh(out, table, instants, squint, array, series, place):  # type: ignore[
                 _write_term(out[0, k, r][first:end], out[1, k, r][first:end], re, im, series[r], turn, scratch)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _sine_cosine(x):  # type: ignore[no-untyped-def]
     """Return sine and cosine to 1e-9, for loops of many lanes."""
     quarter = np.rint(x * (2.0 / np.pi))
@@ -146,7 +146,7 @@ def _sine_cosine(x):  # type: ignore[no-untyped-def]
     return (-a if q >= 2.0 else a), (-b if q == 1.0 or q == 2.0 else b)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _times_columns(re, im, weights, phase_rad, ratio, scratch):  # type: ignore[no-untyped-def]
     """Multiply by conj(sum_m w_m exp(j (m - (M - 1) / 2) phase ratio)), of conjugated weights; elements centred."""
     size, last = len(phase_rad), len(weights) - 1
@@ -167,7 +167,7 @@ def _times_columns(re, im, weights, phase_rad, ratio, scratch):  # type: ignore[
         re[p], im[p] = f * a - g * b, f * b + g * a
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _times_rows(re, im, rows, phase_rad, ratio):  # type: ignore[no-untyped-def]
     """Multiply by the sum of rows of one weight, sum_m cos((m - (M - 1) / 2) phase ratio) / sqrt(M)."""
     scale, odd = 2.0 / np.sqrt(rows), rows % 2
@@ -184,7 +184,7 @@ def _times_rows(re, im, rows, phase_rad, ratio):  # type: ignore[no-untyped-def]
         im[p] *= total * scale
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(error_model="numpy", fastmath=True)
 def _write_term(out_re, out_im, re, im, series, place, scratch):  # type: ignore[no-untyped-def]
     """Write a factor times the share of one slow-time term, a Chebyshev series in `place`."""
     b_re, b_im, d_re, d_im = scratch[0], scratch[1], scratch[2], scratch[3]

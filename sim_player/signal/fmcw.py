@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy import fft
 
+from models.compiled import compiled
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
@@ -244,7 +244,7 @@ def beam_codes(
     return codes
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@compiled(fastmath=True)
 def _fill_codes(
     beat_re: np.ndarray,
     beat_im: np.ndarray,

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.fresnel import slab_at, stack_at
 
 Layers = tuple[tuple[complex, float], ...]
@@ -33,7 +33,7 @@ def builds_of(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def bounce(builds, wall, cosine):  # type: ignore[no-untyped-def]
     """Return the field factors of one bounce: the wall as built, its front face alone, what roughness leaves."""
     table, permittivity, thickness_m, wavelength_m = builds
@@ -50,14 +50,14 @@ def bounce(builds, wall, cosine):  # type: ignore[no-untyped-def]
     return whole, front, rough
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def coherent_field(roughness_m, cosine, wavelength_m):  # type: ignore[no-untyped-def]
     """Return what roughness leaves of a mirrored field: the root of `models.physics.fresnel.coherent_power`."""
     phase_rad = 4.0 * np.pi * roughness_m * cosine / wavelength_m
     return math.exp(-0.5 * phase_rad * phase_rad)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def all_bounces(builds, walls, cosines):  # type: ignore[no-untyped-def]
     """Return `bounce` of walls [N] at cosines [N]."""
     whole, front = np.empty(len(walls), np.complex128), np.empty(len(walls), np.complex128)

@@ -7,8 +7,8 @@ over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounce
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams
 from sim_player.scene.world import Snapshot, World
@@ -106,7 +106,7 @@ def surface_echoes(
     return Echoes(_of_walls(routes.rows, weight, point, wall, needs, view.radar_velocity, view.world.numbers[0]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _same_target(first, second):  # type: ignore[no-untyped-def]
     targets = 0
     for target in second:
@@ -129,7 +129,7 @@ def _same_target(first, second):  # type: ignore[no-untyped-def]
     return left[:count], right[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _of_centres(routes, out, back, times, needs, centres, radar_velocity, numbers):  # type: ignore[no-untyped-def]
     peak_m2, normals, exponent, floor, owner, phasor, position, velocity = centres
     wall_id, centre_id, object_id = numbers
@@ -157,7 +157,7 @@ def _of_centres(routes, out, back, times, needs, centres, radar_velocity, number
     return rows[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _of_walls(routes, weight, point, wall, needs, radar_velocity, wall_id):  # type: ignore[no-untyped-def]
     rows = np.empty(len(routes), ECHO)
     for n in range(len(routes)):
@@ -170,7 +170,7 @@ def _of_walls(routes, weight, point, wall, needs, radar_velocity, wall_id):  # t
     return rows
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fill_echo(row, there, here, needs, wall_id, targets):  # type: ignore[no-untyped-def]
     """Write what an echo has from its routes alone, out by `there` and back by `here`.
 
@@ -188,7 +188,7 @@ def fill_echo(row, there, here, needs, wall_id, targets):  # type: ignore[no-unt
     row.chain = chain_of((there, here), targets, needs, wall_id)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def chain_of(routes, targets, needs, wall_id):  # type: ignore[no-untyped-def]
     """Return a number for an echo by its scatterer, its two routes and its effects; uint64, a hash.
 
@@ -202,13 +202,13 @@ def chain_of(routes, targets, needs, wall_id):  # type: ignore[no-untyped-def]
     return chain
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _chained(chain, part):  # type: ignore[no-untyped-def]
     # wraps: the odd factor of a linear congruential generator
     return (chain + np.uint64(part + 2)) * np.uint64(6364136223846793005)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def rate_of(route, x_mps, y_mps, radar_velocity):  # type: ignore[no-untyped-def]
     """Return the rate of change of a route's length: by Fermat's principle only the motion of its ends matters."""
     depart, arrive = route.depart, route.arrive
@@ -216,7 +216,7 @@ def rate_of(route, x_mps, y_mps, radar_velocity):  # type: ignore[no-untyped-def
     return arrive[0] * x_mps + arrive[1] * y_mps - own
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def rcs_towards(lobe, normals, centre, direction, sense):  # type: ignore[no-untyped-def]
     """Return `seen_rcs_m2` of one centre towards `sense` times a direction; `lobe` is its peak, exponent and floor."""
     peak_m2, exponent, floor = lobe

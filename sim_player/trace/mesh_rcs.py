@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.fresnel import Polarisation, half_space_reflection
 from models.physics.materials import permittivity
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -350,7 +350,7 @@ def _search_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return np.ascontiguousarray(corners[order]), bounds, first, count
 
 
-@njit(cache=True)
+@compiled
 def _grow_tree(
     least: np.ndarray, greatest: np.ndarray, leaf: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -385,28 +385,28 @@ def _grow_tree(
     return order, bounds[:nodes], first[:nodes], count[:nodes]
 
 
-@njit(cache=True)
+@compiled
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@compiled
 def _cross(a, b):  # type: ignore[no-untyped-def]
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@compiled
 def _ahead(a, step, b):  # type: ignore[no-untyped-def]
     """Return a + step b."""
     return a[0] + step * b[0], a[1] + step * b[1], a[2] + step * b[2]
 
 
-@njit(cache=True)
+@compiled
 def _row(array, index):  # type: ignore[no-untyped-def]
     return array[index, 0], array[index, 1], array[index, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _first_hit(faces, bounds, first, count, start, direction, nearest):  # type: ignore[no-untyped-def]
     """Return distance and index of the first triangle on a ray beyond `nearest`; (inf, -1): none (Moeller-Trumbore)."""
     best, hit = np.inf, -1
@@ -436,12 +436,12 @@ def _first_hit(faces, bounds, first, count, start, direction, nearest):  # type:
     return best, hit
 
 
-@njit(cache=True)
+@compiled
 def _inverse(value):  # type: ignore[no-untyped-def]
     return 1.0 / value if abs(value) > 1e-30 else 1e30
 
 
-@njit(cache=True)
+@compiled
 def _meet(face, start, direction):  # type: ignore[no-untyped-def]
     """Return the distance along a ray to a triangle, -1 where it misses."""
     a = _row(face, 0)
@@ -459,7 +459,7 @@ def _meet(face, start, direction):  # type: ignore[no-untyped-def]
     return _dot(ac, q) / volume
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _any_free(faces, bounds, first, count, start, directions):  # type: ignore[no-untyped-def]
     """Return whether any of the directions [K, L, 3] from each start [K, 3] meets no face."""
     free = np.zeros(len(start), np.bool_)
@@ -471,19 +471,19 @@ def _any_free(faces, bounds, first, count, start, directions):  # type: ignore[n
     return free
 
 
-@njit(cache=True)
+@compiled
 def _lookup(table, cosine):  # type: ignore[no-untyped-def]
     position = cosine * (len(table) - 1)
     index = min(int(position), len(table) - 2)
     return table[index] + (position - index) * (table[index + 1] - table[index])
 
 
-@njit(cache=True)
+@compiled
 def _sinc(x):  # type: ignore[no-untyped-def]
     return math.sin(x) / x if abs(x) > 1e-6 else 1.0 - x * x / 6.0
 
 
-@njit(cache=True)
+@compiled
 def _reflected(field, direction, out, normal, te, tm):  # type: ignore[no-untyped-def]
     """Return the field after a bounce: its part across the plane of incidence times te, the part within times tm."""
     s = _cross(direction, normal)
@@ -498,7 +498,7 @@ def _reflected(field, direction, out, normal, te, tm):  # type: ignore[no-untype
     return across * s[0] + within * p[0], across * s[1] + within * p[1], across * s[2] + within * p[2]
 
 
-@njit(cache=True)
+@compiled
 def _radiated(field, field_out, direction, out, normal, towards, receive):  # type: ignore[no-untyped-def]
     """Return half the radiation of the currents n x H and E x n of incident plus reflected field to the receiver."""
     h, h_out = _cross(direction, field), _cross(out, field_out)
@@ -508,7 +508,7 @@ def _radiated(field, field_out, direction, out, normal, towards, receive):  # ty
     return 0.5 * (_dot(receive, current) + _dot(receive, magnetic))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _shoot(faces, bounds, first, count, start, towards, across, up, receive, wavenumber, bounces, te, tm, nearest):  # type: ignore[no-untyped-def]
     """Return the sum over rays and bounces of radiated field times footprint, in units of a ray's cross section."""
     towards_, receive_ = (towards[0], towards[1], towards[2]), (receive[0], receive[1], receive[2])

@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
 from sim_player.trace.bounce import bounce
@@ -163,7 +163,7 @@ def owners(owner: np.ndarray | int, count: int) -> np.ndarray:
     return np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fill_route(row, target, length_m, depart, arrive, needs):  # type: ignore[no-untyped-def]
     """Write a route that meets nothing; `depart` and `arrive` are three numbers each."""
     row.target, row.wall, row.wall2, row.edge = target, NONE, NONE, NONE
@@ -175,14 +175,14 @@ def fill_route(row, target, length_m, depart, arrive, needs):  # type: ignore[no
     row.whole, row.front, row.rough, row.foliage, row.other = 1.0, 1.0, 1.0, 1.0, 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fill_bounce(row, wall, factors):  # type: ignore[no-untyped-def]
     """Write the wall of a route's only bounce and its field factors."""
     row.wall = wall
     row.whole, row.front, row.rough = factors
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _straight(antenna, point, owner, pieces):  # type: ignore[no-untyped-def]
     count = len(point)
     rows, free, through = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count, np.complex128)
@@ -197,7 +197,7 @@ def _straight(antenna, point, owner, pieces):  # type: ignore[no-untyped-def]
     return rows, free, through, foliage
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def direction_of(start, end):  # type: ignore[no-untyped-def]
     """Return the unit vector from one point to another, three numbers each, and their distance."""
     x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
@@ -206,7 +206,7 @@ def direction_of(start, end):  # type: ignore[no-untyped-def]
     return (x / safe, y / safe, z / safe), length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def grown(rows):  # type: ignore[no-untyped-def]
     """Return the same rows with room for as many again."""
     more = np.empty(2 * len(rows) + 16, rows.dtype)
@@ -214,7 +214,7 @@ def grown(rows):  # type: ignore[no-untyped-def]
     return more
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyped-def]
     a, b, normal, offset, top = walls
     wall, target, points = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2, 3))
@@ -258,7 +258,7 @@ def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyp
     return wall[:count], target[:count], points[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: ignore[no-untyped-def]
     wall, target, points = bounces
     normal, count = walls[2], len(wall)

@@ -13,7 +13,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from models.compiled import compiled
 
 CLEARANCE_M = 1e-6
 #: The same on arcs, whose crossings come from a quadratic.
@@ -133,7 +134,7 @@ _COLUMNS = 13
 _BOX_COLUMNS = 7
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _pieces(a, b, height, curvature, kind, owner, build):  # type: ignore[no-untyped-def]
     piece = np.empty((len(a), _COLUMNS))
     for m in range(len(a)):
@@ -154,7 +155,7 @@ def _bounds(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.minimum(a, b) - wider, np.maximum(a, b) + wider
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _boxes(low, high, leaf):  # type: ignore[no-untyped-def]
     """Order of pieces in which neighbours stand together, [M], and boxes around boxes around them, depth first.
 
@@ -192,7 +193,7 @@ def _boxes(low, high, leaf):  # type: ignore[no-untyped-def]
     return order, boxes[:made]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _follow(vertices_m, owners, pieces, give_up):  # type: ignore[no-untyped-def]
     vertices, count = vertices_m.shape[0], vertices_m.shape[1]
     free = np.ones(count, np.bool_)
@@ -213,7 +214,7 @@ def _follow(vertices_m, owners, pieces, give_up):  # type: ignore[no-untyped-def
     return free, through, foliage
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
     """Return of one segment whether it is free, the factor of all walls crossed, and that of all foliage.
 
@@ -258,7 +259,7 @@ def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
     return free, through, foliage
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _misses(sx, sy, rx, ry, boxes, box):  # type: ignore[no-untyped-def]
     """Return whether a segment has no point in a box."""
     x, y = 0.5 * (boxes[box, 0] + boxes[box, 2]) - sx, 0.5 * (boxes[box, 1] + boxes[box, 3]) - sy
@@ -271,7 +272,7 @@ def _misses(sx, sy, rx, ry, boxes, box):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def clear_series(points, own, pieces):  # type: ignore[no-untyped-def]
     """Return what foliage leaves of a series of segments from point to point, -1 where one of them is blocked.
 
@@ -289,7 +290,7 @@ def clear_series(points, own, pieces):  # type: ignore[no-untyped-def]
     return leaves
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-untyped-def]
     """Return whether one straight wall blocks what rays from a source to a circle have on the positive side of a line.
 
@@ -317,7 +318,7 @@ def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _screens(ends, source, circle, line):  # type: ignore[no-untyped-def]
     """Return whether a stretch on the positive side of a line parts a source from all of a circle, by `SCREEN_M`."""
     (ax, ay, bx, by), (nx, ny, offset) = ends, line
@@ -345,7 +346,7 @@ def _screens(ends, source, circle, line):  # type: ignore[no-untyped-def]
     return to_a > SCREEN_M and to_b < -SCREEN_M
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def crossing_factor(passing, build, cosine):  # type: ignore[no-untyped-def]
     """Return the field factor of one crossing of a build at a cosine of incidence, from the table of all builds."""
     position = min(max(cosine, 0.0), 1.0) * TABLE_STEPS
@@ -354,7 +355,7 @@ def crossing_factor(passing, build, cosine):  # type: ignore[no-untyped-def]
     return (1.0 - share) * passing[build, step] + share * passing[build, step + 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _straight(segment, piece):  # type: ignore[no-untyped-def]
     """Return the cosine of incidence where a segment meets a straight piece, -1 where it does not."""
     sx, sy, sz, rx, ry, rise, ray = segment
@@ -378,7 +379,7 @@ def _straight(segment, piece):  # type: ignore[no-untyped-def]
     return turn / (wall * math.sqrt(ray * ray + rise * rise))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _arc(segment, arc):  # type: ignore[no-untyped-def]
     """Return the cosines of incidence where a segment meets an arc, at most two; -1 for none."""
     sx, sy, sz, rx, ry, rise, _ = segment

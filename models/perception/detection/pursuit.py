@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.arrays import require_within
 from msgs.values.perception import MAX_PEAKS
 
@@ -58,7 +58,7 @@ def _gaussian(std: float) -> np.ndarray:
     return np.asarray(weights / weights.sum())
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return a map [rows, columns] blurred by both kernels, float64; zero beyond its edges and where it is not finite.
 
@@ -97,7 +97,7 @@ def _kept(explained: tuple[float, float]) -> np.ndarray:
     return 1.0 - np.exp(-0.5 * np.add.outer(row**2, column**2))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _highest(left: np.ndarray, row: int) -> tuple[float, int]:
     """Return the highest value of a row and its column, the first of equals."""
     value, column = left[row, 0], 0
@@ -107,7 +107,7 @@ def _highest(left: np.ndarray, row: int) -> tuple[float, int]:
     return value, column
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, max_peaks: int) -> tuple[np.ndarray, np.ndarray]:
     """Take cells of `left` [rows, columns] while the highest reaches the threshold; changes `left`."""
     rows, columns = left.shape

@@ -11,8 +11,8 @@ import math
 
 import msgspec
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.arrays import require_positive
 
 
@@ -63,7 +63,7 @@ def wall_like(
     return stands
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _on_lines(
     points_m: np.ndarray,
     covariance_m2: np.ndarray,
@@ -92,7 +92,7 @@ def _on_lines(
     return result
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _neighbours(points_m: np.ndarray, order: np.ndarray, first: int, i: int, radius_m: float, near: np.ndarray) -> int:
     """Write the indices of the points within the radius of point `i` to `near`; return how many there are."""
     count = 0
@@ -107,7 +107,7 @@ def _neighbours(points_m: np.ndarray, order: np.ndarray, first: int, i: int, rad
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _is_on_line(points_m, covariance_m2, weight, i, near, min_points, limits):  # type: ignore[no-untyped-def]
     """Return whether point `i` lies in the strip of the line through its neighbours, and they stand out of a disc."""
     radius_m, flatness_m, min_share, min_contrast, min_extent = limits
@@ -132,7 +132,7 @@ def _is_on_line(points_m, covariance_m2, weight, i, near, min_points, limits):  
     return bool(own_m <= half_m and share >= min_share and share >= min_contrast * of_disc)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _weighted_line(points_m, weight, members):  # type: ignore[no-untyped-def]
     """Return the weighted mean and the unit normal of the principal axis of some points."""
     total, cx, cy, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -150,7 +150,7 @@ def _weighted_line(points_m, weight, members):  # type: ignore[no-untyped-def]
     return cx, cy, -math.sin(angle_rad), math.cos(angle_rad)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _strip_m(covariance_m2, near, nx, ny, flatness_m):  # type: ignore[no-untyped-def]
     """Return two standard deviations across a line: the median of the points' own and the unevenness."""
     across = np.empty(len(near))

@@ -27,8 +27,8 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.antenna import coarray_weights, setup_weights
 from msgs.values.arrays import require_array, require_positive
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -367,7 +367,7 @@ def _unit_phasors(phase_rad: np.ndarray) -> np.ndarray:
     return phasors
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _polynomials(terms: np.ndarray, turn: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return polynomials with the coefficients `terms` [range, T] at `turn`, times `start` [range, azimuth]; complex64.
 

@@ -7,8 +7,8 @@ group, sizes differing by at most one chirp where C is not a multiple of G.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.arrays import require_array
 
 #: Codes from here on, in magnitude, count as full scale.
@@ -49,7 +49,7 @@ def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
     return sums.reshape(groups, length, 2), int(saturated)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
     """Add rows of `codes` [chirps, 2 samples] into `sums` [groups, 2 samples]; returns saturated samples."""
     saturated = 0
@@ -71,7 +71,7 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
     return saturated
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
     """Add four rows to `total`; return whether any code is at full scale.
 
@@ -87,7 +87,7 @@ def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: 
     return bool(highest >= SATURATION_CODE or lowest <= -SATURATION_CODE)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _count_saturated(rows: np.ndarray) -> int:
     """Return the samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
     count = 0

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.perception.geometry.lines import LineFit, claimed, fit_line, residual_gain, variance_across
 from models.physics.mirror import wall_from_ends
 from msgs.values.arrays import require_positive
@@ -134,7 +134,7 @@ def _grown(
     return arc if _is_bent(arc, s, members, params) else None
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _grow(
     s: np.ndarray,
     d: np.ndarray,
@@ -161,7 +161,7 @@ def _grow(
     return coefficients, covariance, gain, _unbroken(s, free[gain > 0.0], max_gap_m)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fitted(
     s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, axes: np.ndarray, members: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -194,7 +194,7 @@ def _fitted(
     return coefficients, inverse * inflate, gain
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _across(
     s: float, d: float, covariance_m2: np.ndarray, axes: np.ndarray, coefficients: np.ndarray
 ) -> tuple[float, float]:
@@ -206,7 +206,7 @@ def _across(
     return off_m * scale, variance_across(covariance_m2, nx, ny)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarray:
     """Return the run of members about the middle of the line, s = 0, that no gap breaks; sorted indices."""
     order = members[np.argsort(s[members], kind="mergesort")]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from models.compiled import compiled
 
 #: Label of points that belong to no cluster.
 NOISE = -1
@@ -26,7 +27,7 @@ def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
     return _clusters(points_m.copy(), float(eps_m), int(min_points))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
     """Return the labels of points [N, 2]: core points joined to trees whose root is their first point, then border
     points.
@@ -53,7 +54,7 @@ def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray
     return _in_order_of_first_point(parent)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N]
     each.
@@ -68,7 +69,7 @@ def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
     return start, stop
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _core(
     points_m: np.ndarray, eps_m: float, min_points: int, order: np.ndarray, start: np.ndarray, stop: np.ndarray
 ) -> np.ndarray:
@@ -84,14 +85,14 @@ def _core(
     return core
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _distance2(points_m: np.ndarray, i: int, j: int) -> float:
     """Return the square of the distance of two points."""
     dx, dy = points_m[j, 0] - points_m[i, 0], points_m[j, 1] - points_m[i, 1]
     return float(dx * dx + dy * dy)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _root(parent: np.ndarray, i: int) -> int:
     """Return the root of a point's tree; paths to it are shortened in place."""
     while parent[i] != i:
@@ -100,7 +101,7 @@ def _root(parent: np.ndarray, i: int) -> int:
     return i
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _join_border(
     points_m: np.ndarray,
     eps_m: float,
@@ -123,7 +124,7 @@ def _join_border(
                 parent[i], nearest2 = j, distance2
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _in_order_of_first_point(parent: np.ndarray) -> np.ndarray:
     """Return the labels 0, 1, ... of trees by where they first occur; `NOISE` stays."""
     labels, of_root = np.full(len(parent), NOISE), np.full(len(parent), NOISE)
@@ -149,7 +150,7 @@ _ANGLES_RAD = np.radians(np.arange(0.0, 180.0, 5.0))
 _COS, _SIN = np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fits_box(points_m: np.ndarray, length_m: float, width_m: float) -> bool:
     extent_m = np.empty(len(_COS))
     for k in range(len(_COS)):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.perception import Wall
 
 #: An inlier's residual stays within this many standard deviations.
@@ -76,7 +76,7 @@ class Line(NamedTuple):
     offset_std_m: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def residual_gain(residual_m: float, variance_m2: float) -> float:
     """Return what a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
 
@@ -89,13 +89,13 @@ def residual_gain(residual_m: float, variance_m2: float) -> float:
     return float(max(_GAIN_AT_1_M - 0.5 * math.log(variance_m2) - 0.5 * normed, 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def variance_across(covariance_m2: np.ndarray, nx: float, ny: float) -> float:
     """Return n' C n of one covariance [2, 2]."""
     return float(nx * nx * covariance_m2[0, 0] + 2.0 * nx * ny * covariance_m2[0, 1] + ny * ny * covariance_m2[1, 1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float, offset_m: float) -> np.ndarray:
     """Return what each point [N, 2] with covariance [N, 2, 2] adds to one line's score; float64 [N]."""
     out = np.empty(len(points_m))
@@ -105,7 +105,7 @@ def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float,
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line:
     """Return `fit_line` for callers that are compiled themselves."""
     count = len(points_m)
@@ -135,7 +135,7 @@ def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line
     return Line(nx, ny, offset_m, math.sqrt(angle_variance), math.sqrt(inflate / total + middle**2 * angle_variance))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
     """Return the centre of weighted points [N, 2] and the direction of their largest scatter [rad], in closed form."""
     total, cx, cy = 0.0, 0.0, 0.0

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.perception.geometry.mirrors import wall_arrays
 from models.physics.link_budget import beam_snr
 from models.physics.mirror import CLEARANCE_M, mirrored, segments_cross
@@ -105,7 +105,7 @@ def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
     return _Receiver(float(level_db), *map(float, limits))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
     """Return the two-way loss to an apparent position relative to 1 m on boresight; infinite outside the field."""
     range_m = math.hypot(x, y)
@@ -118,12 +118,12 @@ def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
     return 24.0 * (azimuth_deg / receiver.element_hpbw_deg) ** 2 + 40.0 * math.log10(max(range_m, 1.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _all_lost_db(points_m: np.ndarray, receiver: _Receiver) -> np.ndarray:
     return np.array([_lost_db(points_m[i, 0], points_m[i, 1], receiver) for i in range(len(points_m))])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, receiver: _Receiver) -> None:
     """Clear the direct cells of a mask [N] that walls hide, and mark the cells visible in them; changes `mask`.
 
@@ -150,7 +150,7 @@ def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, r
                     mask[i] = MIRRORED
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _wall(walls, w):  # type: ignore[no-untyped-def]
     """Return the ends, normal and offset of a wall as plain numbers: row views are reference-counted in the inner
     loop.
@@ -158,19 +158,19 @@ def _wall(walls, w):  # type: ignore[no-untyped-def]
     return walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _height_m(x, y, wall):  # type: ignore[no-untyped-def]
     """Return the distance of a point from a wall's line, positive on the radar's side."""
     return x * wall[4] + y * wall[5] + wall[6]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_behind(x, y, wall):  # type: ignore[no-untyped-def]
     """Return whether a wall hides a point from the radar."""
     return _height_m(x, y, wall) < 0.0 and _in_wedge(x, y, wall, (0.0, 0.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
     """Return whether the ray from the eye to a point passes between a wall's ends."""
     ax, ay, bx, by = wall[0] - eye[0], wall[1] - eye[1], wall[2] - eye[0], wall[3] - eye[1]
@@ -180,7 +180,7 @@ def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
     return turn != 0.0 and turn * (ax * y - ay * x) >= 0.0 and turn * (x * by - y * bx) >= 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
     """Return whether no other wall blocks the two segments radar -> specular point -> point of a path by one wall."""
     wall = _wall(walls, own)
@@ -197,7 +197,7 @@ def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_detectable(image, receiver):  # type: ignore[no-untyped-def]
     """Return whether an echo at an apparent position is over the threshold."""
     return receiver.level_db - _lost_db(image[0], image[1], receiver) >= receiver.threshold_db

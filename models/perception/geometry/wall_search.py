@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.perception.geometry.lines import Line, fitted, gains, residual_gain, variance_across
 
 #: Hypotheses that are refit and compared in each round of the search.
@@ -48,7 +48,7 @@ class Segment(NamedTuple):
 _NOTHING = Segment(Line(0.0, 1.0, 0.0, math.inf, math.inf), -math.inf, 0.0, 0.0, 0.0, 0.0, False)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def best_segment(
     points_m: np.ndarray, covariance_m2: np.ndarray, pairs: np.ndarray, limits: Limits
 ) -> tuple[Segment, np.ndarray]:
@@ -76,7 +76,7 @@ def best_segment(
     return best, best_run
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Return the lines (nx, ny, offset) [H, 3] through the numbered pairs of points, without those of coinciding
     points.
@@ -97,7 +97,7 @@ def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return lines[:count]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what each point adds to each line's score [H, N] and the scores [H]."""
     gain, total = np.empty((len(lines), len(points_m))), np.empty(len(lines))
@@ -107,7 +107,7 @@ def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray)
     return gain, total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _has_same_inliers(gain: np.ndarray, index: int, rows: np.ndarray) -> bool:
     """Return whether a row of gains [H, N] has the same inliers as one of some other rows."""
     for row in rows:
@@ -121,7 +121,7 @@ def _has_same_inliers(gain: np.ndarray, index: int, rows: np.ndarray) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _best_on_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, inliers: np.ndarray, limits: Limits
 ) -> tuple[Segment, np.ndarray]:
@@ -149,7 +149,7 @@ def _best_on_line(
     return best, best_run
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -> Segment:
     """Return the line through points [N, 2], at least two of them, and whether they make it a mirror."""
     line = fitted(points_m, covariance_m2, FIT_ROUNDS)
@@ -170,7 +170,7 @@ def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -
     return Segment(line, score, ax, ay, bx, by, is_mirror)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, run: np.ndarray) -> np.ndarray:
     """Return the points that a wall does not explain: not its own, nor between its ends within their errors; bool
     [N].
@@ -184,7 +184,7 @@ def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment,
     return is_left
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def next_on_line(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, limits: Limits) -> int:
     """Return the index of the point [N, 2] nearest to the ends of a segment among those that continue it, -1 where
     none does.

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import RADAR, WallArrays, hits
 
@@ -124,12 +124,12 @@ def _rays(direction: np.ndarray, walls: WallArrays) -> np.ndarray:
     return rays
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _log(distance):  # type: ignore[no-untyped-def]
     return 0.25 * np.log(min(max(distance, NEAR_M), FAR_M))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _shared_features(rays, length_m, angle_std_rad, returns_m, wall_of_return):  # type: ignore[no-untyped-def]
     """Return the features float32 [C, W, 8] of the first mirrors that all cells of a column share: all but the
     depth.
@@ -154,7 +154,7 @@ def _shared_features(rays, length_m, angle_std_rad, returns_m, wall_of_return): 
     return features
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cuts(ox, oy, ex, ey, walls, wall, ends):  # type: ignore[no-untyped-def]
     """Return whether the segment from (ox, oy) to (ex, ey) crosses a wall between the ends in four columns from
     `ends` on; not where the segment begins.
@@ -170,13 +170,13 @@ def _cuts(ox, oy, ex, ey, walls, wall, ends):  # type: ignore[no-untyped-def]
     return abs(along) < abs(turn) and along / turn > 1e-9
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _height(x, y, walls, wall):  # type: ignore[no-untyped-def]
     """Return the signed distance of a place from the line of a wall, positive on the radar's side."""
     return x * walls[wall, NORMAL_X] + y * walls[wall, NORMAL_Y] + walls[wall, OFFSET]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _blocks(ox, oy, ex, ey, walls, wall):  # type: ignore[no-untyped-def]
     """Return whether a wall surely blocks a segment."""
     if walls[wall, SURE] == 0.0 or not _cuts(ox, oy, ex, ey, walls, wall, CERTAIN):
@@ -184,7 +184,7 @@ def _blocks(ox, oy, ex, ey, walls, wall):  # type: ignore[no-untyped-def]
     return abs(_height(ex, ey, walls, wall)) > CUT_DEPTH_M
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _is_free(ox, oy, ex, ey, walls, own):  # type: ignore[no-untyped-def]
     """Return whether no wall other than `own` surely blocks a segment."""
     free, wall = True, 0
@@ -194,7 +194,7 @@ def _is_free(ox, oy, ex, ey, walls, own):  # type: ignore[no-untyped-def]
     return free
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _blocker(ox, oy, ex, ey, walls, among, count):  # type: ignore[no-untyped-def]
     """Return the first of the `count` walls `among` that surely blocks a segment, -1: none does."""
     nearest, blocker = np.inf, -1
@@ -208,21 +208,21 @@ def _blocker(ox, oy, ex, ey, walls, among, count):  # type: ignore[no-untyped-de
     return blocker
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _depth(x, y, rays, column, wall):  # type: ignore[no-untyped-def]
     """Return the depth of a place behind the mirror that a column's ray meets in a wall."""
     along_x, along_y = x * rays[column, wall, MIRROR_NORMAL_X], y * rays[column, wall, MIRROR_NORMAL_Y]
     return -(along_x + along_y + rays[column, wall, MIRROR_OFFSET])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _folded(x, y, rays, column, wall):  # type: ignore[no-untyped-def]
     """Return a place folded back in the mirror that a column's ray meets in a wall."""
     twice = 2.0 * _depth(x, y, rays, column, wall)
     return x + twice * rays[column, wall, MIRROR_NORMAL_X], y + twice * rays[column, wall, MIRROR_NORMAL_Y]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _preference(rays, column, walls, wall):  # type: ignore[no-untyped-def]
     """Return the cost of a wall as the first mirror of a column's ray (inf: it is none), and whether the way to it is
     free.
@@ -236,7 +236,7 @@ def _preference(rays, column, walls, wall):  # type: ignore[no-untyped-def]
     return cost + ((_MISSED if missed > 0.0 else 0.0) + (0.0 if walls[wall, SURE] else _SHORT)), free
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _side(ox, oy, ex, ey, x, y):  # type: ignore[no-untyped-def]
     """Return on which side of the line from (ox, oy) to (ex, ey) a point lies; 0: too near to it to be sure."""
     rx, ry, px, py = ex - ox, ey - oy, x - ox, y - oy
@@ -244,7 +244,7 @@ def _side(ox, oy, ex, ey, x, y):  # type: ignore[no-untyped-def]
     return np.sign(turn) if abs(turn) > 1e-9 * (abs(rx) + abs(ry)) * (1.0 + abs(px) + abs(py)) else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _may_block(ox, oy, nearest, furthest, walls, own, among):  # type: ignore[no-untyped-def]
     """Write to `among` the walls that may surely block a segment to a place between `nearest` and `furthest`, and
     return how many: one that lies to one side of both outer segments blocks none between.
@@ -266,13 +266,13 @@ def _may_block(ox, oy, nearest, furthest, walls, own, among):  # type: ignore[no
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _is_image(x, y, away_m, rays, column, wall):  # type: ignore[no-untyped-def]
     """Return whether a place on a column's ray lies behind the mirror that the ray meets in a wall."""
     return rays[column, wall, TO_WALL] < away_m and _depth(x, y, rays, column, wall) >= MIN_DEPTH_M
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _costs(range_m, direction, rays, walls):  # type: ignore[no-untyped-def]
     """Return the costs [R, C, W] of single mirrors of all cells (inf: none), the wall that blocks each one's second leg
     (-1: none), and whether the first is free [C, W].
@@ -305,7 +305,7 @@ def _costs(range_m, direction, rays, walls):  # type: ignore[no-untyped-def]
     return cost, block, free
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _twice(mx, my, x, y, walls, second):  # type: ignore[no-untyped-def]
     """Return whether an image folded to (x, y) by way of the mirror at (mx, my) may have been mirrored by the wall
     `second` too, and the place then.
@@ -318,7 +318,7 @@ def _twice(mx, my, x, y, walls, second):  # type: ignore[no-untyped-def]
     return _is_free(mx + share * (x - mx), my + share * (y - my), fx, fy, walls, second), fx, fy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cell_of(x, y, steps):  # type: ignore[no-untyped-def]
     """Return the row and column of a place, outside the map where it is not in view."""
     row = round((np.hypot(x, y) - steps.first_m) / steps.step_m)
@@ -326,7 +326,7 @@ def _cell_of(x, y, steps):  # type: ignore[no-untyped-def]
     return int(row), int(column)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _largest(fields, field, row, column):  # type: ignore[no-untyped-def]
     """Return the largest value of a field within a range bin of a cell; zero outside."""
     best = 0.0
@@ -336,7 +336,7 @@ def _largest(fields, field, row, column):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _shows(x, y, walls, wall):  # type: ignore[no-untyped-def]
     """Return whether a wall shows the radar an image of a place, and where."""
     height, offset = _height(x, y, walls, wall), walls[wall, OFFSET]
@@ -349,7 +349,7 @@ def _shows(x, y, walls, wall):  # type: ignore[no-untyped-def]
     return _is_free(0.0, 0.0, mx, my, walls, wall) and _is_free(mx, my, x, y, walls, wall), ix, iy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _nearest_wall_m(x, y, walls):  # type: ignore[no-untyped-def]
     """Return the distance of a place from the nearest wall, at most `FAR_M`."""
     nearest, reach2 = FAR_M, np.inf
@@ -366,7 +366,7 @@ def _nearest_wall_m(x, y, walls):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _describe_place(x, y, own, walls, fields, steps, out):  # type: ignore[no-untyped-def]
     """Write what walls and map say of a place; `own` is the last wall on the way."""
     row, column = _cell_of(x, y, steps)
@@ -389,7 +389,7 @@ def _describe_place(x, y, own, walls, fields, steps, out):  # type: ignore[no-un
     out[17] = _log(_nearest_wall_m(x, y, walls))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cheapest(cost, row, column):  # type: ignore[no-untyped-def]
     """Return the wall of the least cost of a cell, the first of equals; -1: all are infinite."""
     wall, least = -1, np.inf
@@ -399,7 +399,7 @@ def _cheapest(cost, row, column):  # type: ignore[no-untyped-def]
     return wall
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _all_cells(range_m, direction, rays, shared, walls, fields, steps, features):  # type: ignore[no-untyped-def]
     """Return first and second walls int16 [K, R, C] of all cells and write their features float32 [K, F, R, C].
 
@@ -443,7 +443,7 @@ def _all_cells(range_m, direction, rays, shared, walls, fields, steps, features)
     return first, second
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _turn(of_row, features, row):  # type: ignore[no-untyped-def]
     """Write the features [C, K, F] of a row to those of the map [K, F, R, C]."""
     columns, kinds, count = of_row.shape

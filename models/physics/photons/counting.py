@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from models.physics.photons.dead_time import SHORTEST_SHARE, ArmedLaw, armed_laws, dead_time_grid, decimal, regained
 from models.physics.photons.first_photon import first_photon_histogram, first_photon_probability
 from models.physics.photons.flux import Pulses, cell_of, counts_at, counts_between, flux_table, pulses_of, time_at
@@ -265,7 +265,7 @@ def _between_edges(law: ArmedLaw, counts: np.ndarray, cell: np.ndarray, part: np
     return np.maximum(np.diff(until[cell] + within, axis=1, prepend=0.0, append=until[-1]), 0.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sum_within(between, node, since):  # type: ignore[no-untyped-def]
     following, total = 0, 0.0
     for point in range(len(since)):
@@ -276,7 +276,7 @@ def _sum_within(between, node, since):  # type: ignore[no-untyped-def]
             total += between[point]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _detect(  # type: ignore[no-untyped-def]
     waits, table_s, counts, rate_hz, open_s, low, high, dead_periods, dead_s, period_s, free, period, stop, time_s
 ):
@@ -305,7 +305,7 @@ def _detect(  # type: ignore[no-untyped-def]
     return count, period, time_s, periods, times_s
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fill(histogram, edges_s, first_bin, period, time_s):  # type: ignore[no-untyped-def]
     for photon in range(len(period)):
         phase = period[photon] % len(edges_s)

@@ -18,8 +18,8 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.lidar import SpadParams
 
 MAX_CELLS = 1 << 22
@@ -162,7 +162,7 @@ def regained(counts: np.ndarray) -> np.ndarray:
     return np.where(small, series, 1.0 + np.expm1(-safe) / safe)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _period(  # type: ignore[no-untyped-def]
     hit, late, armed, older, newer, shift, apart, alike, waiting, rejoining, detected
 ):

@@ -8,7 +8,8 @@ later ones are depleted (pile-up). Periods are independent here: the dead time e
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from models.compiled import compiled
 
 
 def first_photon_probability(mean_counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +44,7 @@ def first_photon_histogram(mean_counts: np.ndarray, periods: int | np.ndarray, r
     return histogram
 
 
-@njit(cache=True)
+@compiled
 def _draw(probability, waiting, rng, histogram):  # type: ignore[no-untyped-def]
     """Fill a histogram [rows, bins] bin after bin; changes `waiting` [rows]. Calls of numpy take 30 times as long."""
     for index in range(probability.shape[1]):

@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from models.compiled import compiled
 from msgs.values.lidar import SpadParams
 
 #: Standard deviations after which a Gaussian is zero in doubles.
@@ -126,7 +126,7 @@ def _nodes(delay_s: np.ndarray, spad: SpadParams) -> np.ndarray:
     return np.append(np.unique(np.append(near, 0)) * (period_s / size), period_s)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _scaled_erfc(y):  # type: ignore[no-untyped-def]
     """Return exp(y^2) erfc(y) of a positive number."""
     if y < _LARGE_Y:
@@ -135,7 +135,7 @@ def _scaled_erfc(y):  # type: ignore[no-untyped-def]
     return (1.0 - x * (1.0 - x * (3.0 - x * (15.0 - x * 105.0)))) / (y * math.sqrt(math.pi))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _delayed(z, ratio):  # type: ignore[no-untyped-def]
     """Return the share of a tail's photons that are due z standard deviations after the path's delay and still to come.
 
@@ -147,7 +147,7 @@ def _delayed(z, ratio):  # type: ignore[no-untyped-def]
     return 0.5 * math.exp(0.5 * ratio * ratio - ratio * z) * math.erfc(y)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _outside(z, tail_share, ratio):  # type: ignore[no-untyped-def]
     """Return the share of a pulse on the far side of z: before it where z is negative, else after it."""
     gaussian = 0.5 * math.erfc(math.sqrt(0.5) * abs(z))
@@ -157,7 +157,7 @@ def _outside(z, tail_share, ratio):  # type: ignore[no-untyped-def]
     return max(gaussian - delayed, 0.0) if z < 0.0 else gaussian + delayed
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_pulses(  # type: ignore[no-untyped-def]
     counts, edges_s, delay_s, photons, rms_s, tail_share, ratio, period_s, images
 ):
@@ -181,7 +181,7 @@ def _add_pulses(  # type: ignore[no-untyped-def]
                 z, tail = next_z, next_tail
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_rates(  # type: ignore[no-untyped-def]
     rate_hz, time_s, delay_s, photons, rms_s, tail_share, ratio, period_s, images
 ):
@@ -200,13 +200,13 @@ def _add_rates(  # type: ignore[no-untyped-def]
                     rate_hz[node] += late_hz * _delayed(z, ratio)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cell_counts(u, gain, left, right):  # type: ignore[no-untyped-def]
     """Return counts from the start of a cell to its part u: a cubic of the cell's gain and the slopes at its ends."""
     return u * (left + u * (3.0 * gain - 2.0 * left - right + u * (left + right - 2.0 * gain)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def cell_of(value, edges):  # type: ignore[no-untyped-def]
     """Return the last cell between ascending edges that begins at or below a value; -1 before them all."""
     low, high = -1, len(edges)
@@ -219,7 +219,7 @@ def cell_of(value, edges):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def counts_at(at_s, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
     """Return mean detections from the start of the period to a time within it; the last three are a `FluxTable`."""
     cell = min(max(cell_of(at_s, time_s), 0), len(time_s) - 2)
@@ -229,7 +229,7 @@ def counts_at(at_s, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
     return counts[cell] + _cell_counts(u, gain, rate_hz[cell] * width_s, rate_hz[cell + 1] * width_s)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def time_at(wanted, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
     """Return the time within the period at which mean detections reach a number: the inverse of `counts_at`."""
     cell = min(max(cell_of(wanted, counts), 0), len(time_s) - 2)

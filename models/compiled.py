@@ -1,0 +1,100 @@
+"""Compiled kernels: numba's, kept in its cache, and loaded from there without its compiler.
+
+Before numba loads any kernel it imports all that it could compile, a third of a second and 25 MiB in every process;
+what has been compiled needs its runtime alone. Numba also takes a kernel for unchanged while its own file is, whatever
+it calls: here the kernels and numbers of other files that were compiled into it count too.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numba.core import environment
+from numba.core.caching import FunctionCache
+from numba.core.registry import cpu_target
+from numba.core.runtime import rtsys
+
+
+def compiled(
+    function: Callable[..., Any] | None = None, /, *, error_model: str = "python", fastmath: bool = False
+) -> Any:
+    """Compile a function of numbers and arrays at its first call, and keep it for later processes.
+
+    It runs without the interpreter's lock. `error_model`: "python" raises where something is divided by zero, "numpy"
+    does not; `fastmath`: sums may be ordered anew.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        kernel = njit(nogil=True, error_model=error_model, fastmath=fastmath)(function)
+        kernel._cache = KernelCache(function)
+        return kernel
+
+    return decorate if function is None else decorate(function)
+
+
+def prepare() -> None:
+    """Set up what the first kernel of a process would."""
+    rtsys.initialize(cpu_target.target_context)
+
+
+class KernelCache(FunctionCache):
+    """The compiled forms of one function on disk."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the function as it was compiled for a signature, or None."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+    @functools.cached_property
+    def stamp(self) -> str:
+        """What changes whenever this function's file, or a kernel or number that it uses, does."""
+        parts = [self._cache_file._source_stamp, *sorted(set(self._used()))]
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (*super()._index_key(sig, codegen), self.stamp)
+
+    def _used(self) -> Iterator[tuple[str, str]]:
+        """Yield names and stamps of what the names in the function's code may mean."""
+        names, known = self._py_func.__code__.co_names, self._py_func.__globals__
+        for name in names:
+            value = known.get(name)
+            # `mirror.crosses(...)`: one of the code's other names, in that module
+            meant = [getattr(value, other, None) for other in names] if isinstance(value, ModuleType) else [value]
+            for item in meant:
+                if stamp := self._stamp_of(item):
+                    yield name, stamp
+
+    def _stamp_of(self, item: object) -> str:
+        cache = getattr(item, "_cache", None)
+        if isinstance(cache, KernelCache):
+            # a function that calls itself is in its own file
+            return "" if cache is self else cache.stamp
+        if isinstance(item, np.ndarray):
+            return hashlib.sha256(item.tobytes()).hexdigest()
+        return repr(item) if isinstance(item, (bool, int, float, complex, str, tuple, np.generic)) else ""
+
+
+@functools.wraps(environment._rebuild_env)
+def _environment(modname: str, consts: list[Any], env_name: str) -> environment.Environment:
+    """Return a loaded function's environment without importing its module, which only interpreted code uses."""
+    made = environment.lookup_environment(env_name)
+    if made is None:
+        module = sys.modules.get(modname)
+        made = environment.Environment({"__name__": modname} if module is None else module.__dict__)
+        made.consts[:] = consts
+        made.env_name = env_name
+        environment.Environment._memo[env_name] = made
+    return made
+
+
+# as numba's own, which imports the module: its files name it, and stay numba's
+environment._rebuild_env = _environment

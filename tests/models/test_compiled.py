@@ -1,0 +1,83 @@
+"""Compiled kernels: loaded without numba's compiler, and compiled anew when what they call changes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+CALLEE = """
+from models.compiled import compiled
+
+SCALE = {scale}
+
+@compiled
+def scaled(value):
+    return {factor} * SCALE * value
+"""
+CALLER = """
+import numpy as np
+import callee
+from callee import SCALE, scaled
+from models.compiled import compiled
+
+OFFSETS = np.array([{offset}])
+
+@compiled(error_model="numpy")
+def total(values):
+    '''An array made within, and numbers and kernels of another file.'''
+    found = np.zeros(len(values))
+    for i in range(len(values)):
+        found[i] = scaled(values[i]) + callee.scaled(0.0) + OFFSETS[0] + 0.0 * SCALE
+    return found
+"""
+#: What is printed: the sum, whether the compiler was loaded, and how often a kernel was found as it was kept.
+PROGRAM = """
+import sys
+import numpy as np
+import caller
+found = caller.total(np.ones(2)).sum()
+hits = sum(caller.total.stats.cache_hits.values())
+print(found, "numba.np.linalg" in sys.modules, hits)
+"""
+
+
+class Kernels:
+    """Two modules in a folder, and what a fresh interpreter makes of them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def write(self, factor: float = 2.0, scale: float = 1.0, offset: float = 0.0) -> None:
+        """Write the modules; one that stays the same is left alone."""
+        self._put("callee.py", CALLEE.format(factor=factor, scale=scale))
+        self._put("caller.py", CALLER.format(offset=offset))
+
+    def run(self) -> tuple[float, bool, int]:
+        """Return the sum, whether the compiler was loaded, and the hits of the cache."""
+        paths = os.pathsep.join([str(self.folder), str(Path(__file__).parents[2])])
+        environment = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(self.folder / "cache")}
+        command = [sys.executable, "-c", PROGRAM]
+        said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout
+        found, loaded, hits = said.split()
+        return float(found), loaded == "True", int(hits)
+
+    def _put(self, name: str, text: str) -> None:
+        path = self.folder / name
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+
+
+def test_kernels_are_loaded_without_the_compiler_and_follow_what_they_were_made_from(tmp_path: Path) -> None:
+    kernels = Kernels(tmp_path)
+    kernels.write()
+    assert kernels.run() == (4.0, True, 0)
+    assert kernels.run() == (4.0, False, 1)
+    kernels.write(factor=3.0)
+    assert kernels.run() == (6.0, True, 0), "a kernel of another file was changed"
+    kernels.write(factor=3.0, scale=5.0)
+    assert kernels.run() == (30.0, True, 0), "a number of another file was changed"
+    kernels.write(factor=3.0, scale=5.0, offset=1.0)
+    assert kernels.run() == (32.0, True, 0), "its own file was changed"
+    assert kernels.run() == (32.0, False, 1)
