@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from mirrorwave.early_start import begin
 from mirrorwave.exit_signals import ended_by_signal, hear_endings, keep_code, was_interrupted
 from mirrorwave.terminal import open_closed_streams
 
@@ -13,6 +14,7 @@ def main() -> int:
     open_closed_streams()
     try:
         hear_endings()
+        begin(sys.argv[1:])
         from mirrorwave.cli import main as run
 
         code = run()

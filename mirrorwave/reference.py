@@ -96,9 +96,9 @@ def commands_page() -> str:
     import typer
     from typer.cli import get_docs_for_click
 
-    from mirrorwave.cli import app
+    from mirrorwave.cli import command_line
 
-    command = typer.main.get_command(app)
+    command = typer.main.get_command(command_line())
     text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="mirrorwave", title="Commands")
     title, _, body = text.partition("\n\n")
     return f"{title}\n\n{_COMMANDS_HEAD}\n{body.rstrip()}\n"

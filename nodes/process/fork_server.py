@@ -88,9 +88,9 @@ class ForkServer:
     left: nodes are then started by themselves.
     """
 
-    def __init__(self, run_dir: Path) -> None:
+    def __init__(self) -> None:
         self._channel, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        words = ["nodes.process.fork_server", "--run-dir", str(run_dir), "--die-with", str(os.getpid())]
+        words = ["nodes.process.fork_server", "--die-with", str(os.getpid())]
         adopt_orphans(True)
         with other:
             self._pid: int | None = spawn([*words, "--room", "." * ROOM], environment({}), other.fileno())
@@ -252,11 +252,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m nodes.process.fork_server", description="Fork nodes for a supervisor."
     )
-    parser.add_argument("--run-dir", help="directory of the graph's sockets")
     parser.add_argument("--die-with", required=True, type=int, metavar="PID", help="end with this parent process")
     parser.add_argument("--room", help="room for the command line of a node")
     arguments = parser.parse_args(argv)
-    die_with_parent(arguments.die_with)
+    try:
+        die_with_parent(arguments.die_with)
+    except ProcessLookupError:
+        # the command has ended before there was a graph
+        return 0
     load_libraries()
     if threads() > 1:
         sys.stderr.write(

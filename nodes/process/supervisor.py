@@ -191,6 +191,7 @@ class Supervisor:
         runs_dir: Path = Path("runs"),
         duration_s: float | None = None,
         on_log: LogSink | None = None,
+        server: ForkServer | None = None,
     ) -> None:
         if duration_s is not None and not duration_s > 0.0:
             raise ValueError(f"duration_s must be above zero, got {duration_s!r}")
@@ -201,8 +202,8 @@ class Supervisor:
             for process, entry in processes(launch).items()
         }
         self._runs_dir = runs_dir
-        #: Forks the nodes of a graph of several processes.
-        self._server: ForkServer | None = None
+        #: Forks the nodes of a graph of several processes; one that was started before is closed with the graph too.
+        self._server = server
         self._serves = False
         self._exit_code = EXIT_DONE
         self._stop_requests = 0
@@ -224,12 +225,9 @@ class Supervisor:
         from msgs.bus.zmq import ZmqBus, make_run_dir
 
         with contextlib.ExitStack() as stack:
+            self._have_server(stack)
             make_run_dir(self._run_dir)
             run_folder = stack.enter_context(self._locked())
-            if len(self._nodes) > 1:
-                # one process has nothing to share
-                self._server = ForkServer(self._run_dir)
-                stack.callback(self._server.close)
             self._log = JsonLog(run_folder / "log.jsonl")
             stack.callback(self._log.close)
             self._bus = ZmqBus(SUPERVISOR, self._run_dir)
@@ -244,6 +242,15 @@ class Supervisor:
             self._say("info", f"graph {self._launch.name}: {counted(len(self._homes), 'node')}, log in {run_folder}")
             self._loop()
         return self._exit_code
+
+    def _have_server(self, stack: contextlib.ExitStack) -> None:
+        if len(self._nodes) > 1:
+            self._server = self._server or ForkServer()
+            stack.callback(self._server.close)
+        elif self._server is not None:
+            # one process has nothing to share
+            self._server.close()
+            self._server = None
 
     def _loop(self) -> None:
         while not self._all_gone():

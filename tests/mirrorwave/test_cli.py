@@ -14,7 +14,7 @@ import pytest
 from typer import Context
 from typer.main import get_command
 
-from mirrorwave.cli import app, main
+from mirrorwave.cli import command_line, main
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import error_line, exit_code_of
 from msgs.recording.mcap import RecordingWriter, info
@@ -162,7 +162,7 @@ def verbs() -> dict[str, Any]:
         if not hasattr(command, "commands"):
             yield " ".join(words), command
 
-    return dict(walk(get_command(app), ()))
+    return dict(walk(get_command(command_line()), ()))
 
 
 def helps(width: int) -> Iterator[tuple[str, str, list[str]]]:
@@ -177,7 +177,7 @@ def helps(width: int) -> Iterator[tuple[str, str, list[str]]]:
         for name, part in parts.items():
             yield from walk(part, (*words, name))
 
-    return walk(get_command(app), ())
+    return walk(get_command(command_line()), ())
 
 
 def unwrapped(text: str) -> str:

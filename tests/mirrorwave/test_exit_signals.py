@@ -68,7 +68,7 @@ nodes:
 #: A module whose import stands for a phase: the command line's own, its verbs', the verb's set-up, its work.
 PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording.mcap"]
 LAUNCH = ["typer", "mirrorwave.completion", "nodes.process.launch_file", "nodes.process.supervisor", "msgs.bus.zmq"]
-RECORD = ["typer", "mirrorwave.completion", "msgs.bus.zmq", "nodes.recorder"]
+RECORD = ["typer", "mirrorwave.commands.captures.bag", "msgs.bus.zmq", "nodes.recorder"]
 NODE = ["psutil", "msgs.bus.interface", "nodes.process.validation", "msgs.bus.zmq", "tests.graph.toy_nodes"]
 CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED, signal.SIGHUP: HUNG_UP}
 

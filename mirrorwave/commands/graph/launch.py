@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from mirrorwave import early_start
 from mirrorwave.commands.captures.bag_options import (
     MaxParts,
     MinFree,
@@ -127,7 +128,9 @@ def run_graph(
     graph = with_origin(graph, command_line(), run_dir(domain))
     earlier = [] if record is None else _recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
-        supervisor = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer)
+        supervisor = Supervisor(
+            graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer, server=early_start.take()
+        )
         with stopped_by_signal(supervisor.request_stop):
             code = supervisor.run()
             if record is not None and code == ExitCode.DONE:

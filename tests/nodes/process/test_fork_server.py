@@ -25,7 +25,7 @@ _TOY = ["tests.nodes.process.forked", "one", '{"a": [1, 2]}', "--wait"]
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[ForkServer]:
-    server = ForkServer(tmp_path)
+    server = ForkServer()
     try:
         yield server
     finally:
