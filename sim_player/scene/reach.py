@@ -14,7 +14,6 @@ from dataclasses import dataclass, fields, replace
 
 import msgspec
 import numpy as np
-from scipy.spatial import cKDTree
 
 from models.physics.antenna import element_field
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -132,11 +131,8 @@ def _surroundings(world: World, origin: np.ndarray) -> _Surroundings:
 
 def _walls_within(world: World, middle: np.ndarray, far_m: float) -> np.ndarray:
     """Return the pieces of wall of which some point may lie within a distance of a point."""
-    if "tree" not in world.kept:
-        half_m = 0.5 * np.hypot(*(world.wall_b - world.wall_a).T)
-        world.kept.update(tree=cKDTree(0.5 * (world.wall_a + world.wall_b)), half_m=half_m)
-    half_m = world.kept["half_m"]
-    walls = np.array(sorted(world.kept["tree"].query_ball_point(middle, far_m + half_m.max())), int)
+    half_m = 0.5 * norm(world.wall_b - world.wall_a)
+    walls = np.flatnonzero(norm(0.5 * (world.wall_a + world.wall_b) - middle) <= far_m + half_m.max())
     along = world.wall_b[walls] - world.wall_a[walls]
     share = np.clip(dot(middle - world.wall_a[walls], along) / dot(along, along), 0.0, 1.0)
     away = norm(world.wall_a[walls] + share[:, None] * along - middle)
