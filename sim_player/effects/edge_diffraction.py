@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -51,8 +52,9 @@ class Edges(ArrayTable):
     def __len__(self) -> int:
         return len(self.n)
 
+    @cached_property
     def table(self) -> np.ndarray:
-        """Return the same as numbers, [E, 8], for compiled code."""
+        """The same as numbers, [E, 8], for compiled code."""
         return np.column_stack(
             [self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m]
         ).astype(np.float64)
@@ -82,7 +84,7 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     edges = edges_of(view)
     world = view.world
     scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
-    routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
+    routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table, scene))
     return routes.with_columns(edge=edges.number[routes.edge])
 
 
@@ -173,17 +175,31 @@ def turn_from_face(x, y, face_rad, sense):  # type: ignore[no-untyped-def]
 
 def edges_of(view: Snapshot) -> Edges:
     """Edges that the radar faces: free ends of walls, and corners whose open side, wider than a half turn, holds it."""
-    edges = open_edges(view.world)
-    faces = _faces(view.world, view.origin)
+    edges, faces = open_edges(view.world), _faces(view.world, view.origin)
     if view.ahead_only:
         faces &= view.is_ahead(edges.point - view.origin)
     return edges.take(faces)
 
 
 def open_edges(world: World) -> Edges:
-    """Free ends of walls, and corners of two walls with the side that is wider than a half turn, wherever it opens."""
+    """Free ends of walls, and corners of two walls with the side that is wider than a half turn, wherever it opens.
+
+    Found once and kept with the world.
+    """
+    return _kept(world)[0]
+
+
+def _kept(world: World) -> tuple[Edges, np.ndarray, np.ndarray]:
+    """Return the open edges and the corners (`_corners`) of a world, which no motion changes."""
+    if "edges" not in world.kept:
+        corner, left = _corners(world)
+        world.kept["edges"] = _open_edges(world, corner, left), corner, left
+    kept: tuple[Edges, np.ndarray, np.ndarray] = world.kept["edges"]
+    return kept
+
+
+def _open_edges(world: World, corner: np.ndarray, left: np.ndarray) -> Edges:
     ends = world.wall_ends
-    corner, left = _corners(world)
     first, last = np.concatenate([ends.alone, ends.first[corner]]), np.concatenate([ends.alone, ends.second[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
     alone = np.ones(len(ends.alone))
@@ -209,8 +225,7 @@ def _corners(world: World) -> tuple[np.ndarray, np.ndarray]:
 
 def _faces(world: World, origin: np.ndarray) -> np.ndarray:
     """Return which of `open_edges` have a point in the air that they are open to, bool [E]."""
-    ends = world.wall_ends
-    corner, left = _corners(world)
+    ends, (_, corner, left) = world.wall_ends, _kept(world)
     end = ends.first[corner]
     towards = np.arctan2(*(origin - ends.position[end]).T[::-1])
     is_left = (towards - ends.face_rad[end]) % (2.0 * np.pi) < left

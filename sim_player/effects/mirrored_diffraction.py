@@ -36,7 +36,6 @@ from sim_player.trace.routes import (
     fill_route,
     grown,
     join_routes,
-    lit_shares,
     owners,
 )
 from sim_player.trace.segments import Blockers, clear_series, is_screened, passage
@@ -90,9 +89,9 @@ def mirrored_edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray)
     world, edges, flat = view.world, open_edges(view.world), np.flatnonzero(view.world.is_flat)
     scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
     ahead = view.is_ahead(edges.point - view.origin) if view.ahead_only else np.ones(len(edges), bool)
-    table, ends = edges.table(), (point_m, owners(owner, len(point_m)))
+    table, ends = edges.table, (point_m, owners(owner, len(point_m)))
     first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND, False)
-    second = _mirror_first(view.antenna, ends, table, (flat, view.walls, lit_shares(view)), scene, LEAST_BEND)
+    second = _mirror_first(view.antenna, ends, table, (flat, view.walls, view.lit_shares), scene, LEAST_BEND)
     before, behind = (Routes(rows).with_columns(edge=edges.number[rows["edge"]]) for rows, _ in (first, second))
     routes = join_routes([before, behind.with_columns(edge=_BEHIND_MIRROR - behind.edge)])
     return routes, np.concatenate([first[1], second[1]])
@@ -111,7 +110,7 @@ def mirrors_beside(
     lines = world.wall_a, world.wall_b, *wall_lines(world, antenna[:2]), world.wall_height_m
     points, every = (point_m, owners(owner, len(point_m))), np.ones(len(edges), bool)
     mirrors = np.flatnonzero(asked & world.is_flat), lines
-    rows, _ = _edge_first(antenna, points, (edges.table(), every), mirrors, scene, LEAST_BEND, True)
+    rows, _ = _edge_first(antenna, points, (edges.table, every), mirrors, scene, LEAST_BEND, True)
     beside = np.zeros(len(world.wall_a), bool)
     beside[rows["wall"]] = True
     return beside
