@@ -22,7 +22,7 @@ from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, join_routes, owners
-from sim_player.trace.segments import clear_series, crossing_factor, passage
+from sim_player.trace.segments import clear_series, crossing_factor, is_screened, passage
 from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
@@ -30,6 +30,8 @@ LEAST_TURN_RAD = 0.05
 #: Points nearer than this to an edge's faces or to the edge itself are on the wall, not beside it.
 NEAREST_EDGE_M = 0.05
 _BENT = bit("edge_diffraction")
+#: A line that all of the plan is on the positive side of: unit normal and offset.
+EVERYWHERE = 0.0, 0.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     pieces = scene[2]
     rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
-    low, top = height_span(start[2], point)
+    groups, low, top = point_groups(point, owner, start[2])
     for e in range(len(edges)):
         x, y, _, _, face_rad, sense, n_half, height = edges[e]
         source_plan = math.hypot(x - start[0], y - start[1])
@@ -106,33 +108,54 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
         # where the lowest ray meets nothing on its way, none does
         free, _, foliage = passage(start, (x, y, low), -1, pieces, True)
         is_open = free and foliage == 1.0
-        for n in range(len(point)):
-            end = point[n, 0], point[n, 1], point[n, 2]
-            target_plan = math.hypot(end[0] - x, end[1] - y)
-            if target_plan <= NEAREST_EDGE_M:
+        for group in groups:
+            # one wall may hide all of an object
+            circle = group[0], group[1], group[2]
+            if is_screened((x, y), circle, ((x, y), (group[0], group[1])), top, EVERYWHERE, pieces):
                 continue
-            # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
-            bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
-            to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
-            if to_target >= n_half * np.pi or bend[2] >= height:
-                continue
-            before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
-            behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
-            if behind < 0.0:
-                continue
-            leaves = before * behind
-            if count == len(rows):
-                rows = grown(rows)
-            row = rows[count]
-            count += 1
-            depart, source_m = direction_of(start, bend)
-            arrive, target_m = direction_of(bend, end)
-            fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-            row.edge, row.foliage = e, leaves
-            row.whole, row.front = bend_field(
-                edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene
-            )
+            for n in range(int(group[3]), int(group[4])):
+                end = point[n, 0], point[n, 1], point[n, 2]
+                target_plan = math.hypot(end[0] - x, end[1] - y)
+                if target_plan <= NEAREST_EDGE_M:
+                    continue
+                # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
+                bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
+                to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
+                if to_target >= n_half * np.pi or bend[2] >= height:
+                    continue
+                before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
+                behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
+                if behind < 0.0:
+                    continue
+                leaves = before * behind
+                if count == len(rows):
+                    rows = grown(rows)
+                row = rows[count]
+                count += 1
+                depart, source_m = direction_of(start, bend)
+                arrive, target_m = direction_of(bend, end)
+                fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
+                row.edge, row.foliage = e, leaves
+                row.whole, row.front = bend_field(
+                    edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene
+                )
     return rows[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def point_groups(point, owner, height):  # type: ignore[no-untyped-def]
+    """Return circles around the points of each object, [G, 5]: place, radius, first and last point; heights' span."""
+    groups, count, first = np.empty((len(point), 5)), 0, 0
+    for n in range(len(point)):
+        if n + 1 < len(point) and owner[n + 1] == owner[n]:
+            continue
+        x, y, radius = point[first : n + 1, 0].mean(), point[first : n + 1, 1].mean(), 0.0
+        for m in range(first, n + 1):
+            radius = max(radius, math.hypot(point[m, 0] - x, point[m, 1] - y))
+        groups[count] = x, y, radius + 1e-6, float(first), float(n + 1)
+        count, first = count + 1, n + 1
+    low, top = height_span(height, point)
+    return groups[:count], low, top
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

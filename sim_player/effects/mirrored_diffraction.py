@@ -20,8 +20,8 @@ from sim_player.effects.edge_diffraction import (
     NEAREST_EDGE_M,
     Edges,
     bend_field,
-    height_span,
     open_edges,
+    point_groups,
     turn_from_face,
 )
 from sim_player.effects.names import bit
@@ -117,22 +117,6 @@ def mirrors_beside(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _groups(point, owner, height):  # type: ignore[no-untyped-def]
-    """Return circles around the points of each object, [G, 5]: place, radius, first and last point; heights' span."""
-    groups, count, first = np.empty((len(point), 5)), 0, 0
-    for n in range(len(point)):
-        if n + 1 < len(point) and owner[n + 1] == owner[n]:
-            continue
-        x, y, radius = point[first : n + 1, 0].mean(), point[first : n + 1, 1].mean(), 0.0
-        for m in range(first, n + 1):
-            radius = max(radius, math.hypot(point[m, 0] - x, point[m, 1] - y))
-        groups[count] = x, y, radius + 1e-6, float(first), float(n + 1)
-        count, first = count + 1, n + 1
-    low, top = height_span(height, point)
-    return groups[:count], low, top
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _images(groups, flat, normal, offset):  # type: ignore[no-untyped-def]
     """Return the groups' places mirrored at walls, and their heights over them, [M, G, 3]."""
     images = np.empty((len(flat), len(groups), 3))
@@ -153,7 +137,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
     pieces, wavelength_m = scene[2], scene[3]
     rows, bends, count = np.empty(len(point), ROUTE), np.empty(len(point)), 0
     start = antenna[0], antenna[1], antenna[2]
-    groups, low, top = _groups(point, owner, start[2])
+    groups, low, top = point_groups(point, owner, start[2])
     images, is_done = _images(groups, flat, normal, offset), np.zeros(len(flat), np.bool_)
     for e in range(len(table)):
         x, y, _, _, face_rad, sense, n_half, height = table[e]
@@ -231,7 +215,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
     pieces, wavelength_m = scene[2], scene[3]
     rows, bends, count = np.empty(len(point), ROUTE), np.empty(len(point)), 0
     start = antenna[0], antenna[1], antenna[2]
-    groups, low, top = _groups(point, owner, start[2])
+    groups, low, top = point_groups(point, owner, start[2])
     for w in flat:
         line = normal[w, 0], normal[w, 1], offset[w]
         over = start[0] * line[0] + start[1] * line[1] + line[2]

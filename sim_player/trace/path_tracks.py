@@ -77,7 +77,10 @@ class Span:
         stays = np.abs(last.length_m[there] - first.length_m[here] - carried_m) <= LARGEST_JUMP_M
         self._step_s = step_s
         self._first, self._last = first.take(here[stays]), last.take(there[stays])
-        self._goes, self._comes = first.take(_others(len(first), here[stays])), last.take(_others(len(last), there[stays]))
+        self._goes, self._comes = (
+            first.take(_others(len(first), here[stays])),
+            last.take(_others(len(last), there[stays])),
+        )
 
     def ends(self) -> tuple[Paths, Paths]:
         """Return all paths at both instants, in the same order; those that come or go are nothing at one of them."""
