@@ -66,8 +66,9 @@ def _by_lobe(world: World, surface: np.ndarray) -> Iterator[tuple[RoughLobe, np.
     surfaces, lobes = world.scene.surfaces, dict[RoughLobe, int]()
     number = np.full(len(surfaces), -1)
     for index in np.flatnonzero(np.bincount(surface)):
-        if (one := surfaces[index]).diffuse_lobe == "kirchhoff":
-            lobe = rough_lobe(1e-3 * one.roughness_mm, 1e-3 * one.correlation_mm, world.radar.wavelength_m)
+        rough = surfaces[index]
+        if rough.diffuse_lobe == "kirchhoff":
+            lobe = rough_lobe(1e-3 * rough.roughness_mm, 1e-3 * rough.correlation_mm, world.radar.wavelength_m)
             number[index] = lobes.setdefault(lobe, len(lobes))
     lobe_of = number[surface]
     for lobe, at in lobes.items():

@@ -78,8 +78,8 @@ class Span:
         self._step_s = step_s
         self._first, self._last = first.take(here[stays]), last.take(there[stays])
         self._goes, self._comes = (
-            first.take(_others(len(first), here[stays])),
-            last.take(_others(len(last), there[stays])),
+            first.take(_all_but(len(first), here[stays])),
+            last.take(_all_but(len(last), there[stays])),
         )
 
     def ends(self) -> tuple[Paths, Paths]:
@@ -135,14 +135,14 @@ class Span:
 
 def _in_both(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where the numbers that two lists share stand in each, in their order; of equal ones the first."""
-    (numbers, here), (others, there) = (np.unique(chain, return_index=True) for chain in (first, last))
-    at = np.searchsorted(others, numbers)
-    shared = at < len(others)
-    shared[shared] = others[at[shared]] == numbers[shared]
+    (numbers, here), (carried, there) = (np.unique(chain, return_index=True) for chain in (first, last))
+    at = np.searchsorted(carried, numbers)
+    shared = at < len(carried)
+    shared[shared] = carried[at[shared]] == numbers[shared]
     return here[shared], there[at[shared]]
 
 
-def _others(count: int, rows: np.ndarray) -> np.ndarray:
+def _all_but(count: int, rows: np.ndarray) -> np.ndarray:
     """Return all of so many rows but some, as a mask."""
     mask = np.ones(count, bool)
     mask[rows] = False
