@@ -6,9 +6,11 @@ RCS per area over the height that the antenna lights, patches of random phase al
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from models.physics.rough_lobe import rough_lobe
+from models.physics.rough_lobe import RoughLobe, rough_lobe
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
@@ -54,11 +56,20 @@ def rcs_per_area(
     `rough`: field that roughness leaves of the mirror; `elevation_rad`: half of the height that is lit.
     """
     per_area = 4.0 * (1.0 - rough**2) * cosine**2
-    surface_of = world.wall_surface[wall]
-    for index in np.unique(surface_of):
-        surface = world.scene.surfaces[index]
-        if surface.diffuse_lobe == "kirchhoff":
-            own = surface_of == index
-            lobe = rough_lobe(1e-3 * surface.roughness_mm, 1e-3 * surface.correlation_mm, world.radar.wavelength_m)
-            per_area[own] = lobe.backscatter(cosine[own], elevation_rad[own])
+    for lobe, own in _by_lobe(world, world.wall_surface[wall]):
+        per_area[own] = lobe.backscatter(cosine[own], elevation_rad[own])
     return per_area
+
+
+def _by_lobe(world: World, surface: np.ndarray) -> Iterator[tuple[RoughLobe, np.ndarray]]:
+    """Yield each of Kirchhoff's lobes that some surfaces [N] have, with the mask of those that have it."""
+    surfaces, lobes = world.scene.surfaces, dict[RoughLobe, int]()
+    number = np.full(len(surfaces), -1)
+    for index in np.flatnonzero(np.bincount(surface)):
+        rough = surfaces[index]
+        if rough.diffuse_lobe == "kirchhoff":
+            lobe = rough_lobe(1e-3 * rough.roughness_mm, 1e-3 * rough.correlation_mm, world.radar.wavelength_m)
+            number[index] = lobes.setdefault(lobe, len(lobes))
+    lobe_of = number[surface]
+    for lobe, at in lobes.items():
+        yield lobe, lobe_of == at

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, join_routes, owners
-from sim_player.trace.segments import clear_series, crossing_factor, passage
+from sim_player.trace.segments import clear_series, crossing_factor, is_screened, passage
 from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
@@ -29,6 +30,8 @@ LEAST_TURN_RAD = 0.05
 #: Points nearer than this to an edge's faces or to the edge itself are on the wall, not beside it.
 NEAREST_EDGE_M = 0.05
 _BENT = bit("edge_diffraction")
+#: A line that all of the plan is on the positive side of: unit normal and offset.
+EVERYWHERE = 0.0, 0.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,9 @@ class Edges(ArrayTable):
     def __len__(self) -> int:
         return len(self.n)
 
+    @cached_property
     def table(self) -> np.ndarray:
-        """Return the same as numbers, [E, 8], for compiled code."""
+        """The same as numbers, [E, 8], for compiled code."""
         return np.column_stack(
             [self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m]
         ).astype(np.float64)
@@ -82,7 +86,7 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     edges = edges_of(view)
     world = view.world
     scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
-    routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
+    routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table, scene))
     return routes.with_columns(edge=edges.number[routes.edge])
 
 
@@ -91,7 +95,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     pieces = scene[2]
     rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
-    low, top = height_span(start[2], point)
+    groups, low, top = point_groups(point, owner, start[2])
     for e in range(len(edges)):
         x, y, _, _, face_rad, sense, n_half, height = edges[e]
         source_plan = math.hypot(x - start[0], y - start[1])
@@ -104,33 +108,54 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
         # where the lowest ray meets nothing on its way, none does
         free, _, foliage = passage(start, (x, y, low), -1, pieces, True)
         is_open = free and foliage == 1.0
-        for n in range(len(point)):
-            end = point[n, 0], point[n, 1], point[n, 2]
-            target_plan = math.hypot(end[0] - x, end[1] - y)
-            if target_plan <= NEAREST_EDGE_M:
+        for group in groups:
+            # one wall may hide all of an object
+            circle = group[0], group[1], group[2]
+            if is_screened((x, y), circle, ((x, y), (group[0], group[1])), top, EVERYWHERE, pieces):
                 continue
-            # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
-            bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
-            to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
-            if to_target >= n_half * np.pi or bend[2] >= height:
-                continue
-            before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
-            behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
-            if behind < 0.0:
-                continue
-            leaves = before * behind
-            if count == len(rows):
-                rows = grown(rows)
-            row = rows[count]
-            count += 1
-            depart, source_m = direction_of(start, bend)
-            arrive, target_m = direction_of(bend, end)
-            fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-            row.edge, row.foliage = e, leaves
-            row.whole, row.front = bend_field(
-                edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene
-            )
+            for n in range(int(group[3]), int(group[4])):
+                end = point[n, 0], point[n, 1], point[n, 2]
+                target_plan = math.hypot(end[0] - x, end[1] - y)
+                if target_plan <= NEAREST_EDGE_M:
+                    continue
+                # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
+                bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
+                to_target = turn_from_face(end[0] - x, end[1] - y, face_rad, sense)
+                if to_target >= n_half * np.pi or bend[2] >= height:
+                    continue
+                before = 1.0 if is_open else clear_series((start, bend), -1, pieces)
+                behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
+                if behind < 0.0:
+                    continue
+                leaves = before * behind
+                if count == len(rows):
+                    rows = grown(rows)
+                row = rows[count]
+                count += 1
+                depart, source_m = direction_of(start, bend)
+                arrive, target_m = direction_of(bend, end)
+                fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
+                row.edge, row.foliage = e, leaves
+                row.whole, row.front = bend_field(
+                    edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene
+                )
     return rows[:count]
+
+
+@compiled(error_model="numpy")
+def point_groups(point, owner, height):  # type: ignore[no-untyped-def]
+    """Return circles around the points of each object, [G, 5]: place, radius, first and last point; heights' span."""
+    groups, count, first = np.empty((len(point), 5)), 0, 0
+    for n in range(len(point)):
+        if n + 1 < len(point) and owner[n + 1] == owner[n]:
+            continue
+        x, y, radius = point[first : n + 1, 0].mean(), point[first : n + 1, 1].mean(), 0.0
+        for m in range(first, n + 1):
+            radius = max(radius, math.hypot(point[m, 0] - x, point[m, 1] - y))
+        groups[count] = x, y, radius + 1e-6, float(first), float(n + 1)
+        count, first = count + 1, n + 1
+    low, top = height_span(height, point)
+    return groups[:count], low, top
 
 
 @compiled(error_model="numpy")
@@ -173,17 +198,31 @@ def turn_from_face(x, y, face_rad, sense):  # type: ignore[no-untyped-def]
 
 def edges_of(view: Snapshot) -> Edges:
     """Edges that the radar faces: free ends of walls, and corners whose open side, wider than a half turn, holds it."""
-    edges = open_edges(view.world)
-    faces = _faces(view.world, view.origin)
+    edges, faces = open_edges(view.world), _faces(view.world, view.origin)
     if view.ahead_only:
         faces &= view.is_ahead(edges.point - view.origin)
     return edges.take(faces)
 
 
 def open_edges(world: World) -> Edges:
-    """Free ends of walls, and corners of two walls with the side that is wider than a half turn, wherever it opens."""
+    """Free ends of walls, and corners of two walls with the side that is wider than a half turn, wherever it opens.
+
+    Found once and kept with the world.
+    """
+    return _kept(world)[0]
+
+
+def _kept(world: World) -> tuple[Edges, np.ndarray, np.ndarray]:
+    """Return the open edges and the corners (`_corners`) of a world, which no motion changes."""
+    if "edges" not in world.kept:
+        corner, left = _corners(world)
+        world.kept["edges"] = _open_edges(world, corner, left), corner, left
+    kept: tuple[Edges, np.ndarray, np.ndarray] = world.kept["edges"]
+    return kept
+
+
+def _open_edges(world: World, corner: np.ndarray, left: np.ndarray) -> Edges:
     ends = world.wall_ends
-    corner, left = _corners(world)
     first, last = np.concatenate([ends.alone, ends.first[corner]]), np.concatenate([ends.alone, ends.second[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
     alone = np.ones(len(ends.alone))
@@ -209,8 +248,7 @@ def _corners(world: World) -> tuple[np.ndarray, np.ndarray]:
 
 def _faces(world: World, origin: np.ndarray) -> np.ndarray:
     """Return which of `open_edges` have a point in the air that they are open to, bool [E]."""
-    ends = world.wall_ends
-    corner, left = _corners(world)
+    ends, (_, corner, left) = world.wall_ends, _kept(world)
     end = ends.first[corner]
     towards = np.arctan2(*(origin - ends.position[end]).T[::-1])
     is_left = (towards - ends.face_rad[end]) % (2.0 * np.pi) < left

@@ -20,8 +20,8 @@ from sim_player.effects.edge_diffraction import (
     NEAREST_EDGE_M,
     Edges,
     bend_field,
-    height_span,
     open_edges,
+    point_groups,
     turn_from_face,
 )
 from sim_player.effects.names import bit
@@ -36,7 +36,6 @@ from sim_player.trace.routes import (
     fill_route,
     grown,
     join_routes,
-    lit_shares,
     owners,
 )
 from sim_player.trace.segments import Blockers, clear_series, is_screened, passage
@@ -90,9 +89,9 @@ def mirrored_edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray)
     world, edges, flat = view.world, open_edges(view.world), np.flatnonzero(view.world.is_flat)
     scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
     ahead = view.is_ahead(edges.point - view.origin) if view.ahead_only else np.ones(len(edges), bool)
-    table, ends = edges.table(), (point_m, owners(owner, len(point_m)))
+    table, ends = edges.table, (point_m, owners(owner, len(point_m)))
     first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND, False)
-    second = _mirror_first(view.antenna, ends, table, (flat, view.walls, lit_shares(view)), scene, LEAST_BEND)
+    second = _mirror_first(view.antenna, ends, table, (flat, view.walls, view.lit_shares), scene, LEAST_BEND)
     before, behind = (Routes(rows).with_columns(edge=edges.number[rows["edge"]]) for rows, _ in (first, second))
     routes = join_routes([before, behind.with_columns(edge=_BEHIND_MIRROR - behind.edge)])
     return routes, np.concatenate([first[1], second[1]])
@@ -111,26 +110,10 @@ def mirrors_beside(
     lines = world.wall_a, world.wall_b, *wall_lines(world, antenna[:2]), world.wall_height_m
     points, every = (point_m, owners(owner, len(point_m))), np.ones(len(edges), bool)
     mirrors = np.flatnonzero(asked & world.is_flat), lines
-    rows, _ = _edge_first(antenna, points, (edges.table(), every), mirrors, scene, LEAST_BEND, True)
+    rows, _ = _edge_first(antenna, points, (edges.table, every), mirrors, scene, LEAST_BEND, True)
     beside = np.zeros(len(world.wall_a), bool)
     beside[rows["wall"]] = True
     return beside
-
-
-@compiled(error_model="numpy")
-def _groups(point, owner, height):  # type: ignore[no-untyped-def]
-    """Return circles around the points of each object, [G, 5]: place, radius, first and last point; heights' span."""
-    groups, count, first = np.empty((len(point), 5)), 0, 0
-    for n in range(len(point)):
-        if n + 1 < len(point) and owner[n + 1] == owner[n]:
-            continue
-        x, y, radius = point[first : n + 1, 0].mean(), point[first : n + 1, 1].mean(), 0.0
-        for m in range(first, n + 1):
-            radius = max(radius, math.hypot(point[m, 0] - x, point[m, 1] - y))
-        groups[count] = x, y, radius + 1e-6, float(first), float(n + 1)
-        count, first = count + 1, n + 1
-    low, top = height_span(height, point)
-    return groups[:count], low, top
 
 
 @compiled(error_model="numpy")
@@ -154,7 +137,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
     pieces, wavelength_m = scene[2], scene[3]
     rows, bends, count = np.empty(len(point), ROUTE), np.empty(len(point)), 0
     start = antenna[0], antenna[1], antenna[2]
-    groups, low, top = _groups(point, owner, start[2])
+    groups, low, top = point_groups(point, owner, start[2])
     images, is_done = _images(groups, flat, normal, offset), np.zeros(len(flat), np.bool_)
     for e in range(len(table)):
         x, y, _, _, face_rad, sense, n_half, height = table[e]
@@ -232,7 +215,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
     pieces, wavelength_m = scene[2], scene[3]
     rows, bends, count = np.empty(len(point), ROUTE), np.empty(len(point)), 0
     start = antenna[0], antenna[1], antenna[2]
-    groups, low, top = _groups(point, owner, start[2])
+    groups, low, top = point_groups(point, owner, start[2])
     for w in flat:
         line = normal[w, 0], normal[w, 1], offset[w]
         over = start[0] * line[0] + start[1] * line[1] + line[2]

@@ -17,11 +17,10 @@ from models.physics.diffraction import passed_share_at
 from models.physics.mirror import mirrored
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
-from sim_player.scene.world import Snapshot, World
+from sim_player.scene.world import LIT_MARGIN, Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import (
-    LIT_MARGIN,
     ROUTE,
     Routes,
     bounce_routes,
@@ -31,7 +30,6 @@ from sim_player.trace.routes import (
     fill_route,
     in_sight,
     join_routes,
-    lit_shares,
     may_be_seen,
     owners,
     plane_bounces,
@@ -62,7 +60,7 @@ def apply(tracing: TraceContext) -> Echoes:
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by two straight walls to points [N, 3]."""
     walls = np.flatnonzero(view.world.is_flat)
-    pairs = _search(view.origin, point_m, walls, view.walls, lit_shares(view), _seconds(view))
+    pairs = _search(view.origin, point_m, walls, view.walls, view.lit_shares, _seconds(view))
     vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
     lit = in_sight(view, pairs[:, 0], vertices[:, 0])
     pairs, vertices = pairs[lit], vertices[lit]

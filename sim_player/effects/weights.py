@@ -39,7 +39,13 @@ def atmosphere(echoes: Echoes, world: World, used: bool) -> Factor:
 
 
 def air_db_per_m(world: World) -> float:
-    """Return the specific attenuation of the scene's air, dB/m."""
+    """Return the specific attenuation of the scene's air, dB/m; found once and kept with the world."""
+    if "air_db_per_m" not in world.kept:
+        world.kept["air_db_per_m"] = _air_db_per_m(world)
+    return float(world.kept["air_db_per_m"])
+
+
+def _air_db_per_m(world: World) -> float:
     weather, carrier_hz = world.scene.weather, world.radar.carrier_hz
     gas = gas_db_per_m(carrier_hz, weather.temperature_c, weather.pressure_hpa, weather.water_vapour_g_per_m3)
     return float(gas + rain_db_per_m(carrier_hz, weather.rain_mm_per_h))

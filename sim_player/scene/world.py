@@ -30,6 +30,8 @@ STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
 STRUCTURE_SPACING_M = (1.0, 3.0)
 #: Cosine of a direction (or so many metres of a point) behind the antenna from which on it is taken for behind.
 BEHIND = 1e-9
+#: Rounding of the share of a wall that is in direct sight.
+LIT_MARGIN = 1e-7
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,13 @@ class World:
         """Return which of some pairs of pieces of wall [N] share an end; bool [N]."""
         ends = np.stack([self.wall_a, self.wall_b], axis=1)
         return share_an_end(ends[first], ends[second])
+
+    @cached_property
+    def wall_frames(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals to the left of all pieces of wall (of an arc: of its chord), and their middles, [W, 2] each."""
+        along = self.wall_b - self.wall_a
+        normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
+        return normal, 0.5 * (self.wall_a + self.wall_b)
 
     @cached_property
     def wall_ends(self) -> WallEnds:
@@ -294,6 +303,11 @@ class Snapshot:
         return np.asarray(direction[:, 0] * math.cos(yaw) + direction[:, 1] * math.sin(yaw) >= -BEHIND)
 
     @cached_property
+    def lit_shares(self) -> np.ndarray:
+        """The share of each wall on which a path may have its first mirror, [W, 2]: in direct sight, or rounded."""
+        return np.clip(self.lit + np.array([-LIT_MARGIN, LIT_MARGIN]), 0.0, 1.0)
+
+    @cached_property
     def walls(self) -> tuple[np.ndarray, ...]:
         """Ends, normals, offsets and heights of all pieces of wall as compiled code takes them."""
         return self.world.wall_a, self.world.wall_b, self.normal, self.offset, self.world.wall_height_m
@@ -363,11 +377,9 @@ def wall_blockers(world: World) -> Blockers:
 
 def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the unit normals [W, 2] towards a point and offsets [W] of all pieces of wall."""
-    along = world.wall_b - world.wall_a
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
-    middle = 0.5 * (world.wall_a + world.wall_b)
-    side = np.where(np.einsum("wi,wi->w", origin - middle, normal) < 0.0, -1.0, 1.0)
-    normal *= side[:, None]
+    left, middle = world.wall_frames
+    side = np.where(np.einsum("wi,wi->w", origin - middle, left) < 0.0, -1.0, 1.0)
+    normal = left * side[:, None]
     return normal, -np.einsum("wi,wi->w", normal, middle)
 
 

@@ -64,9 +64,17 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
     """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; different routes in both orders."""
     (out, back), times = both_orders(view.world, pairs)
     centres = *view.world.centres, view.centre, view.velocity
-    unit = float(echo_amplitude(view.world.radar, np.ones(1), np.ones(1))[0])
     numbers = view.world.numbers
-    return Echoes(_of_centres(routes.rows, out, back, times * unit, needs, centres, view.radar_velocity, numbers))
+    return Echoes(
+        _of_centres(routes.rows, out, back, times * _unit(view.world), needs, centres, view.radar_velocity, numbers)
+    )
+
+
+def _unit(world: World) -> float:
+    """Return the amplitude of an echo of 1 m2 from 1 m, kept with the world."""
+    if "unit_amplitude" not in world.kept:
+        world.kept["unit_amplitude"] = float(echo_amplitude(world.radar, np.ones(1), np.ones(1))[0])
+    return float(world.kept["unit_amplitude"])
 
 
 def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:

@@ -72,13 +72,15 @@ class Span:
     """Paths between two instants."""
 
     def __init__(self, first: Paths, last: Paths, step_s: float) -> None:
-        _, here, there = np.intersect1d(first.chain, last.chain, return_indices=True)
+        here, there = _in_both(first.chain, last.chain)
         carried_m = step_s * (first.radial_speed_mps[here] + last.radial_speed_mps[there])
         stays = np.abs(last.length_m[there] - first.length_m[here] - carried_m) <= LARGEST_JUMP_M
         self._step_s = step_s
         self._first, self._last = first.take(here[stays]), last.take(there[stays])
-        self._goes = first.take(np.setdiff1d(np.arange(len(first)), here[stays]))
-        self._comes = last.take(np.setdiff1d(np.arange(len(last)), there[stays]))
+        self._goes, self._comes = (
+            first.take(_all_but(len(first), here[stays])),
+            last.take(_all_but(len(last), there[stays])),
+        )
 
     def ends(self) -> tuple[Paths, Paths]:
         """Return all paths at both instants, in the same order; those that come or go are nothing at one of them."""
@@ -129,6 +131,22 @@ class Span:
             point_m=line("point_m"),
             virtual_m=line("virtual_m"),
         )
+
+
+def _in_both(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the numbers that two lists share stand in each, in their order; of equal ones the first."""
+    (numbers, here), (carried, there) = (np.unique(chain, return_index=True) for chain in (first, last))
+    at = np.searchsorted(carried, numbers)
+    shared = at < len(carried)
+    shared[shared] = carried[at[shared]] == numbers[shared]
+    return here[shared], there[at[shared]]
+
+
+def _all_but(count: int, rows: np.ndarray) -> np.ndarray:
+    """Return all of so many rows but some, as a mask."""
+    mask = np.ones(count, bool)
+    mask[rows] = False
+    return mask
 
 
 def _faded(paths: Paths, share: float, elapsed_s: float) -> Paths:

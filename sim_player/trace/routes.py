@@ -14,15 +14,13 @@ import numpy as np
 
 from models.compiled import compiled
 from sim_player.effects.names import bit
-from sim_player.scene.world import Snapshot
+from sim_player.scene.world import LIT_MARGIN, Snapshot
 from sim_player.trace.bounce import bounce
 from sim_player.trace.row_table import Column, RowTable
 from sim_player.trace.segments import Blockers, Occlusion, passage, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
-#: Rounding of the share of a wall that is in direct sight.
-LIT_MARGIN = 1e-7
 NONE = -1
 
 
@@ -102,17 +100,12 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
     `mirrors` [W]: the pieces to test.
     """
-    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls, lit_shares(view))
-
-
-def lit_shares(view: Snapshot) -> np.ndarray:
-    """Return the share of each wall on which a path may have its first mirror, [W, 2]: in direct sight, or rounded."""
-    return np.clip(view.lit + np.array([-LIT_MARGIN, LIT_MARGIN]), 0.0, 1.0)
+    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls, view.lit_shares)
 
 
 def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     """Return which points [N, 3] of pieces of wall [N] may be in direct sight, bool [N]."""
-    start, lit = view.world.wall_a[wall], lit_shares(view)[wall]
+    start, lit = view.world.wall_a[wall], view.lit_shares[wall]
     along = view.world.wall_b[wall] - start
     share = dot(point_m[:, :2] - start, along) / dot(along, along)
     # a point at an end may lie beyond it by rounding
@@ -160,7 +153,9 @@ def bounce_routes(
 
 def owners(owner: np.ndarray | int, count: int) -> np.ndarray:
     """Return the object of each of some points, int32 [count]."""
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count))
+    if isinstance(owner, np.ndarray):
+        return np.ascontiguousarray(owner, np.int32)
+    return np.full(count, owner, np.int32)
 
 
 @compiled(error_model="numpy")

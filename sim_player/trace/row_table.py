@@ -64,6 +64,9 @@ class RowTable:
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return the rows of one or more tables, in order."""
+        filled = [part for part in parts if len(part)]
+        if len(filled) <= 1:
+            return filled[0] if filled else parts[0]
         # as plain numbers: NumPy copies records field by field
-        plain = [np.ascontiguousarray(part.rows).view(np.int64) for part in parts]
+        plain = [np.ascontiguousarray(part.rows).view(np.int64) for part in filled]
         return cls(np.concatenate(plain).view(cls.dtype))

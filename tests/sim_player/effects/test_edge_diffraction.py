@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from sim_player.effects.edge_diffraction import edges_of
+from sim_player.effects.edge_diffraction import edge_routes, edges_of, open_edges
 from sim_player.scene.description import Ego
 from sim_player.scene.world import World, snapshot
 from sim_player.trace.snapshot import TraceContext
@@ -226,3 +227,29 @@ def test_an_edge_keeps_its_name_while_others_come_into_sight() -> None:
     assert sorted(then.routes[NAME].edge.tolist()) == ends
     assert sorted(now.routes[NAME].edge.tolist()) == [hidden, *ends]
     assert set(then.echoes[NAME].chain.tolist()) < set(now.echoes[NAME].chain.tolist())
+
+
+def test_edges_are_found_once_in_a_world() -> None:
+    world = points_world([(11.0, -4.0, 1.0)], wall((15.0, 8.0), (15.0, -10.0)))
+    assert open_edges(world) is open_edges(world)
+    # a part of it has its own
+    part = replace(world, wall_a=world.wall_a + 1.0)
+    np.testing.assert_allclose(open_edges(part).point[0], open_edges(world).point[0] + 1.0)
+
+
+def test_a_wall_hides_as_many_points_at_once_as_one_by_one() -> None:
+    """Drawn walls and objects, each of 20 points: an object asked as a whole has the routes of each of its points.
+
+    As points of one single object, which no wall can hide as a whole here, they are asked one by one.
+    """
+    rng = np.random.default_rng(5)
+    middle_m = rng.uniform([3.0, -20.0], [40.0, 20.0], (12, 2))
+    point_m = np.repeat(middle_m, 20, axis=0) + rng.uniform(-1.0, 1.0, (240, 2))
+    point_m = np.column_stack([point_m, rng.uniform(0.2, 1.5, 240)])
+    ends_m = rng.uniform([4.0, -20.0], [40.0, 20.0], (12, 2))
+    walls = [wall(tuple(end), tuple(end + rng.uniform(-8.0, 8.0, 2))) for end in ends_m]
+    view = snapshot(points_world([(3.0, 0.0, 1.0)], *walls))
+    whole = edge_routes(view, point_m, np.repeat(np.arange(12, dtype=np.int32), 20))
+    single = edge_routes(view, point_m, np.full(240, -1, np.int32))
+    assert 50 < len(whole) < 240 * 20
+    np.testing.assert_array_equal(whole.rows, single.rows)

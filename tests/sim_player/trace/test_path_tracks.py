@@ -150,3 +150,31 @@ def test_a_track_keeps_what_it_is_asked_to() -> None:
     for at_s in (0.001, 0.02, 0.031):
         np.testing.assert_array_equal(path_track.at(at_s).chain, whole.at(at_s).chain[1:2])
     assert asked == [(3, 3, STEP_S)] * 2
+
+
+@pytest.mark.parametrize(
+    ("first", "last"),
+    [
+        ([7, 3, 2**64 - 1, 5], [5, 2**64 - 1, 4]),
+        # equal numbers: the first of them goes on, the others go or come
+        ([9, 4, 9, 4], [4, 4, 9]),
+        ([1, 2], [8, 9]),
+        ([], [3]),
+        ([3], []),
+    ],
+)
+def test_paths_of_a_span_are_paired_by_their_numbers(first: list[int], last: list[int]) -> None:
+    """Against sets: what both instants have, in order of the numbers, then what goes and what comes, in their own."""
+    one = trace(driving(), 0.0, USED).take(np.array([0]))
+    ends = [
+        replace(one.take(np.zeros(len(numbers), int)), chain=np.array(numbers, np.uint64)) for numbers in (first, last)
+    ]
+    # lengths tell the rows of one number apart, within the jump that is allowed
+    start, stop = (replace(end, length_m=end.length_m + 1e-6 * np.arange(len(end))) for end in ends)
+    got, _ = Span(start, stop, 1e-9).ends()
+    both, here, there = np.intersect1d(start.chain, stop.chain, return_indices=True)
+    goes = np.setdiff1d(np.arange(len(first)), here)
+    comes = np.setdiff1d(np.arange(len(last)), there)
+    np.testing.assert_array_equal(got.chain, np.concatenate([both, start.chain[goes], stop.chain[comes]]))
+    wanted_m = np.concatenate([start.length_m[here], start.length_m[goes], stop.length_m[comes]])
+    np.testing.assert_allclose(got.length_m, wanted_m, rtol=0.0, atol=2e-7)

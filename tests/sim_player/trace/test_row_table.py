@@ -34,7 +34,8 @@ def test_tables_are_joined_in_order() -> None:
     table = Marks.joined([marks(3), marks(0), marks(2, start=7)])
     assert table.number.tolist() == [0, 1, 2, 7, 8]
     assert table.flag.tolist() == [True, False, True, False, True]
-    assert len(Marks.joined([marks(0)])) == 0
+    assert Marks.joined([marks(0), marks(2, start=5), marks(0)]).number.tolist() == [5, 6]
+    assert len(Marks.joined([marks(0), marks(0)])) == 0
 
 
 def test_other_values_leave_the_table_as_it_was() -> None:
