@@ -145,6 +145,8 @@ class Node:
         self.shed = ShedTally()
         #: The bus's counts of each input so far; empty before the node is on a bus.
         self.counts: Callable[[], tuple[TopicCount, ...]] = tuple
+        #: Since when subscribers can find its outputs, on `time.monotonic()`; None: since it is ready.
+        self.open_since_s: float | None = None
         #: What `load_node` made it with; None of a node made by hand.
         self.made_with: msgspec.Struct | None = None
 
@@ -324,7 +326,8 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
         _LOG.info("ready", extra={"state": NodeState.READY})
         heartbeat.beat(*node.health())
         if node.outputs and not node.inputs:
-            bus.receive(SETTLE_S)
+            open_s = 0.0 if node.open_since_s is None else time.monotonic() - node.open_since_s
+            bus.receive(max(0.0, SETTLE_S - open_s))
         settled_s, heap = time.monotonic() + SETTLED_S, None
         while not (stop.requested or node.finished()):
             inputs = receive(min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
@@ -509,15 +512,36 @@ def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, he
     if not _has_its_name(heartbeat):
         return EXIT_FAILED
     start_ns = time.perf_counter_ns()
+    # now, so that subscribers find them while the node is made
+    early = _outputs_of(module)
+    for topic in early:
+        bus.advertise(topic)
+    open_since_s = time.monotonic()
     node = _load_or_say_why(module, params, name, heartbeat)
     if node is None:
         return EXIT_BAD_INPUT
     node.stages.add("make", time.perf_counter_ns() - start_ns)
+    node.open_since_s = open_since_s if set(node.outputs) <= set(early) else time.monotonic()
     for topic in node.outputs:
         bus.advertise(topic, node.max_origins)
     if node.wants_all:
         bus.want_all()
     return node
+
+
+def _outputs_of(module_name: str) -> tuple[str, ...]:
+    """Return what the only source of a module publishes, whatever its parameters; nothing where that is not known."""
+    try:
+        # other people's, found by the name of a plugin, have no dot
+        module = import_named(module_name) if "." in module_name else None
+    except ValueError:
+        # loading the node says why
+        return ()
+    if module is None:
+        return ()
+    nodes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, Node)]
+    own = [node for node in nodes if node.__module__ == module_name]
+    return own[0].outputs if len(own) == 1 and not own[0].inputs else ()
 
 
 def wait_to_begin(heartbeats: Sequence[Heartbeat], stop: Stop) -> None:

@@ -57,7 +57,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Speed of play; 1 is real time.
     rate: float = 1.0
     #: Rest before the first beam, in which subscribers get ready. After the last, for its way, it is 0.3 s at least.
-    settle_s: float = 0.1
+    settle_s: float = 0.03
     #: Standard deviation of a random phase of each beam: the scene is then not coherent across a scan.
     phase_jitter_rad: float = 0.0
     chirps_per_beam: int | None = None

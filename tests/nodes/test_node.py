@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,8 @@ from msgs.files.plugins import NODES
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.vehicle import VehicleState
-from nodes.node import Heartbeat, InProcessGraph, Node, StageClock, Stop, load_node, run_loop
+from nodes.node import SETTLE_S, Heartbeat, InProcessGraph, Node, StageClock, Stop, _outputs_of, load_node, run_loop
+from nodes.player import SENSED_TOPICS
 from nodes.process.logs import BusLogHandler, LineSplitter, parse_line
 from tests.graph import toy_nodes
 from tests.plugins import NODE, write_package
@@ -98,6 +100,34 @@ def test_loop_waits_no_longer_than_until_a_node_is_due() -> None:
     run_loop(node, bus, Stop(), Heartbeat(bus, "tick"))
     stamps_ns = [received.message.stamp_ns for received in listener.receive(0.0)]
     assert [stamp_ns - stamps_ns[0] for stamp_ns in stamps_ns] == [0, 7_000_000, 14_000_000, 21_000_000]
+
+
+@pytest.mark.parametrize(("open_for_s", "rest_s"), [(None, SETTLE_S), (10.0, 0.0)])
+def test_a_source_rests_until_its_outputs_can_have_been_found(open_for_s: float | None, rest_s: float) -> None:
+    network = LocalNetwork()
+    listener = network.bus("listener")
+    listener.subscribe("vehicle/state")
+    bus = _VirtualWait(network, "tick")
+    node = toy_nodes.create(toy_nodes.Params(ticks=1))
+    node.open_since_s = None if open_for_s is None else time.monotonic() - open_for_s
+    run_loop(node, bus, Stop(), Heartbeat(bus, "tick"))
+    (first,) = listener.receive(0.0)
+    assert isinstance(first.message, VehicleState)
+    assert first.message.stamp_ns == pytest.approx(1e9 * rest_s)
+
+
+@pytest.mark.parametrize(
+    ("module", "outputs"),
+    [
+        ("nodes.player", SENSED_TOPICS),
+        ("nodes.geometry", ()),
+        ("nodes.link", ()),
+        ("nodes.no_such_node", ()),
+        ("plugin_without_dot", ()),
+    ],
+)
+def test_what_a_module_publishes_is_known_before_its_node_is_made(module: str, outputs: tuple[str, ...]) -> None:
+    assert _outputs_of(module) == outputs
 
 
 def test_a_step_that_raises_leaves_with_its_reason() -> None:
