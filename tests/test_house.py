@@ -411,3 +411,11 @@ def test_topics_name_each_message_once() -> None:
     assert len({topic.type for topic in TOPICS.values()}) == len(TOPICS)
     for topic in TOPICS.values():
         assert topic.history_bytes >= topic.max_bytes >= 1024, topic.name
+
+
+def test_kernels_are_compiled_by_one_decorator() -> None:
+    """Only the solver, which runs in parallel, and the doctor, which tries the compiler, use numba's own."""
+    known = ("models.compiled", "sim_player.fdtd.", "mirrorwave.diagnose.doctor_machine")
+    names = [module_name(path) for path in SOURCES if "njit" in path.read_text()]
+    assert "models.compiled" in names
+    assert [name for name in names if not name.startswith(known)] == []
