@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint audit stability site reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint style audit stability site reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -54,10 +54,12 @@ test-fast: WORKERS := $(CORES)
 test-fast: setup-dev  ## all tests but those that start processes (graph) or compute for half a second or more (slow)
 	$(PYTEST) -m "not graph and not slow"
 
-lint: setup-dev  ## style, types, house laws
+style: setup-dev  ## style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+lint: style  ## style, types, house laws
 	$(BIN)/python -m pytest -q tests/test_house.py
 
 # pip-audit knows its service. One that answers without advisories would find nothing, whatever is installed: a package

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import functools
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -37,7 +39,8 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported_modules(source: str) -> list[str]:
+@functools.cache
+def imported_modules(source: str) -> tuple[str, ...]:
     """Every module that a source imports, anywhere in it (lazy imports included)."""
     found: list[str] = []
     for node in ast.walk(ast.parse(source)):
@@ -46,14 +49,14 @@ def imported_modules(source: str) -> list[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             # "from models.physics import mirror" imports models.physics.mirror
             found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return found
+    return tuple(found)
 
 
 def room_of(module: str) -> str | None:
     return next((room for room in ROOMS if module == room or module.startswith(room + ".")), None)
 
 
-def violations(module: str, imports: list[str]) -> list[str]:
+def violations(module: str, imports: Iterable[str]) -> list[str]:
     """Broken laws of one module, in words."""
     floor = FLOORS[module.split(".")[0]]
     found = []
@@ -256,7 +259,8 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 def open_doors(module: str, source: str) -> list[str]:
     """Breaches of the laws of security in a source: `line: what`."""
     tree = ast.parse(source)
-    names = _imported_names(tree)
+    nodes = list(ast.walk(tree))
+    names = _imported_names(nodes)
     constants = {
         target.id: node.value.value
         for node in tree.body
@@ -267,11 +271,11 @@ def open_doors(module: str, source: str) -> list[str]:
     safe = {"SafeLoader", "CSafeLoader", "BoundedLoader"}
     safe |= {
         node.name
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.ClassDef) and safe & {ast.unparse(base).rpartition(".")[2] for base in node.bases}
     }
     found = [f"imports {name}" for name in names.values() if name.split(".")[0] in FORBIDDEN_MODULES]
-    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+    for call in (node for node in nodes if isinstance(node, ast.Call)):
         reason = _reason_against(call, _full_name(call.func, names), safe)
         if not reason and module not in NETWORK_MODULES and _reaches_out(call, constants):
             reason = "waits for other machines"
@@ -279,10 +283,10 @@ def open_doors(module: str, source: str) -> list[str]:
     return found
 
 
-def _imported_names(tree: ast.Module) -> dict[str, str]:
+def _imported_names(nodes: Iterable[ast.AST]) -> dict[str, str]:
     """What each imported name of a source stands for."""
     names: dict[str, str] = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names |= {alias.asname or alias.name: alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -231,3 +231,40 @@ def test_every_test_and_every_run_has_a_limit_of_time(pytestconfig: pytest.Confi
     assert float(pytestconfig.getini("faulthandler_timeout")) > 0.0
     for goal in ("test", "test-fast"):
         assert [words[0] for words in commands(goal)] == ["timeout"]
+
+
+#: In place of `make`: `beside` is what becomes of the checks beside the tests, `tests` of those.
+MAKE = """#!/bin/bash
+case "$*" in
+    setup-dev) ;;
+    test) {tests} ;;
+    *) {beside} ;;
+esac
+"""
+#: Goes on until it is ended.
+ENDLESS = "while :; do sleep 0.05; done"
+
+
+@pytest.mark.parametrize(
+    ("tests", "beside", "code"),
+    [("echo fine", "echo fine", 0), ("exit 3", ENDLESS, 3), (ENDLESS, "exit 4", 4), ("echo fine", "exit 4", 4)],
+    ids=["all pass", "tests fail", "checks fail", "checks alone fail"],
+)
+def test_ci_fails_with_what_fails_first_and_ends_the_others(tests: str, beside: str, code: int, tmp_path: Path) -> None:
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    # nothing is to be installed
+    for name in ("make", "chromium", "pkg-config"):
+        (programs / name).write_text(MAKE.format(tests=tests, beside=beside) if name == "make" else "#!/bin/sh\n")
+        (programs / name).chmod(0o755)
+    environment = os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", ROOT / ".ci" / "run"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    assert code or done.stdout.count("fine") == 2

@@ -24,7 +24,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -119,25 +119,35 @@ def module_of(file: str) -> str:
     return file.removesuffix(".py").replace("/", ".")
 
 
-def stages_of(root: Path, mutation: Mutation) -> list[list[str]]:
+def stages_of(root: Path, mutation: Mutation) -> Iterator[list[str]]:
     """Tests of a mutant in the order in which they run, none twice; those of one list run together."""
-    path = Path(mutation.file)
-    files = sorted(str(test.relative_to(root)) for test in (root / "tests").rglob("test_*.py"))
-    own = [file for file in files if Path(file).stem.startswith(f"test_{path.stem}")]
-    module = re.escape(module_of(mutation.file))
-    package, _, stem = module.rpartition(r"\.")
-    imports = re.compile(rf"\b{module}\b|from {package} import [^\n]*\b{stem}\b")
-    importing = [file for file in files if imports.search((root / file).read_text())]
-    room = [file for file in files if file.startswith(f"{mirrored_room(path)}/")]
-    # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
-    importing = [file for file in importing if not file.startswith(("tests/docs/", "tests/fuzz/"))]
-    stages, taken = [], set[str]()
-    last = [LAST_STAGE] if (root / LAST_STAGE).exists() else []
-    for stage in (list(mutation.tests), own, importing, room, last):
+    taken = set[str]()
+    for stage in _overlapping_stages(root, mutation):
         fresh = [test for test in dict.fromkeys(stage) if test not in taken]
         taken |= set(fresh)
-        stages += [fresh] if fresh else []
-    return stages
+        if fresh:
+            yield fresh
+
+
+def _overlapping_stages(root: Path, mutation: Mutation) -> Iterator[list[str]]:
+    """All stages, each looked for once the one before it has run."""
+    yield list(mutation.tests)
+    path = Path(mutation.file)
+    files = sorted(str(test.relative_to(root)) for test in (root / "tests").rglob("test_*.py"))
+    yield [file for file in files if Path(file).stem.startswith(f"test_{path.stem}")]
+    # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
+    readers = [file for file in files if not file.startswith(("tests/docs/", "tests/fuzz/"))]
+    yield [file for file in readers if _imports((root / file).read_text(), module_of(mutation.file))]
+    yield [file for file in files if file.startswith(f"{mirrored_room(path)}/")]
+    yield [LAST_STAGE] if (root / LAST_STAGE).exists() else []
+
+
+def _imports(text: str, module: str) -> bool:
+    """Return whether a test imports a module or names it."""
+    package, _, stem = module.rpartition(".")
+    pattern = rf"\b{re.escape(module)}\b|from {re.escape(package)} import [^\n]*\b{stem}\b"
+    # most texts do not hold the word, which is seen much sooner
+    return stem in text and re.search(pattern, text) is not None
 
 
 def mirrored_room(path: Path) -> str:

@@ -137,7 +137,7 @@ def test_every_mutation_of_the_list_fits_its_file(one: Mutation) -> None:
     mutant = mutated(source, one)
     assert ast.dump(ast.parse(mutant)) != ast.dump(ast.parse(source))
     assert [test for test in one.tests if not (ROOT / test.partition("::")[0]).exists()] == []
-    assert one.group == "guard" or stages_of(ROOT, one)[0] != ["tests/stability"]
+    assert one.group == "guard" or next(stages_of(ROOT, one)) != ["tests/stability"]
 
 
 @pytest.mark.parametrize(
