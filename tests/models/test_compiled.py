@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from msgs.files.shipped import CHECKOUT
+
 CALLEE = """
 from models.compiled import compiled
 
@@ -56,7 +58,7 @@ class Kernels:
 
     def run(self) -> tuple[float, bool, int]:
         """Return the sum, whether the compiler was loaded, and the hits of the cache."""
-        paths = os.pathsep.join([str(self.folder), str(Path(__file__).parents[2])])
+        paths = os.pathsep.join([str(self.folder), str(CHECKOUT)])
         environment = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(self.folder / "cache")}
         command = [sys.executable, "-c", PROGRAM]
         said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout
@@ -81,3 +83,31 @@ def test_kernels_are_loaded_without_the_compiler_and_follow_what_they_were_made_
     kernels.write(factor=3.0, scale=5.0, offset=1.0)
     assert kernels.run() == (32.0, True, 0), "its own file was changed"
     assert kernels.run() == (32.0, False, 1)
+
+
+#: The stamps of all kernels of these modules: what stands in no other way than by an address would differ each time.
+STAMPS = """
+import importlib
+import sys
+from models.compiled import KernelCache
+for name in sys.argv[1:]:
+    for kernel, value in sorted(vars(importlib.import_module(name)).items()):
+        if isinstance(getattr(value, "_cache", None), KernelCache):
+            print(name, kernel, value._cache.stamp)
+"""
+
+
+def test_every_kernel_has_the_same_stamp_in_every_process() -> None:
+    paths = [path for floor in ("models", "sim_player") for path in (CHECKOUT / floor).rglob("*.py")]
+    names = [
+        ".".join(path.relative_to(CHECKOUT).with_suffix("").parts) for path in paths if "@compiled" in path.read_text()
+    ]
+
+    def stamps(seed: int) -> str:
+        environment = {**os.environ, "PYTHONPATH": str(CHECKOUT), "PYTHONHASHSEED": str(seed)}
+        command = [sys.executable, "-c", STAMPS, *names]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout
+
+    first = stamps(1)
+    assert len(first.splitlines()) > 200
+    assert first == stamps(2)
