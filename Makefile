@@ -17,8 +17,9 @@ $(VENV)/.installed: pyproject.toml
 	$(BIN)/pip install --quiet --editable .
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
 	$(BIN)/python -c "from mirrorwave.node_chain import NodeParams; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; chain = NodeParams.of(read_profile('default')).chain(); chain.forming.set_up(RadarSetup()); chain.detection.set_up(RadarSetup())" & \
-	$(BIN)/mirrorwave sim run launch/scenes/corner.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && wait $$!
-	@rm $(VENV)/compiled.mcap
+	for scene in scenes/corner drives/side_street; do \
+	    $(BIN)/mirrorwave sim run launch/$$scene.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && rm $(VENV)/compiled.mcap || exit 1; \
+	done && wait $$!
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

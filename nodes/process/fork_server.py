@@ -260,6 +260,8 @@ def main(argv: list[str] | None = None) -> int:
     except ProcessLookupError:
         # the command has ended before there was a graph
         return 0
+    # not while modules are loaded, and not of them in a forked node: it would copy the pages of all that is shared
+    gc.disable()
     load_libraries()
     if threads() > 1:
         sys.stderr.write(
@@ -267,9 +269,8 @@ def main(argv: list[str] | None = None) -> int:
         )
         return 1
     release_unused()
-    # a collection in a forked node would copy the pages of all that is shared
-    gc.collect()
     gc.freeze()
+    gc.enable()
     with socket.socket(fileno=os.dup(0)) as channel:
         words = serve(channel)
     return 0 if words is None else run_node(words)
