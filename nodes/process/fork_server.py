@@ -271,7 +271,9 @@ def main(argv: list[str] | None = None) -> int:
     release_unused()
     gc.freeze()
     gc.enable()
-    with socket.socket(fileno=os.dup(0)) as channel:
+    words = None
+    # a parent that ends takes its end of the channel with it, whatever is on its way
+    with socket.socket(fileno=os.dup(0)) as channel, contextlib.suppress(ConnectionError):
         words = serve(channel)
     return 0 if words is None else run_node(words)
 

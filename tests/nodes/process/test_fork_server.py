@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import select
 import signal
+import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import psutil
 import pytest
@@ -24,7 +25,7 @@ _TOY = ["tests.nodes.process.forked", "one", '{"a": [1, 2]}', "--wait"]
 
 
 @pytest.fixture
-def server(tmp_path: Path) -> Iterator[ForkServer]:
+def server() -> Iterator[ForkServer]:
     server = ForkServer()
     try:
         yield server
@@ -101,3 +102,13 @@ def test_a_library_with_threads_of_its_own_is_refused(
     monkeypatch.setattr(fork_server, "threads", lambda: 2)
     assert fork_server.main(["--die-with", str(os.getppid())]) == 1
     assert "got 2" in capsys.readouterr().err
+
+
+def test_it_ends_without_a_word_where_its_parent_has_closed_the_channel() -> None:
+    """As where a command is interrupted while the server that it started early is still loading."""
+    channel, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    channel.close()
+    command = [sys.executable, "-m", "nodes.process.fork_server", "--die-with", str(os.getpid())]
+    with other:
+        done = subprocess.run(command, stdin=other, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
