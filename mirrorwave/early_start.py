@@ -1,15 +1,16 @@
 """The fork server of a graph, which loads its libraries while the command line is still being read.
 
-Loaded before all else, so it takes little from the library and from elsewhere.
+Loaded before all else, for every verb, so it imports what starts a server where one is wanted.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from nodes.process.fork_server import ForkServer
-from nodes.process.kernel_cache import use_fallback
+if TYPE_CHECKING:
+    from nodes.process.fork_server import ForkServer
 
 #: Verbs that run a graph.
 _VERBS = ("launch", "demo")
@@ -24,6 +25,9 @@ def begin(words: Sequence[str]) -> None:
     global _server
     if not words or words[0] not in _VERBS or "--help" in words or "_MIRRORWAVE_COMPLETE" in os.environ:
         return
+    from nodes.process.fork_server import ForkServer
+    from nodes.process.kernel_cache import use_fallback
+
     try:
         use_fallback()
         _server = ForkServer()

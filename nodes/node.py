@@ -531,13 +531,13 @@ def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, he
 
 def _outputs_of(module_name: str) -> tuple[str, ...]:
     """Return what the only source of a module publishes, whatever its parameters; nothing where that is not known."""
+    if "." not in module_name:
+        # other people's, found by the name of a plugin
+        return ()
     try:
-        # other people's, found by the name of a plugin, have no dot
-        module = import_named(module_name) if "." in module_name else None
+        module = import_named(module_name)
     except ValueError:
         # loading the node says why
-        return ()
-    if module is None:
         return ()
     nodes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, Node)]
     own = [node for node in nodes if node.__module__ == module_name]

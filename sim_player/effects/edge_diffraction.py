@@ -214,11 +214,12 @@ def open_edges(world: World) -> Edges:
 
 def _kept(world: World) -> tuple[Edges, np.ndarray, np.ndarray]:
     """Return the open edges and the corners (`_corners`) of a world, which no motion changes."""
-    if "edges" not in world.kept:
+
+    def find() -> tuple[Edges, np.ndarray, np.ndarray]:
         corner, left = _corners(world)
-        world.kept["edges"] = _open_edges(world, corner, left), corner, left
-    kept: tuple[Edges, np.ndarray, np.ndarray] = world.kept["edges"]
-    return kept
+        return _open_edges(world, corner, left), corner, left
+
+    return world.once("edges", find)
 
 
 def _open_edges(world: World, corner: np.ndarray, left: np.ndarray) -> Edges:

@@ -40,9 +40,7 @@ def atmosphere(echoes: Echoes, world: World, used: bool) -> Factor:
 
 def air_db_per_m(world: World) -> float:
     """Return the specific attenuation of the scene's air, dB/m; found once and kept with the world."""
-    if "air_db_per_m" not in world.kept:
-        world.kept["air_db_per_m"] = _air_db_per_m(world)
-    return float(world.kept["air_db_per_m"])
+    return world.once("air_db_per_m", lambda: _air_db_per_m(world))
 
 
 def _air_db_per_m(world: World) -> float:

@@ -297,9 +297,8 @@ def _any(lit: np.ndarray) -> np.ndarray:
 
 def _specks_of(world: World, walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the scatterers of some pieces of wall, and how many each piece has."""
-    if "first_speck" not in world.kept:
-        world.kept["first_speck"] = np.searchsorted(world.speck_wall, np.arange(len(world.wall_a) + 1))
-    return _runs(world.kept["first_speck"], walls)
+    first = world.once("first_speck", lambda: np.searchsorted(world.speck_wall, np.arange(len(world.wall_a) + 1)))
+    return _runs(first, walls)
 
 
 def _lit_specks(world: World, direct: np.ndarray, lit: np.ndarray) -> np.ndarray:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from sim_player.scene.wall_ends import Corners, WallEnds, corners_of, share_an_e
 from sim_player.trace.bounce import Builds, Layers, all_bounces, builds_of
 from sim_player.trace.mesh_rcs import mesh_centres
 from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers
+
+T = TypeVar("T")
 
 #: Patches of the diffuse return along a wall: shorter than a range bin.
 PATCH_M = 0.13
@@ -127,6 +130,12 @@ class World:
     def kept(self) -> dict[str, Any]:
         """What others have derived from this world and keep with it."""
         return {}
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """Return what depends on the world alone, made at the first call and kept under a name."""
+        if name not in self.kept:
+            self.kept[name] = make()
+        return cast("T", self.kept[name])
 
     @cached_property
     def numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

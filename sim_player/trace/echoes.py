@@ -72,9 +72,7 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
 
 def _unit(world: World) -> float:
     """Return the amplitude of an echo of 1 m2 from 1 m, kept with the world."""
-    if "unit_amplitude" not in world.kept:
-        world.kept["unit_amplitude"] = float(echo_amplitude(world.radar, np.ones(1), np.ones(1))[0])
-    return float(world.kept["unit_amplitude"])
+    return world.once("unit_amplitude", lambda: float(echo_amplitude(world.radar, np.ones(1), np.ones(1))[0]))
 
 
 def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:

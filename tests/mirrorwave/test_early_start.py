@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from mirrorwave import early_start
+from nodes.process import fork_server, kernel_cache
 
 
 class Server:
@@ -21,8 +22,8 @@ def servers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Server]]:
         made.append(Server())
         return made[-1]
 
-    monkeypatch.setattr(early_start, "ForkServer", make)
-    monkeypatch.setattr(early_start, "use_fallback", lambda: None)
+    monkeypatch.setattr(fork_server, "ForkServer", make)
+    monkeypatch.setattr(kernel_cache, "use_fallback", lambda: None)
     yield made
     early_start.take()
 
@@ -52,6 +53,6 @@ def test_what_fails_early_is_left_to_the_verb(error: Exception, monkeypatch: pyt
     def fail() -> None:
         raise error
 
-    monkeypatch.setattr(early_start, "use_fallback", fail)
+    monkeypatch.setattr(kernel_cache, "use_fallback", fail)
     early_start.begin(["launch", "launch/corner.yaml"])
     assert early_start.take() is None
