@@ -12,7 +12,7 @@ import hashlib
 import sys
 from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -47,11 +47,19 @@ def prepare() -> None:
 class KernelCache(FunctionCache):
     """The compiled forms of one function on disk."""
 
+    #: Whether this process has compiled a kernel, and so holds the compiler.
+    has_compiled: ClassVar[bool] = False
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the function as it was compiled for a signature, or None."""
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what has been compiled."""
+        KernelCache.has_compiled = True
+        super().save_overload(sig, data)
 
     @functools.cached_property
     def stamp(self) -> str:

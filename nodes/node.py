@@ -38,7 +38,7 @@ from msgs.bus.topics import topic_facts
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
-from nodes.process.memory import FreeHeap, release_unused
+from nodes.process.memory import FreeHeap, release_unused, start_again_if_compiled
 from nodes.process.param_server import ParamServer
 from nodes.process.validation import convert_at
 
@@ -481,10 +481,11 @@ def main(argv: list[str] | None = None) -> int:
         stream.setFormatter(SeparatedJsonFormatter(arguments.name))
     log = BusLogHandler(arguments.name)
     install_handlers([stream, log])
-    return _host(arguments, stop, log)
+    words = ["nodes.node", *(sys.argv[1:] if argv is None else argv)]
+    return _host(arguments, stop, log, words)
 
 
-def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
+def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler, words: Sequence[str]) -> int:
     from msgs.bus.zmq import ZmqBus
 
     bus = ZmqBus(arguments.name, arguments.run_dir)
@@ -493,6 +494,8 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         node = open_node(arguments.module, json.loads(arguments.params), arguments.name, bus, heartbeat)
         if isinstance(node, int):
             return node
+        if not stop.requested:
+            start_again_if_compiled(words, bus.close)
         if arguments.wait:
             wait_to_begin([heartbeat], stop)
         _lower_priority(node.nice)

@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,6 +38,7 @@ from nodes.node import (
     wait_to_begin,
 )
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers, of_thread
+from nodes.process.memory import start_again_if_compiled
 
 _LOG = logging.getLogger(__name__)
 
@@ -63,11 +64,13 @@ class _Hosted(NamedTuple):
 class Group:
     """Nodes that are driven by a thread each until one of them ends or `stop` asks for it.
 
-    `waits`: they begin when the standard input ends.
+    `waits`: they begin when the standard input ends; `words`: the module that hosts them, and its arguments.
     """
 
-    def __init__(self, members: Mapping[str, Member], run_dir: Path, stop: Stop, waits: bool = False) -> None:
-        self._members, self._run_dir, self._stop, self._waits = members, run_dir, stop, waits
+    def __init__(
+        self, members: Mapping[str, Member], run_dir: Path, stop: Stop, words: Sequence[str], waits: bool = False
+    ) -> None:
+        self._members, self._run_dir, self._stop, self._words, self._waits = members, run_dir, stop, words, waits
         self._exchange = Exchange(members)
         self._failed = threading.Event()
 
@@ -80,6 +83,8 @@ class Group:
                 if isinstance(opened, int):
                     return opened
                 hosted.append(opened)
+            if not self._stop.requested:
+                start_again_if_compiled(self._words, stack.close)
             if self._waits:
                 wait_to_begin([item.heartbeat for item in hosted], self._stop)
             # daemons: one that hangs must not keep a process that has failed
@@ -164,7 +169,8 @@ def main(argv: list[str] | None = None) -> int:
     stream.setFormatter(_ThreadFormatter("group"))
     install_handlers([stream])
     members = msgspec.convert(json.loads(arguments.nodes), dict[str, Member])
-    return Group(members, arguments.run_dir, stop, arguments.wait).run()
+    words = ["nodes.process.group", *(sys.argv[1:] if argv is None else argv)]
+    return Group(members, arguments.run_dir, stop, words, arguments.wait).run()
 
 
 if __name__ == "__main__":
