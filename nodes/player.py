@@ -223,6 +223,8 @@ def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
 
 
 def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
+    # loads the kernels of beams while the graph still waits: those of moving things made its first views late
+    player.beam(0, 0)
     yield Event(0, Outgoing("radar/setup", player.setup))
     scan = 0
     while scans is None or scan < scans:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import pytest
 
 from mirrorwave.commands.sim.group import write_recording, write_sigmf
 from msgs.bus.local import LocalNetwork
+from msgs.files.shipped import CHECKOUT
 from msgs.recording.mcap import RecordingWriter
 from msgs.recording.sigmf import write_capture
 from msgs.values.environment import WallPriors
@@ -30,6 +33,7 @@ from nodes.player import (
     scene_player,
     with_walls,
 )
+from nodes.process.fork_server import environment
 from sim_player.player import ScenePlayer
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
@@ -65,6 +69,40 @@ def test_a_scene_is_played_at_the_radars_rate() -> None:
     assert beams[0][0] - sent_ns[0] == 30_000_000
     states = [message for message in messages if isinstance(message, VehicleState)]
     assert [state.stamp_ns for state in states] == [beam.stamp_ns for _, beam in beams]
+
+
+#: Kernels that are loaded while the player of a moving scene is made, and those loaded by two scans of it.
+LOADED = """
+from models.compiled import KernelCache
+from nodes.player import Params, create
+
+loaded, load = [], KernelCache.load_overload
+
+def noted(cache, *words):
+    loaded.append(cache._py_func.__name__)
+    return load(cache, *words)
+
+KernelCache.load_overload = noted
+params = Params(scene="launch/scenes/corner.yaml", scans=2, chirps_per_beam=4, object_speed_mps=1.0, ego_speed_mps=0.5)
+player = create(params)
+made = len(loaded)
+beams, now_ns = 0, 0
+while not player.finished():
+    beams += sum(outgoing.topic == "radar/beam" for outgoing in player.step([], now_ns))
+    now_ns += 4_000_000
+print(made, beams, *loaded[made:])
+"""
+
+
+@pytest.mark.slow
+def test_what_moves_has_its_kernels_loaded_before_the_player_is_ready() -> None:
+    """Loaded with the first beam they made the first views of a live graph 0.2 to 0.6 s late."""
+    command = [sys.executable, "-c", LOADED]
+    done = subprocess.run(command, cwd=CHECKOUT, env=environment({}), capture_output=True, text=True, check=True)
+    made, beams, *later = done.stdout.split()
+    assert int(made) > 20
+    assert int(beams) == 50
+    assert later == []
 
 
 def test_a_beam_is_sent_before_the_next_one_is_made() -> None:
