@@ -34,14 +34,18 @@ def total(values):
         found[i] = scaled(values[i]) + callee.scaled(0.0) + OFFSETS[0] + 0.0 * SCALE
     return found
 """
-#: What is printed: the sum, whether the compiler was loaded, and how often a kernel was found as it was kept.
+#: What is printed: the sum, whether the compiler was loaded, how often a kernel was found as it was kept, and how many
+#: were read in the form that others are compiled from; an empty one has some hundred bytes.
 PROGRAM = """
 import sys
+import llvmlite.binding as llvm
 import numpy as np
 import caller
+sizes, parse = [], llvm.parse_bitcode
+llvm.parse_bitcode = lambda code: sizes.append(len(code)) or parse(code)
 found = caller.total(np.ones(2)).sum()
 hits = sum(caller.total.stats.cache_hits.values())
-print(found, "numba.np.linalg" in sys.modules, hits)
+print(found, "numba.np.linalg" in sys.modules, hits, sum(size > 2000 for size in sizes))
 """
 
 
@@ -56,14 +60,14 @@ class Kernels:
         self._put("callee.py", CALLEE.format(factor=factor, scale=scale))
         self._put("caller.py", CALLER.format(offset=offset))
 
-    def run(self) -> tuple[float, bool, int]:
-        """Return the sum, whether the compiler was loaded, and the hits of the cache."""
+    def run(self) -> tuple[float, bool, int, int]:
+        """Return the sum, whether the compiler was loaded, hits of the cache, and kernels read to compile with."""
         paths = os.pathsep.join([str(self.folder), str(CHECKOUT)])
         environment = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(self.folder / "cache")}
         command = [sys.executable, "-c", PROGRAM]
         said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout
-        found, loaded, hits = said.split()
-        return float(found), loaded == "True", int(hits)
+        found, loaded, hits, read = said.split()
+        return float(found), loaded == "True", int(hits), int(read)
 
     def _put(self, name: str, text: str) -> None:
         path = self.folder / name
@@ -74,15 +78,15 @@ class Kernels:
 def test_kernels_are_loaded_without_the_compiler_and_follow_what_they_were_made_from(tmp_path: Path) -> None:
     kernels = Kernels(tmp_path)
     kernels.write()
-    assert kernels.run() == (4.0, True, 0)
-    assert kernels.run() == (4.0, False, 1)
+    assert kernels.run() == (4.0, True, 0, 0)
+    assert kernels.run() == (4.0, False, 1, 0)
     kernels.write(factor=3.0)
-    assert kernels.run() == (6.0, True, 0), "a kernel of another file was changed"
+    assert kernels.run() == (6.0, True, 0, 0), "a kernel of another file was changed"
     kernels.write(factor=3.0, scale=5.0)
-    assert kernels.run() == (30.0, True, 0), "a number of another file was changed"
+    assert kernels.run() == (30.0, True, 0, 0), "a number of another file was changed"
     kernels.write(factor=3.0, scale=5.0, offset=1.0)
-    assert kernels.run() == (32.0, True, 0), "its own file was changed"
-    assert kernels.run() == (32.0, False, 1)
+    assert kernels.run() == (32.0, True, 0, 1), "its own file was changed, and it is compiled with a kept kernel"
+    assert kernels.run() == (32.0, False, 1, 0)
 
 
 #: The stamps of all kernels of these modules: what stands in no other way than by an address would differ each time.
