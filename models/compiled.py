@@ -67,7 +67,7 @@ class KernelFile(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, kept: tuple[list[str], bytes, tuple[Any, ...]]) -> Any:
         """Return the compiled function."""
         names, linkable, payload = kept
-        # which of them are in machine code the engine cannot tell, and numba has asked for them in what it reads
+        # the engine cannot tell which names are in machine code: numba takes them from the form that is not read here
         target_context.codegen()._engine._defined_symbols.update(names)
         result = super().rebuild(target_context, payload)
         result.library._get_module_for_linking = functools.cache(lambda: llvm.parse_bitcode(linkable))
