@@ -223,9 +223,17 @@ def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
 
 
 def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
-    # loads the kernels of beams while the graph still waits: those of moving things made its first views late
-    player.beam(0, 0)
+    events = _beam_events(player, scans)
+    # with the first beam, which loads kernels while the graph still waits: those of moving things made its views late
+    first = next(events, None)
     yield Event(0, Outgoing("radar/setup", player.setup))
+    if first is not None:
+        yield first
+        yield from events
+
+
+def _beam_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
+    """Yield beams, each after the vehicle's state at its time, and the truth of a scan after its last beam."""
     scan = 0
     while scans is None or scan < scans:
         beams: Iterable[RadarBeam] = (player.beam(scan, index) for index in range(len(player.setup.beams)))
