@@ -37,8 +37,9 @@ from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
 from msgs.bus.topics import topic_facts
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from nodes.process.interpreter import start_again_if_compiled
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
-from nodes.process.memory import FreeHeap, release_unused, start_again_if_compiled
+from nodes.process.memory import FreeHeap, release_unused
 from nodes.process.param_server import ParamServer
 from nodes.process.validation import convert_at
 

@@ -7,9 +7,10 @@ and in brackets proportional (a page that several share counts once) and what no
 
 The others: resident memory of one node over hours of its own clock, as fast as it steps.
 `player`: the soak's scene with short beams (4 chirps). `recorder`: a map, peaks, a view, 15 vehicle states and 5
-heartbeats a scan into parts of 300 s, two of which are kept. `viewer`: the same messages, and no page. Resident memory
-every ten minutes of that clock, in MiB.
-Usage: python -m benchmarks.live.node_memory player|recorder|viewer [--hours 2]
+heartbeats a scan into parts of 300 s, two of which are kept. `viewer`: the same messages, and no page. `geometry`: maps
+and peaks of that scene, a vehicle that stands, default profile.
+Resident memory every ten minutes of that clock, in MiB.
+Usage: python -m benchmarks.live.node_memory player|recorder|viewer|geometry [--hours 2]
        python -m benchmarks.live.node_memory stopped [--launch FILE]
        python -m benchmarks.live.node_memory graph [--launch FILE] [--after 60] [--group PROCESS=NODE,NODE]
 """
@@ -17,6 +18,7 @@ Usage: python -m benchmarks.live.node_memory player|recorder|viewer [--hours 2]
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import re
@@ -31,18 +33,26 @@ import msgspec
 import psutil
 
 from benchmarks.live.faults import LAUNCHES, Graph, hear_ctrl_c
+from mirrorwave.node_chain import SharedParts, stage_params
+from mirrorwave.profiles import read_profile
+from msgs.bus.codec import decode_inline, encode_inline
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState, NodeStatus
+from msgs.values.perception import Peaks
+from msgs.values.radar import RangeAzimuthMap
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
-from nodes import bev_viewer, player, recorder
+from nodes import bev_viewer, geometry, player, recorder
 from nodes.node import Node
 from nodes.process.memory import Mapping, mappings
+from sim_player.player import ScenePlayer
 from tests.fuzz.cases import peaks, ra_map, view
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
 START_NS, SCAN_NS, STATE_NS = 10**12, ns_from_s(0.3), ns_from_s(0.02)
 LOOK_NS = ns_from_s(600.0)
+#: Scans that geometry sees in turn.
+SEEN_SCANS = 12
 #: Less than a fifth of a node's time limit, after which a stopped one is killed.
 STOPPED_S = 0.8
 
@@ -70,6 +80,53 @@ def show(folder: Path) -> Iterator[int]:
     return take_scans(bev_viewer.create(bev_viewer.Params(port=0)))
 
 
+def see(folder: Path) -> Iterator[int]:
+    """Hand geometry maps and peaks of `SEEN_SCANS` scans, decoded each time, over and over; its clock."""
+    seen = encoded_scans(SEEN_SCANS)
+    node = geometry.create(stage_params("geometry", read_profile("default")["geometry"]))
+    sent: Counter[tuple[str, str]] = Counter()
+    try:
+        for scan in itertools.count():
+            now_ns = START_NS + scan * SCAN_NS
+            ra_map, found = at_scan(seen[scan % SEEN_SCANS], scan, now_ns)
+            messages: list[tuple[str, str, msgspec.Struct]] = [*vehicle_states(now_ns - SCAN_NS)]
+            messages += [("radar/ra_map", "ra_former", ra_map), ("perception/peaks", "dense_predictor", found)]
+            if not node.step([_received(*one, sent, now_ns) for one in messages], now_ns):
+                raise RuntimeError(f"geometry gave no view of scan {scan}: {node.health()[1]}")
+            node.stages.drain()
+            yield now_ns
+    finally:
+        node.close()
+
+
+def encoded_scans(count: int) -> list[tuple[bytes, bytes]]:
+    """Return the maps and peaks of so many scans of the scene, as the bus carries them."""
+    radar = player.scene_player(player.Params(scene=SCENE, effects="auto"))
+    assert isinstance(radar, ScenePlayer)
+    chain = SharedParts.of(read_profile("default"), radar.setup).chain()
+    beams = (radar.beam(scan, index) for scan in range(count) for index in range(len(radar.setup.beams)))
+    views = (view for beam in beams for view in chain.add(beam))
+    return [(encode_inline(view.ra_map), encode_inline(view.peaks)) for view in views if view.ra_map is not None]
+
+
+def at_scan(encoded: tuple[bytes, bytes], scan: int, stamp_ns: int) -> tuple[RangeAzimuthMap, Peaks]:
+    """Decode a map and its peaks as those of another scan."""
+    ra_map, found = decode_inline(RangeAzimuthMap, encoded[0]), decode_inline(Peaks, encoded[1])
+    later_ns = stamp_ns - ra_map.stamp_ns
+    return (
+        msgspec.structs.replace(
+            ra_map, scan_id=scan, stamp_ns=stamp_ns, azimuth_stamp_ns=ra_map.azimuth_stamp_ns + later_ns
+        ),
+        msgspec.structs.replace(found, scan_id=scan, stamp_ns=stamp_ns, peak_stamp_ns=found.peak_stamp_ns + later_ns),
+    )
+
+
+def vehicle_states(start_ns: int) -> Iterator[tuple[str, str, msgspec.Struct]]:
+    """Yield what a vehicle that stands says in a scan."""
+    for index in range(15):
+        yield "vehicle/state", "can", VehicleState(stamp_ns=start_ns + index * STATE_NS)
+
+
 def take_scans(node: Node) -> Iterator[int]:
     """Hand a node the messages of scan after scan; its clock."""
     sent: Counter[tuple[str, str]] = Counter()
@@ -83,8 +140,7 @@ def take_scans(node: Node) -> Iterator[int]:
                 ("perception/peaks", "dense_predictor", peaks(scan, now_ns)),
                 ("perception/hidden_objects", "geometry", view(scan, now_ns)),
             ]
-            for index in range(15):
-                messages.append(("vehicle/state", "can", VehicleState(stamp_ns=now_ns + index * STATE_NS)))
+            messages += vehicle_states(now_ns)
             for name in ("a", "b", "c", "d", "e"):
                 beat = msgspec.structs.replace(status, node=name, stamp_ns=now_ns)
                 messages.append(("diagnostics/node", name, beat))
@@ -103,7 +159,7 @@ def _received(
     return Received(topic, message, envelope)
 
 
-WORK: dict[str, Callable[[Path], Iterator[int]]] = {"player": play, "recorder": record, "viewer": show}
+WORK: dict[str, Callable[[Path], Iterator[int]]] = {"player": play, "recorder": record, "viewer": show, "geometry": see}
 
 
 def resident_mib(name: str, hours: float) -> list[float]:

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from msgs.files.shipped import CHECKOUT
+from nodes.process.interpreter import module_command
 from nodes.process.memory import release_unused
 
 #: A node is one of several processes on few cores: BLAS threads that spin while they wait took a whole core from the
@@ -59,12 +60,10 @@ def spawn(words: list[str], env: Mapping[str, str], given: int, output: int | No
 
     `given` is its standard input, `output` takes what it says, or None: what this process says too.
     """
-    # -P: a file of the working directory must not replace a module
-    command = [sys.executable, "-P", "-m", *words]
     copies = [(given, 0)] if output is None else [(given, 0), (output, 1), (output, 2)]
     return os.posix_spawn(
         sys.executable,
-        command,
+        module_command(words),
         env,
         file_actions=[(os.POSIX_SPAWN_DUP2, *ends) for ends in copies],
         setpgroup=0,
@@ -233,7 +232,7 @@ def _become_node(channel: socket.socket, descriptors: list[int], words: list[str
         os.close(descriptor)
     sys.argv = words[1:]
     with contextlib.suppress(OSError, ValueError, IndexError):
-        _show_command([sys.executable, "-P", "-m", *words])
+        _show_command(module_command(words))
 
 
 def _show_command(words: list[str]) -> None:

@@ -37,8 +37,8 @@ from nodes.node import (
     stop_by_signal,
     wait_to_begin,
 )
+from nodes.process.interpreter import start_again_if_compiled
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers, of_thread
-from nodes.process.memory import start_again_if_compiled
 
 _LOG = logging.getLogger(__name__)
 

@@ -5,19 +5,15 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import mmap
-import os
 import re
-import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 #: Two beams, one on its way and one at work: free heap that has grown by more is given back once it has been free for
 #: so many looks.
 GROWN_BYTES, LOOKS = 8 << 20, 4
-#: Set in a process that was started again: one that cannot keep its kernels must not be started for ever.
-COMPILED = "MIRRORWAVE_COMPILED"
 _MADV_DONTNEED = 4
 _MALLOC_INFO = [
     "arena",
@@ -90,20 +86,6 @@ def release_unused() -> None:
         for item in mappings():
             if is_as_in_file(item):
                 libc.madvise(ctypes.c_void_p(item.start), ctypes.c_size_t(item.end - item.start), _MADV_DONTNEED)
-
-
-def start_again_if_compiled(words: Sequence[str], close: Callable[[], None]) -> None:
-    """Where this process has compiled a kernel, `close` what is open and run a module and its arguments in its place.
-
-    They keep its number, standard input and output, and load kernels from their cache: numba's compiler, half a
-    gigabyte, cannot be unloaded.
-    """
-    compiled = sys.modules.get("models.compiled")
-    if compiled is None or not compiled.KernelCache.has_compiled or COMPILED in os.environ:
-        return
-    close()
-    os.environ[COMPILED] = "1"
-    os.execv(sys.executable, [sys.executable, "-P", "-m", *words])
 
 
 class FreeHeap:
