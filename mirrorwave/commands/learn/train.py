@@ -65,7 +65,7 @@ def dense(
     from models.training.data.samples import DataConfig, load_training_data
     from models.training.data.selection import parse_selection
     from models.training.families import FAMILIES, preset_network
-    from models.training.ranks import joined_ranks
+    from models.training.ranks import joined_ranks, leave
     from models.training.schedules import SCHEDULES
     from models.training.train_dense import DenseTraining, TrainDenseConfig
 
@@ -90,10 +90,12 @@ def dense(
     )  # fmt: skip
     with joined_ranks() as ranks:
         training = DenseTraining(config, load_training_data(data_config), out, ranks)
-        if not ranks.leads:
+        if ranks.leads:
+            _run(training)
+        else:
             training.run()
-            return
-        _run(training)
+    if not ranks.leads:
+        leave()
     summary = training.summary()
     draw_curves(training.reports, out / "curves.png")
     if json:
