@@ -1,30 +1,34 @@
-"""Weights of an exported object network as the first ones of a training that goes on from it.
+"""Weights of an exported network as the first ones of a training that goes on from it.
 
 An exported file holds its norms within its convolutions. Here each convolution gets the file's weights and its norm
-the file's bias, with mean 0 and variance 1, and stays so: before the first step it answers what the file answers.
+the file's bias, with mean 0 and variance 1: it answers what the file answers. A training first gives the norms the
+statistics of its own data (`settle_norms`), by which they learn on as any other's do.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
+from models.networks.compact_unet import CompactUNet
 from models.networks.object_unet import ObjectUNet
-from models.perception.detection.onnx_model import open_session
+from models.perception.detection.onnx_model import load_card, open_session
 from models.perception.objects.predictor import load_object_card
 
 #: Largest difference of an answer between the file and the network, relative to the largest answer.
 PARITY = 1e-4
+#: Batches whose statistics the norms take before the training goes on.
+SETTLING_BATCHES = 25
 
 
-def load_exported(network: ObjectUNet, path: Path) -> None:
+def load_exported(network: ObjectUNet | CompactUNet, path: Path) -> None:
     """Fill a network with the weights of an exported one; channels that it alone reads, the last, weigh nothing.
 
     Raises `ValueError` naming a file that is none, is of another shape, or answers otherwise than its weights say.
@@ -32,10 +36,13 @@ def load_exported(network: ObjectUNet, path: Path) -> None:
     import onnx
     from onnx import numpy_helper
 
-    card = load_object_card(path)
+    card = load_card(path) if isinstance(network, CompactUNet) else load_object_card(path)
     session = open_session(path, card.sha256, 1)
     graph = onnx.load(path).graph
-    values = {entry.name: np.array(numpy_helper.to_array(entry)) for entry in graph.initializer}
+    # a dense network lies within one that answers probabilities
+    values = {
+        entry.name.removeprefix("network."): np.array(numpy_helper.to_array(entry)) for entry in graph.initializer
+    }
     try:
         with torch.no_grad():
             _fill_convolutions(network, [node for node in graph.node if node.op_type == "Conv"], values)
@@ -45,31 +52,60 @@ def load_exported(network: ObjectUNet, path: Path) -> None:
                     parameter.copy_(_tensor(values[name]))
     except (KeyError, RuntimeError, ValueError) as error:
         first = str(error).splitlines()[0]
-        raise ValueError(f"{path}: start must be an object network of this shape in full precision: {first}") from None
-    channels, rows, columns = card.encoding.shape
-    cells = np.random.default_rng(0).standard_normal((1, channels, rows, columns)).astype(np.float32)
-    wanted = session.run(None, {session.get_inputs()[0].name: cells})[0]
-    _check_parity(network, path, cells, wanted)
+        raise ValueError(f"{path}: start must be a network of this shape in full precision: {first}") from None
+    source = session.get_inputs()[0]
+    cells = np.random.default_rng(0).standard_normal(source.shape).astype(np.float32)
+    _check_parity(network, path, cells, session.run(None, {source.name: cells})[0])
 
 
-def freeze_norms(network: nn.Module) -> None:
-    """Keep the means and variances of all norms as they are."""
-    for module in network.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            module.eval()
+@torch.no_grad()
+def settle_norms(network: nn.Module, batches: Iterable[Tensor]) -> None:
+    """Give all norms the means and variances that they see in some batches [batch, ...], and the weights by which they
+    answer to every input as before.
+    """
+    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    moments: dict[nn.Module, list[Tensor]] = {norm: [] for norm in norms}
+
+    def watch(norm: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        # float64: a spread that is small beside its mean would be lost in the difference of squares
+        x = inputs[0].double()
+        moments[norm].append(torch.stack([x.mean((0, 2, 3)), x.square().mean((0, 2, 3))]))
+
+    hooks = [norm.register_forward_pre_hook(watch) for norm in norms]
+    network.eval()
+    for batch in batches:
+        network(batch)
+    for hook in hooks:
+        hook.remove()
+    for norm in norms:
+        _restate(norm, *torch.stack(moments[norm]).mean(dim=0))
 
 
-def _convolutions(network: ObjectUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
+def _restate(norm: nn.BatchNorm2d, mean: Tensor, mean_square: Tensor) -> None:
+    """Give a norm another mean and variance, with the weight and bias by which it stays the same function."""
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
+    variance = (mean_square - mean**2).clamp_min(0.0)
+    slope = norm.weight.double() / torch.sqrt(norm.running_var.double() + norm.eps)
+    norm.bias.add_(slope * (mean - norm.running_mean))
+    norm.weight.copy_(slope * torch.sqrt(variance + norm.eps))
+    norm.running_mean.copy_(mean)
+    norm.running_var.copy_(variance)
+
+
+def _convolutions(network: ObjectUNet | CompactUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
     """Return convolutions with their norms, in the order in which they are passed."""
     ways_down = chain.from_iterable(zip(network.encode, network.down, strict=True))
-    parts = (network.stem, *ways_down, network.decode, network.head[0])
+    # the last convolution, without a norm, has a name in the file
+    head = network.head[:-1] if isinstance(network.head, nn.Sequential) else ()
+    parts = (network.stem, *ways_down, network.decode, *head)
     layers = [layer for part in parts for layer in part.modules()]
     convolutions = [layer for layer in layers if isinstance(layer, nn.Conv2d)]
     norms = [layer for layer in layers if isinstance(layer, nn.BatchNorm2d)]
     return zip(convolutions, norms, strict=True)
 
 
-def _fill_convolutions(network: ObjectUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
+def _fill_convolutions(network: ObjectUNet | CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
     """Fill all convolutions whose norms the file holds within them, the last one of the head apart."""
     for (convolve, norm), node in zip(_convolutions(network), nodes[:-1], strict=True):
         weight, bias = (_tensor(values[name]) for name in node.input[1:])
@@ -79,7 +115,7 @@ def _fill_convolutions(network: ObjectUNet, nodes: list[Any], values: dict[str, 
         norm.bias.copy_(bias)
 
 
-def _fill_products(network: ObjectUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
+def _fill_products(network: ObjectUNet | CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
     """Fill the linear layers, which the file holds as products with constants."""
     weights = [values[node.input[1]] for node in nodes if node.input[1] in values]
     layers = [layer for layer in network.context.modules() if isinstance(layer, nn.Linear)]
@@ -87,15 +123,16 @@ def _fill_products(network: ObjectUNet, nodes: list[Any], values: dict[str, np.n
         layer.weight.copy_(_tensor(weight.T))
 
 
-def _tensor(values: np.ndarray) -> torch.Tensor:
+def _tensor(values: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values))
 
 
-def _check_parity(network: ObjectUNet, path: Path, cells: np.ndarray, wanted: np.ndarray) -> None:
+def _check_parity(network: ObjectUNet | CompactUNet, path: Path, cells: np.ndarray, wanted: np.ndarray) -> None:
     more = network.config.in_channels - cells.shape[1]
-    shown = np.pad(cells, ((0, 0), (0, more), (0, 0), (0, 0)))
+    shown = torch.from_numpy(np.pad(cells, ((0, 0), (0, max(more, 0)), (0, 0), (0, 0))))
     with torch.no_grad():
-        said = network.eval()(torch.from_numpy(shown)).numpy()
+        answer = network.eval()(shown.to(next(network.parameters()).device))
+    said = (torch.sigmoid(answer) if isinstance(network, CompactUNet) else answer).cpu().numpy()
     difference = float(np.abs(said - wanted).max() / np.abs(wanted).max())
     if not difference <= PARITY:
         raise ValueError(f"{path}: weights must answer as the file does within {PARITY}, differ by {difference}")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
+from models.networks.compact_unet import CompactUNet
 from models.training.data.samples import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
+from models.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
 from models.training.families import FAMILIES, NetworkChoice
 from models.training.files import json_lines
 from models.training.objectives.objectives import ObjectiveConfig, objective_of
@@ -48,7 +51,7 @@ class TrainDenseConfig:
     threads: int = 1
     #: Arithmetic in bfloat16 where it is safe (section 3.3: mixed precision).
     mixed_precision: bool = True
-    #: File of initial weights.
+    #: File of initial weights: a checkpoint, or an exported `CompactUNet`.
     init: str = ""
 
     def __post_init__(self) -> None:
@@ -139,8 +142,21 @@ class DenseTraining:
         if (run_dir / LAST).exists():
             self._resume()
         elif config.init:
-            load_initial(self.network, Path(config.init))
+            self._start(Path(config.init))
         self._shared = self.ranks.shared(self.network)
+
+    def _start(self, path: Path) -> None:
+        """Fill the network with the weights of a checkpoint or of an exported file."""
+        if path.suffix != ".onnx":
+            load_initial(self.network, path)
+            return
+        if not isinstance(self.network, CompactUNet):
+            raise ValueError(f"init must be a checkpoint for {self.config.network.family}, got the exported {path}")
+        load_exported(self.network, path)
+        size = self.config.schedule.batch_size
+        batches = shuffled_batches(self.data.train, self.former, size, (self.config.seed, 0))
+        first = islice(batches, SETTLING_BATCHES)
+        settle_norms(self.network, (torch.from_numpy(inputs).to(self.ranks.device) for _, inputs, _ in first))
 
     def _check_batches(self) -> None:
         size, ranks = self.config.schedule.batch_size, self.ranks.count

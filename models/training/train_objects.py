@@ -19,7 +19,7 @@ from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.training.data.object_samples import ObjectSample
 from models.training.data.object_store import count_samples, load_samples, shuffled
-from models.training.exported_weights import freeze_norms, load_exported
+from models.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
 from models.training.object_scoring import WATCHED_THRESHOLDS, ObjectTally
 from models.training.objectives.objects import ObjectLossConfig, TrueHypotheses, object_loss
 from models.training.ranks import Ranks
@@ -44,7 +44,7 @@ class TrainObjectsConfig:
     mixed_precision: bool = True
     #: A false report costs so many missed objects in the score that selects the checkpoint.
     false_cost: float = 1.0
-    #: Exported network (ONNX) whose weights are the first ones; its norms stay as they were exported.
+    #: Exported network (ONNX) whose weights are the first ones.
     start: str = ""
 
     def __post_init__(self) -> None:
@@ -134,6 +134,7 @@ class ObjectTraining:
             self._resume()
         elif self.config.start:
             load_exported(self.network, Path(self.config.start))
+            settle_norms(self.network, self._first_inputs())
 
     def run(
         self,
@@ -153,8 +154,6 @@ class ObjectTraining:
 
     def _train_epoch(self, epoch: int, on_step: Callable[[], None]) -> float:
         self.network.train()
-        if self.config.start:
-            freeze_norms(self.network)
         # the epoch's own seed: a resumed run draws the same numbers
         rng = np.random.default_rng((self.config.seed, epoch))
         samples = self._augmented(shuffled(self._train, rng), rng)
@@ -177,12 +176,21 @@ class ObjectTraining:
         odd = self.run_config.encoding.odd_channels
         return (sample.flipped(odd) if rng.random() < 0.5 else sample for sample in samples)
 
+    def _first_inputs(self) -> Iterator[torch.Tensor]:
+        """Yield inputs of the first batches, by whose statistics the norms of an exported network begin."""
+        samples = shuffled(self._train, np.random.default_rng(self.config.seed))
+        steps = min(SETTLING_BATCHES, self.steps_per_epoch)
+        return (self._inputs(batch) for batch in _batches(samples, self.config.schedule.batch_size, steps))
+
+    def _inputs(self, batch: Sequence[ObjectSample]) -> torch.Tensor:
+        cells = torch.from_numpy(np.stack([sample.cells for sample in batch])).float().to(self.ranks.device)
+        return cells.contiguous(memory_format=self._layout)
+
     def _loss(self, batch: Sequence[ObjectSample]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the loss of a batch and the answers to it."""
         device = self.ranks.device
-        cells = torch.from_numpy(np.stack([sample.cells for sample in batch])).float().to(device)
         with torch.autocast(device.type, torch.bfloat16, enabled=self.network.training and self.config.mixed_precision):
-            answer = self.network(cells.contiguous(memory_format=self._layout))
+            answer = self.network(self._inputs(batch))
         heat = torch.from_numpy(np.stack([sample.heat() for sample in batch])).to(device)
         return object_loss(answer, heat, true_hypotheses(batch, device), self.config.loss), answer
 

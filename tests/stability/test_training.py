@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 import torch
+from torch import nn
 from torch.nn import functional
 
 from models.perception.detection.encoding import Encoding, encode_columns
 from models.training.data.samples import PointLabels
+from models.training.exported_weights import settle_norms
 from models.training.fit_confidence import FitConfig, _Loss
 from models.training.objectives.anchors import anchor_loss, anchor_targets
 from models.training.objectives.focal import binary_focal_loss
@@ -317,3 +319,21 @@ def test_without_noise_levels_count_from_the_strongest_cell() -> None:
     encoding = Encoding(range_bins=8, columns=8, level_max_db=95.0, dynamic_range_db=90.0)
     encoded = encode_columns(encoding, hard_maps()["constant"], np.float64(0.0))
     np.testing.assert_allclose(encoded[0], (90 + 5) / 100, atol=1e-6)
+
+
+@pytest.mark.hard(
+    where="models.training.exported_weights",
+    naive="mean of squares less square of the mean, in the network's own type",
+    bound=1e-3,
+    unit="",
+    source="rounding of values of 1e3 to float32 (3e-5 rms) beside a spread of 1e-2, relative to the variance",
+)
+def test_variance_that_a_norm_sees_far_from_zero(errors: Errors) -> None:
+    """A channel at 1000 that varies by 0.01: squares of 1e6 are rounded by 0.06, the variance is 1e-4."""
+    x = 1e3 + 1e-2 * torch.randn(8, 1, 64, 64, generator=torch.Generator().manual_seed(0))
+    norm = nn.BatchNorm2d(1)
+    settle_norms(nn.Sequential(norm), x.split(2))
+    exact = x.double().var(correction=0).item()
+    naive = (x.square().mean() - x.mean() ** 2).item()
+    assert norm.running_var is not None
+    errors(naive=abs(naive / exact - 1.0), ours=abs(norm.running_var.item() / exact - 1.0))

@@ -52,7 +52,7 @@ def dense(
     without: Annotated[
         list[str] | None, typer.Option(metavar="relay=KIND|object=CLASS", help="Leave scenes with it out.")
     ] = None,
-    init: Annotated[Path | None, typer.Option(metavar="FILE", help="Weights to start from.")] = None,
+    init: Annotated[Path | None, typer.Option(metavar="FILE", help="Checkpoint or ONNX file to start from.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Augmentation and first weights.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
     full_precision: Annotated[bool, typer.Option(help="float32 throughout instead of bfloat16 where safe.")] = False,
