@@ -43,14 +43,22 @@ class Ranks:
         return float(total) / self.count
 
 
+def lone_process() -> Ranks:
+    """Return this process as the only one of a run that no ranks share; `ValueError` where torchrun started several."""
+    count = os.environ.get("WORLD_SIZE", "1")
+    if count != "1":
+        raise ValueError(f"WORLD_SIZE must be 1 for a training of one process, got {count}")
+    return Ranks(device=torch.device("cuda" if torch.cuda.is_available() else "cpu"))
+
+
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
     """Join the ranks that torchrun's environment names for the duration of the context; else this process alone."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
-    cuda = torch.cuda.is_available()
     if count == 1:
-        yield Ranks(device=torch.device("cuda" if cuda else "cpu"))
+        yield lone_process()
         return
+    cuda = torch.cuda.is_available()
     local = int(os.environ.get("LOCAL_RANK", "0"))
     if cuda:
         torch.cuda.set_device(local)
