@@ -137,12 +137,14 @@ class DenseTraining:
         self.steps_per_epoch = len(data.train) // config.schedule.batch_size
         self.optimiser, self.schedule = optimiser_of(self.network, config.schedule, family.head, self.steps_per_epoch)
         self.reports: list[EpochReport] = []
+        goes_on = (run_dir / LAST).exists()
+        if config.init and not goes_on:
+            # before the folder is taken: a file that is refused leaves it free
+            self._start(Path(config.init))
         run_dir.mkdir(parents=True, exist_ok=True)
         adopt_config(run_dir, self.run_config, self.ranks.leads)
-        if (run_dir / LAST).exists():
+        if goes_on:
             self._resume()
-        elif config.init:
-            self._start(Path(config.init))
         self._shared = self.ranks.shared(self.network)
 
     def _start(self, path: Path) -> None:

@@ -103,6 +103,7 @@ def test_networks_of_other_families_start_from_checkpoints(tmp_path: Path) -> No
     )
     with pytest.raises(ValueError, match=r"init must be a checkpoint for unet, got the exported .*compact_unet\.onnx"):
         DenseTraining(training, data, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def _scan(rng: np.random.Generator, grid: RangeAzimuthGrid) -> Scan:
