@@ -119,6 +119,6 @@ def test_a_start_in_whole_numbers_is_refused_before_samples_are_made(tmp_path: P
     for name, seed in (("data", 1), ("validation", 2)):
         write_dataset(tmp_path / name, 1, seed, Recipe(effects="basic", truth=True))
     start = DEFAULT_OBJECTS.with_suffix(".int8.onnx")
-    with pytest.raises(ValueError, match=r"object_unet\.int8\.onnx: start must be an object network of this shape"):
+    with pytest.raises(ValueError, match=r"object_unet\.int8\.onnx: start must be a network of this shape"):
         objects([tmp_path / "data"], [tmp_path / "validation"], tmp_path / "run", start=start)
     assert not (tmp_path / "run").exists()
