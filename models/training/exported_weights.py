@@ -129,7 +129,7 @@ def _tensor(values: np.ndarray) -> Tensor:
 
 def _check_parity(network: ObjectUNet | CompactUNet, path: Path, cells: np.ndarray, wanted: np.ndarray) -> None:
     more = network.config.in_channels - cells.shape[1]
-    shown = torch.from_numpy(np.pad(cells, ((0, 0), (0, max(more, 0)), (0, 0), (0, 0))))
+    shown = torch.from_numpy(np.pad(cells, ((0, 0), (0, more), (0, 0), (0, 0))))
     with torch.no_grad():
         answer = network.eval()(shown.to(next(network.parameters()).device))
     said = (torch.sigmoid(answer) if isinstance(network, CompactUNet) else answer).cpu().numpy()

@@ -45,8 +45,7 @@ class Ranks:
 
 def lone_process() -> Ranks:
     """Return this process as the only one of a run that no ranks share; `ValueError` where torchrun started several."""
-    count = os.environ.get("WORLD_SIZE", "1")
-    if count != "1":
+    if (count := _started()) != 1:
         raise ValueError(f"WORLD_SIZE must be 1 for a training of one process, got {count}")
     return Ranks(device=torch.device("cuda" if torch.cuda.is_available() else "cpu"))
 
@@ -54,8 +53,7 @@ def lone_process() -> Ranks:
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
     """Join the ranks that torchrun's environment names for the duration of the context; else this process alone."""
-    count = int(os.environ.get("WORLD_SIZE", "1"))
-    if count == 1:
+    if _started() == 1:
         yield lone_process()
         return
     cuda = torch.cuda.is_available()
@@ -68,6 +66,11 @@ def joined_ranks() -> Iterator[Ranks]:
         yield Ranks(distributed.get_rank(), distributed.get_world_size(), device)
     finally:
         distributed.destroy_process_group()
+
+
+def _started() -> int:
+    """Return how many processes torchrun has started for this run; 1 without it."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def leave() -> NoReturn:

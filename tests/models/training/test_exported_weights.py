@@ -14,13 +14,14 @@ from models.networks.compact_unet import WIDE, CompactUNet, CompactUNetConfig
 from models.networks.unet import UNetConfig
 from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
-from models.training.data.frames import FrameLabels, Scan
+from models.training.data.frames import Scan
 from models.training.data.samples import DataConfig, SampleFormer, TrainingData
 from models.training.exported_weights import load_exported, settle_norms
 from models.training.families import INPUTS, choice_of
 from models.training.schedules import ScheduleConfig
 from models.training.train_dense import DenseTraining, TrainDenseConfig
 from msgs.values.radar import RangeAzimuthGrid
+from tests.models.training.map_scans import map_scan
 
 CONFIG = CompactUNetConfig(in_channels=7)
 
@@ -111,22 +112,4 @@ def _scan(rng: np.random.Generator, grid: RangeAzimuthGrid) -> Scan:
     values = 1e-2 * (rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape))
     row, column = int(rng.integers(20, 300)), int(rng.integers(16, 240))
     values[row, column - 8 : column + 9] = 1.0
-    unknown = np.array([np.nan])
-    labels = FrameLabels(
-        range_m=grid.range_at(np.array([row])),
-        azimuth_rad=grid.azimuth_at(np.array([column])),
-        path_class=np.array([0], np.uint8),
-        order=unknown,
-        hidden_xy_m=np.full((1, 2), np.nan),
-        power_mw=unknown,
-        object_index=unknown,
-        object_class=np.array([""]),
-    )
-    return Scan(
-        index=row,
-        profiles=None,
-        values=values.astype(np.complex64),
-        noise_power_mw=1e-4,
-        missing_beams=(),
-        labels=labels,
-    )
+    return map_scan(grid, values, np.array([row]), np.array([column]), [0], row)

@@ -12,7 +12,7 @@ import torch
 
 from models.networks.compact_unet import CompactUNetConfig
 from models.perception.detection.encoding import Encoding
-from models.training.data.frames import FrameLabels, Scan
+from models.training.data.frames import Scan
 from models.training.data.samples import DataConfig, Perturbation, SampleFormer, TrainingData
 from models.training.families import NetworkChoice, choice_of
 from models.training.run_folder import CURVES, SUMMARY
@@ -20,6 +20,7 @@ from models.training.schedules import ScheduleConfig
 from models.training.train_dense import DenseTraining, EpochReport, TrainDenseConfig, load_best
 from msgs.values.radar import RangeAzimuthGrid
 from sim_player.dataset.writer import write_dataset
+from tests.models.training.map_scans import map_scan
 
 GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
 ENCODING = Encoding(range_bins=32, columns=8)
@@ -33,25 +34,7 @@ def scene(rng: np.random.Generator, index: int = 0) -> Scan:
     column = int(rng.integers(8))
     rows = np.array([rng.integers(2, 12), rng.integers(18, 30)])
     values[rows, 8 * column : 8 * column + 8] = 1.0
-    two = np.full(2, np.nan)
-    labels = FrameLabels(
-        range_m=GRID.range_at(rows),
-        azimuth_rad=GRID.azimuth_at(np.full(2, 8 * column + 4.0)),
-        path_class=np.array([0, 1], np.uint8),
-        order=two,
-        hidden_xy_m=np.full((2, 2), np.nan),
-        power_mw=two,
-        object_index=two,
-        object_class=np.array(["", ""]),
-    )
-    return Scan(
-        index=index,
-        profiles=None,
-        values=values.astype(np.complex64),
-        noise_power_mw=1e-4,
-        missing_beams=(),
-        labels=labels,
-    )
+    return map_scan(GRID, values, rows, np.full(2, 8 * column + 4.0), [0, 1], index)
 
 
 def data(count: int = 16) -> TrainingData:

@@ -152,6 +152,7 @@ def test_a_training_goes_on_from_an_exported_network(files: list[Path], tmp_path
     training.run()
     after = training.network.state_dict()
     assert not any(torch.equal(before[name], after[name]) for name in before if "running_mean" in name)
+    assert not torch.equal(before["stem.0.weight"], after["stem.0.weight"])
 
 
 def test_a_start_of_another_shape_is_refused(files: list[Path], tmp_path: Path) -> None:
