@@ -43,18 +43,18 @@ class Ranks:
         return float(total) / self.count
 
 
-def lone_process() -> Ranks:
-    """Return this process as the only one of a run that no ranks share; `ValueError` where torchrun started several."""
+def lone_device() -> torch.device:
+    """Return the device of a run that no ranks share; raise `ValueError` where torchrun started several processes."""
     if (count := _started()) != 1:
         raise ValueError(f"WORLD_SIZE must be 1 for a training of one process, got {count}")
-    return Ranks(device=torch.device("cuda" if torch.cuda.is_available() else "cpu"))
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
     """Join the ranks that torchrun's environment names for the duration of the context; else this process alone."""
     if _started() == 1:
-        yield lone_process()
+        yield Ranks(device=lone_device())
         return
     cuda = torch.cuda.is_available()
     local = int(os.environ.get("LOCAL_RANK", "0"))

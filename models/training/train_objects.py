@@ -22,7 +22,6 @@ from models.training.data.object_store import count_samples, load_samples, shuff
 from models.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
 from models.training.object_scoring import WATCHED_THRESHOLDS, ObjectTally
 from models.training.objectives.objects import ObjectLossConfig, TrueHypotheses, object_loss
-from models.training.ranks import Ranks
 from models.training.run_folder import BEST, LAST, adopt_config, load_config, load_state, save_epoch
 from models.training.schedules import ScheduleConfig, optimiser_of
 
@@ -109,15 +108,15 @@ class ObjectTraining:
         train: Sequence[Path],
         validation: Sequence[Path],
         run_dir: Path,
-        ranks: Ranks | None = None,
+        device: torch.device | None = None,
     ) -> None:
         self.run_config, self.config, self.run_dir = config, config.training, run_dir
-        self.ranks = ranks or Ranks()
+        self.device = device or torch.device("cpu")
         self._train, self._validation = list(train), list(validation)
         torch.set_num_threads(self.config.threads)
         torch.manual_seed(self.config.seed)
         self._layout = torch.channels_last if self.config.mixed_precision else torch.contiguous_format
-        self.network = ObjectUNet(config.network).to(self.ranks.device, memory_format=self._layout)
+        self.network = ObjectUNet(config.network).to(self.device, memory_format=self._layout)
         scans = sum(count_samples(path) for path in self._train)
         self.steps_per_epoch = scans // self.config.schedule.batch_size
         if not self.steps_per_epoch:
@@ -183,13 +182,13 @@ class ObjectTraining:
         return (self._inputs(batch) for batch in _batches(samples, self.config.schedule.batch_size, steps))
 
     def _inputs(self, batch: Sequence[ObjectSample]) -> torch.Tensor:
-        cells = torch.from_numpy(np.stack([sample.cells for sample in batch])).float().to(self.ranks.device)
+        cells = torch.from_numpy(np.stack([sample.cells for sample in batch])).float().to(self.device)
         return cells.contiguous(memory_format=self._layout)
 
     def _loss(self, batch: Sequence[ObjectSample]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the loss of a batch and the answers to it."""
-        device = self.ranks.device
-        with torch.autocast(device.type, torch.bfloat16, enabled=self.network.training and self.config.mixed_precision):
+        device, mixed = self.device, self.network.training and self.config.mixed_precision
+        with torch.autocast(device.type, torch.bfloat16, enabled=mixed):
             answer = self.network(self._inputs(batch))
         heat = torch.from_numpy(np.stack([sample.heat() for sample in batch])).to(device)
         return object_loss(answer, heat, true_hypotheses(batch, device), self.config.loss), answer
@@ -228,7 +227,7 @@ class ObjectTraining:
         )
 
     def _resume(self) -> None:
-        state = load_state(self.run_dir / LAST, self.ranks.device)
+        state = load_state(self.run_dir / LAST, self.device)
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])

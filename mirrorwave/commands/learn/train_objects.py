@@ -60,12 +60,12 @@ def objects(
     from models.perception.objects.predictor import load_object_card
     from models.training.data.frames import DataSet
     from models.training.export.objects import export_objects_run
-    from models.training.ranks import lone_process
+    from models.training.ranks import lone_device
     from models.training.run_folder import adopt_config
     from models.training.schedules import ScheduleConfig
     from models.training.train_objects import ObjectRunConfig, ObjectTraining, TrainObjectsConfig
 
-    ranks = lone_process()
+    device = lone_device()
     detector, scenes, judges = model or DEFAULT_MODEL, list(map(DataSet, data)), list(map(DataSet, validation))
     schedule = ScheduleConfig(
         epochs=epochs, batch_size=batch_size, learning_rate=learning_rate, weight_decay=1e-2, clip_norm=5.0
@@ -94,7 +94,7 @@ def objects(
     with Progress(console=Console(stderr=True)) as progress:
         train = object_samples(scenes, maker, out / TRAIN_SAMPLES, seed, workers, progress)
         chosen_by = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
-        training = ObjectTraining(config, train, chosen_by, out, ranks)
+        training = ObjectTraining(config, train, chosen_by, out, device)
         best = _run(training, progress)
     file = out / MODEL_FILE
     card = export_objects_run(out, chosen_by, file)
