@@ -62,10 +62,13 @@ def trace_to_points(
     """Return all specular paths from a source [3] to points [N, 3] by `max_bounces` reflections at most.
 
     Single precision throughout. Surfaces are found by shooting `samples` rays, so one that is hit by none is missed;
-    candidates may be lost by chance (`MAX_PATHS`). The paths themselves come from images.
+    candidates may be lost by chance (`MAX_PATHS`). The paths themselves come from images. Same arguments, same bytes:
+    Dr.Jit is left with one thread.
     `ForeignTracerMissingError` as `load_sionna`.
     """
     sionna = load_sionna()
+    # with more, the ray that comes to a surface first decides its paths' order and last bits
+    importlib.import_module("drjit").set_thread_count(1)
     scene = sionna.load_scene()
     scene.frequency = carrier_hz
     array = sionna.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
