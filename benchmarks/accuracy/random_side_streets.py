@@ -38,7 +38,7 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.accuracy.side_street import GATE_M, Said, lead_s, switches
+from benchmarks.accuracy.side_street import GATE_M, Said, lead_s, params_of, switches
 from benchmarks.accuracy.side_street_scenes import CROSSING, SideStreet, direct_sight, random_side_street
 from benchmarks.perception.geometry_switches import machine
 from mirrorwave.node_chain import NodeParams
@@ -68,15 +68,12 @@ LATER_S = 1.0
 #: From the first to the third scan of a track: what confirmation takes at least.
 CONFIRMATION_S = 0.6
 DRAWS = 2000
-#: Node parameters of each way, as a launch file gives them.
-WAYS: dict[str, dict[str, dict[str, object]]] = {
-    "network": {},
-    "network, walls kept": {"geometry": {"memory": {"wall_map": True}}},
-    "network with confidence, walls kept": {
-        "dense_predictor": {"model": "compact_unet.int8"},
-        "geometry": {"confidence": "compact_unet.int8.confidence", "memory": {"wall_map": True}},
-    },
-    "cfar, walls kept": {"dense_predictor": {"method": "cfar"}, "geometry": {"memory": {"wall_map": True}}},
+#: Profile of each way, and whether it keeps walls over scans, as `launch/side_street.yaml` does.
+WAYS = {
+    "default": ("default", False),
+    "default, walls kept": ("default", True),
+    "clustered, walls kept": ("clustered", True),
+    "cfar, walls kept": ("cfar", True),
 }
 
 
@@ -126,7 +123,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     chirps: int
     effects: str
-    ways: dict[str, dict[str, dict[str, object]]] = msgspec.field(default_factory=lambda: dict(WAYS))
+    ways: dict[str, dict[str, dict[str, object]]] = msgspec.field(
+        default_factory=lambda: {name: params_of(way, wall_map=kept) for name, (way, kept) in WAYS.items()}
+    )
 
 
 def chain_of(params: dict[str, dict[str, object]], setup: RadarSetup) -> Chain:

@@ -18,8 +18,7 @@ foretold, the tracks' time to appear against what it was. The last line is what 
 vehicle states, and odometry and tracker.
 With --log a recorded CAN log moves the vehicle instead, and its decoded states, with the bias added, are what odometry
 gets: the first stretch of it that suits the street, or the one --from so many seconds.
-Usage: python -m benchmarks.accuracy.side_street [--seeds 5] [--method network|cfar] [--chirps 128] [--figure FILE]
-[--json]
+Usage: python -m benchmarks.accuracy.side_street [--seeds 5] [--profile NAME] [--chirps 128] [--figure FILE] [--json]
        [--log FILE --dbc FILE --mapping FILE [--from S]]
 """
 
@@ -33,7 +32,7 @@ import time
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -50,20 +49,20 @@ from benchmarks.accuracy.side_street_drives import (
     scripted,
 )
 from benchmarks.perception.geometry_switches import machine
+from mirrorwave.node_chain import SharedParts
+from mirrorwave.profiles import DEFAULT, profile_names, read_profile
 from models.evaluation.frame_scores import bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import as_object, object_distances
 from models.perception.chain import Chain
-from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector
-from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.tracker import Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, Covariance, HiddenObject, SceneTruth, Track
-from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
+from nodes.process.validation import merged
 from sim_player.drive import DrivePlayer
 from sim_player.player import ScenePlayer
 
@@ -123,16 +122,16 @@ class Row(msgspec.Struct, kw_only=True):
     foretold: int
 
 
-def detector_of(method: str, setup: RadarSetup) -> Detector:
-    return CfarDetector(setup) if method == "cfar" else NetworkDetector(setup, DEFAULT_MODEL)
+def params_of(profile: str, **memory: bool) -> dict[str, dict[str, Any]]:
+    """Return node parameters of a profile, with others of what the geometry keeps over scans."""
+    return merged(read_profile(profile), {"geometry": {"memory": memory}})
 
 
-def drive(course: Course, seed: int, method: str, chirps: int, most: int = SCANS) -> list[Scan]:
+def drive(course: Course, seed: int, profile: str, chirps: int, most: int = SCANS) -> list[Scan]:
     """Every scan until the car is in direct sight, and that one."""
     player = course.player(seed, chirps)
-    gathering = MemoryParams(tracking=False, wall_map=True)
-    detector, odometry = detector_of(method, player.setup), ScanOdometry()
-    chain, stateless = (Chain.of(player.setup, detector, memory=gathering) for _ in range(2))
+    parts = SharedParts.of(params_of(profile, tracking=False, wall_map=True), player.setup)
+    chain, stateless, odometry = parts.chain(), parts.chain(), ScanOdometry()
     for state in course.states(seed):
         odometry.add(state)
     scans: list[Scan] = []
@@ -499,7 +498,7 @@ def about(stretch: Stretch) -> str:
 def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--method", choices=("network", "cfar"), default="network")
+    parser.add_argument("--profile", choices=profile_names(), default=DEFAULT)
     parser.add_argument("--chirps", type=int, default=128)
     parser.add_argument("--figure", type=Path, help="draws the first seed")
     parser.add_argument("--json", action="store_true")
@@ -532,7 +531,7 @@ def main() -> int:
     except (OSError, ValueError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    drives = [drive(course, seed, arguments.method, arguments.chirps) for seed in range(arguments.seeds)]
+    drives = [drive(course, seed, arguments.profile, arguments.chirps) for seed in range(arguments.seeds)]
     told = [ways(scans) for scans in drives]
     rows = [row(way, told, [sight_s(scans) for scans in drives]) for way in told[0]]
     if arguments.figure:

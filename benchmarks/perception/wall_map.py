@@ -24,11 +24,12 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from benchmarks.accuracy.side_street import detector_of
 from benchmarks.accuracy.side_street_drives import street
 from benchmarks.accuracy.six_scenes import SCENES
 from benchmarks.perception.geometry_switches import machine
 from models.evaluation.metrics import match_objects
+from models.perception.detection.detectors import CfarDetector, NetworkDetector
+from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.stage import GeometryParams
 from models.perception.tracking.scan_state import MemoryParams
@@ -108,7 +109,9 @@ def cases() -> dict[str, list[Scene]]:
 def scans_of(scene: Scene, seed: int, arguments: argparse.Namespace) -> list[Scan]:
     """A scene through forming and detection."""
     player = ScenePlayer(scene, seed, start_ns=1_000_000_000, chirps_per_beam=arguments.chirps)
-    former, detector = RaFormer(player.setup), detector_of(arguments.method, player.setup)
+    cfar = arguments.method == "cfar"
+    detector = CfarDetector(player.setup) if cfar else NetworkDetector(player.setup, DEFAULT_MODEL)
+    former = RaFormer(player.setup)
     rng = np.random.default_rng([seed, 8])
     found = []
     for number in range(arguments.scans):
