@@ -65,8 +65,8 @@ SPEED_STD_MPS, YAW_RATE_STD_RPS, MAX_BIAS_RPS = 0.03, math.radians(0.2), math.ra
 MAX_SCANS = 40
 #: Errors are looked at again this long after the first report.
 LATER_S = 1.0
-#: From the first to the third scan of a track: what confirmation takes at least.
-CONFIRMATION_S = 0.6
+#: From the first to the second scan of a track: what confirmation takes at least.
+CONFIRMATION_S = 0.3
 DRAWS = 2000
 #: Profile of each way, and whether it keeps walls over scans, as `launch/side_street.yaml` does.
 WAYS = {
