@@ -23,7 +23,7 @@ from models.training.data.frames import fixed_splits
 STEPS = ("train", "residual", "confidence", "eval")
 MIRRORWAVE = (sys.executable, "-m", "mirrorwave.cli")
 DATA = Path("data/places_v1")
-#: 2160 scenes, split 1512/324/324 by scene; the test scenes' hash was frozen before the first training.
+#: 2160 scenes, split 1512/324/324 by scene; the test scenes' hash was frozen before the first training in this world.
 DATA_COMMAND = ("sim", "dataset", "--count", "2160", "--seed", "7", "--workers", "2")
 TEST_SHA256 = "87acb9dea701031f95d34deb47a84fb020a9299110d6bc2b54fecbfd88b8292d"
 #: Rougher walls, clutter, gain and phase errors unknown to the receiver, dead beams; only tested on.

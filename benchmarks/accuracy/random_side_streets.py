@@ -41,15 +41,13 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy.side_street import GATE_M, Said, lead_s, params_of, switches
 from benchmarks.accuracy.side_street_scenes import CROSSING, SideStreet, direct_sight, random_side_street
 from benchmarks.perception.geometry_switches import machine
-from mirrorwave.node_chain import NodeParams
+from mirrorwave.node_chain import SharedParts
 from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import as_object, object_distances
-from models.perception.chain import Chain
 from models.perception.forming.ra_former import RaFormer
 from msgs.values.frames import Pose2
 from msgs.values.perception import PathClass, SceneTruth, Track
-from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.drive import Drive, DrivePlayer
@@ -126,13 +124,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     ways: dict[str, dict[str, dict[str, object]]] = msgspec.field(
         default_factory=lambda: {name: params_of(way, wall_map=kept) for name, (way, kept) in WAYS.items()}
     )
-
-
-def chain_of(params: dict[str, dict[str, object]], setup: RadarSetup) -> Chain:
-    """Return a chain as the nodes have it; maps come from elsewhere, the same for all chains."""
-    chain = NodeParams.of(params).chain()
-    chain.detection.set_up(setup)
-    return chain
 
 
 @dataclass
@@ -239,7 +230,8 @@ def run_drive(settings: Settings, index: int) -> DriveResult:
 
 
 def _driven(settings: Settings, index: int, street: SideStreet, player: DrivePlayer) -> DriveResult:
-    ways = {name: chain_of(params, player.setup) for name, params in settings.ways.items()}
+    # maps come from elsewhere, the same for all chains
+    ways = {name: SharedParts.of(params, player.setup).chain() for name, params in settings.ways.items()}
     observed = {name: Observed() for name in ways}
     former, waiting = RaFormer(player.setup), states_of(street.drive, [settings.seed, index])
     images_s: list[float] = []
@@ -287,7 +279,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     found: Estimate
     kept: Estimate
     most_possible_mean_s: Estimate
-    #: What is left of it where a track is confirmed by its third scan.
+    #: What is left of it where a track is confirmed by its second scan.
     confirmable_mean_s: Estimate
     lead_mean_s: Estimate
     kept_lead_mean_s: Estimate

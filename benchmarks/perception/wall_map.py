@@ -28,14 +28,13 @@ from benchmarks.accuracy.side_street_drives import street
 from benchmarks.accuracy.six_scenes import SCENES
 from benchmarks.perception.geometry_switches import machine
 from models.evaluation.metrics import match_objects
-from models.perception.detection.detectors import CfarDetector, NetworkDetector
-from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.stage import GeometryParams
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
 from msgs.values.perception import BevFrame, PathClass, Peaks, SceneTruth, TruthSurface, Wall
 from msgs.values.vehicle import VehicleState
+from nodes import dense_predictor
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
 
@@ -109,9 +108,8 @@ def cases() -> dict[str, list[Scene]]:
 def scans_of(scene: Scene, seed: int, arguments: argparse.Namespace) -> list[Scan]:
     """A scene through forming and detection."""
     player = ScenePlayer(scene, seed, start_ns=1_000_000_000, chirps_per_beam=arguments.chirps)
-    cfar = arguments.method == "cfar"
-    detector = CfarDetector(player.setup) if cfar else NetworkDetector(player.setup, DEFAULT_MODEL)
     former = RaFormer(player.setup)
+    detector = dense_predictor.detector_for(dense_predictor.Params(method=arguments.method), player.setup)
     rng = np.random.default_rng([seed, 8])
     found = []
     for number in range(arguments.scans):
