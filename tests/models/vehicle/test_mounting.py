@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.vehicle.mounting import Motion, MountingParams, Sighting, solve_mounting
+from models.vehicle.mounting import Motion, MountingParams, Sighting, _Problem, solve_mounting
 from msgs.values.frames import Pose2, polar_from_xy, xy_from_polar
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
@@ -174,3 +174,26 @@ def test_the_bias_at_rest_is_of_the_rest_alone(rest_s: float, bias_rps: float) -
         ]
     )
     assert motion.rest_bias_rps == pytest.approx(bias_rps, abs=1e-12)
+
+
+@pytest.mark.parametrize(("yaw_deg", "variance_m2"), [(45.0, 0.1), (-45.0, 1.9), (0.0, 1.0)])
+def test_errors_turn_with_the_radar(yaw_deg: float, variance_m2: float) -> None:
+    """A point's covariance [[1, 0.9], [0.9, 1]] is the radar's: a wall across x is met along (1, -1) / sqrt(2) by one
+    that is turned by 45 deg, where 1 - 0.9 m^2 is left of it.
+    """
+    motion = Motion(states(drive(), 1.0, late_s=0.0))
+    problem = _Problem(
+        motion=motion,
+        prior=np.zeros(6),
+        prior_std=np.ones(6),
+        scan_time_s=np.zeros(1),
+        scan=np.zeros(1, int),
+        points_m=np.array([[5.0, 0.0]]),
+        covariance_m2=np.array([[[1.0, 0.9], [0.9, 1.0]]]),
+        wall=np.zeros(1, int),
+        pivot_m=np.array([[5.0, 0.0]]),
+        normal_rad=np.zeros(1),
+        flatness_m=0.0,
+    )
+    unknowns = np.array([0.0, 0.0, math.radians(yaw_deg), 0.0, 0.0, 1.0, 0.0, 0.0])
+    assert problem.std_m(unknowns)[0] ** 2 == pytest.approx(variance_m2)

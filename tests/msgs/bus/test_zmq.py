@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from itertools import chain, count
 from pathlib import Path
 from types import FrameType
@@ -252,6 +252,15 @@ def test_name_in_use_is_refused(meeting: Path) -> None:
             second.publish("log", LogRecord(stamp_ns=0, node="same", level="info", text=""))
 
 
+@contextmanager
+def rogue_publisher(meeting: Path, topic: str) -> Iterator[zmq.Socket[bytes]]:
+    """A plain socket in the place of a publisher, closed however the test ends: a context waits for open sockets."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as rogue:
+        rogue.setsockopt(zmq.LINGER, 0)
+        rogue.bind(f"ipc://{socket_path(meeting, topic, 'rogue')}")
+        yield rogue
+
+
 def test_garbage_from_a_rogue_publisher_is_counted_and_survived(
     meeting: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -260,18 +269,13 @@ def test_garbage_from_a_rogue_publisher_is_counted_and_survived(
     random = np.random.default_rng(1)
     with closing(ZmqBus("sender", meeting)) as sender, closing(ZmqBus("receiver", meeting)) as receiver:
         sent = connect(sender, receiver, "vehicle/state", state)
-        context = zmq.Context()
-        rogue = context.socket(zmq.PUB)
-        rogue.setsockopt(zmq.LINGER, 0)
-        rogue.bind(f"ipc://{socket_path(meeting, 'vehicle/state', 'rogue')}")
-        until(lambda: rogue_heard(rogue, receiver))
-        for frames in range(1, 6):
-            rogue.send_multipart([b"vehicle/state\0", *(random.bytes(40) for _ in range(frames))])
-            rogue.send_multipart([random.bytes(30)] * frames)
-        # larger than the topic allows: libzmq itself hangs up and connects again
-        rogue.send_multipart([b"vehicle/state\0", bytes(TOPICS["vehicle/state"].max_bytes + 1)])
-        rogue.close()
-        context.term()
+        with rogue_publisher(meeting, "vehicle/state") as rogue:
+            until(lambda: rogue_heard(rogue, receiver))
+            for frames in range(1, 6):
+                rogue.send_multipart([b"vehicle/state\0", *(random.bytes(40) for _ in range(frames))])
+                rogue.send_multipart([random.bytes(30)] * frames)
+            # larger than the topic allows: libzmq itself hangs up and connects again
+            rogue.send_multipart([b"vehicle/state\0", bytes(TOPICS["vehicle/state"].max_bytes + 1)])
         sender.publish("vehicle/state", state(sent))
         assert stamps(collect(receiver, 1)) == [sent]
         assert count_of(receiver, "vehicle/state").rejected >= 1
@@ -302,15 +306,10 @@ def test_raw_bytes_into_a_publisher_are_survived(meeting: Path) -> None:
 def test_other_topics_with_the_same_beginning_do_not_come_in(meeting: Path) -> None:
     with closing(ZmqBus("receiver", meeting)) as receiver:
         receiver.subscribe("log")
-        context = zmq.Context()
-        rogue = context.socket(zmq.PUB)
-        rogue.setsockopt(zmq.LINGER, 0)
-        rogue.bind(f"ipc://{socket_path(meeting, 'log', 'rogue')}")
-        for _ in range(30):
-            rogue.send_multipart([b"logs\0", b"\x80"])
-            receiver.receive(0.01)
-        rogue.close()
-        context.term()
+        with rogue_publisher(meeting, "log") as rogue:
+            for _ in range(30):
+                rogue.send_multipart([b"logs\0", b"\x80"])
+                receiver.receive(0.01)
         assert count_of(receiver, "log").rejected == 0
 
 

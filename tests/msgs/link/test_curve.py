@@ -52,7 +52,9 @@ class Bench:
         self.context: zmq.Context[Any] = zmq.Context()
         #: An authenticator, and so an exporter, has a context of its own.
         self.contexts = [self.context]
+        #: Those that are turned, and all that are open.
         self.ends: list[Exporter | Importer] = []
+        self._open: list[Exporter | Importer] = []
         self.came: list[Forwarded] = []
 
     def exporter(self, *topics: str, address: str = "tcp://127.0.0.1:*", **options: Any) -> Exporter:
@@ -61,12 +63,14 @@ class Bench:
         self.contexts.append(zmq.Context())
         exporter = Exporter(self.contexts[-1], address, topics, **options)
         self.ends.append(exporter)
+        self._open.append(exporter)
         return exporter
 
     def importer(self, address: str, *topics: str, server: bytes | None = THEIRS.public, **options: Any) -> Importer:
         """Our end."""
         importer = Importer(self.context, Server("sensor", address, server), topics, **{"own": OURS, **options})
         self.ends.append(importer)
+        self._open.append(importer)
         return importer
 
     def until(self, done: Callable[[], object]) -> None:
@@ -97,7 +101,16 @@ class Bench:
 
     def close(self, end: Exporter | Importer) -> None:
         self.ends.remove(end)
+        self._open.remove(end)
         end.close()
+
+    def end(self) -> None:
+        """Close all that a test has left open, wherever it failed: a context waits for ever for an open socket."""
+        with contextlib.ExitStack() as stack:
+            for context in self.contexts:
+                stack.callback(context.destroy, linger=0)
+            for end in self._open:
+                stack.callback(end.close)
 
 
 @pytest.fixture
@@ -109,11 +122,10 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr("msgs.link.importer._FIRST_PING_NS", 15_000_000)
     monkeypatch.setattr("msgs.link.exporter._STRANGER_NS", 50_000_000)
     bench = Bench()
-    yield bench
-    for end in list(bench.ends):
-        bench.close(end)
-    for context in bench.contexts:
-        context.term()
+    try:
+        yield bench
+    finally:
+        bench.end()
 
 
 def sent(topic: str, message: msgspec.Struct, sequence: int = 0, publisher: str = "node") -> Received:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from msgs.values.diagnostics import SAMPLES_LIMIT, StageTime
+from msgs.values.perception import BevFrame, HiddenObject
 from msgs.values.radar import BeamGrid, RadarSetup
-from nodes.inputs.view_latency import ViewWatch, last_beam_ns, on_one_clock, stage_figures, views_text
+from nodes.inputs.view_latency import NewObjects, ViewWatch, last_beam_ns, on_one_clock, stage_figures, views_text
 from nodes.node import StageClock
+from tests.fuzz.cases import view
 
 MS = 1_000_000
+HIDDEN = HiddenObject(
+    id=1, x_m=3.0, y_m=1.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.5, cov_m2=((1.0, 0.0), (0.0, 1.0))
+)
 PERIOD_NS = 300 * MS
 #: 24 intervals of 12 ms and 128 chirps of 5.461 us.
 LAST_BEAM_NS = 288 * MS + 699_008
@@ -113,3 +119,17 @@ def test_samples_of_a_heartbeat_are_bounded_and_mean_and_worst_are_of_all() -> N
     assert stage.count == 3 * SAMPLES_LIMIT + 1
     assert SAMPLES_LIMIT / 2 < len(stage.samples_ms) <= SAMPLES_LIMIT
     assert stage.max_ms >= max(stage.samples_ms)
+
+
+def rolled(settled_ns: int, *stamps_ns: int) -> BevFrame:
+    """A view of rolling scans with objects measured at the stamps."""
+    objects = tuple(msgspec.structs.replace(HIDDEN, stamp_ns=stamp_ns) for stamp_ns in stamps_ns)
+    return msgspec.structs.replace(view(1, 10), objects=objects, settled_stamp_ns=settled_ns)
+
+
+def test_an_object_at_the_settled_stamp_is_new_once() -> None:
+    """Beams up to 100 ns are settled by the first view; by the next those after them, up to 200 ns."""
+    new = NewObjects()
+    assert len(new.of(rolled(100, 40))) == 1
+    assert [item.stamp_ns for item in new.of(rolled(200, 99, 100, 101, 200, 201))] == [101, 200]
+    assert [item.stamp_ns for item in new.of(rolled(300, 200, 201))] == [201]

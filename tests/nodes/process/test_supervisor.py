@@ -45,3 +45,14 @@ def test_a_node_that_waits_for_input_between_heartbeats_gets_all_its_time_to_sto
     now_s += 0.01
     node.stop(now_s, DRAIN_S, by_hand=False)
     assert child.patience_s == [0.5 if is_late else DRAIN_S]
+
+
+def test_restarts_are_forgotten_a_window_later() -> None:
+    """Restarts at 0, 10 and 65 s in a window of 60 s: at 65 s the first is past, at 70 s the second too."""
+    text = {"module": "nodes.geometry", "restart": {"window_s": 60.0}}
+    node = supervisor._Watched(launch_from_mapping({"name": "one", "nodes": {"one": text}}, "one.yaml").nodes["one"])
+    counted = []
+    for now_s in (0.0, 10.0, 65.0):
+        node.restarts.append(now_s)
+        counted.append(node.recent_restarts(now_s))
+    assert (counted, node.recent_restarts(70.0), node.recent_restarts(125.1)) == ([1, 2, 2], 1, 0)

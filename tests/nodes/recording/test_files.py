@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from nodes.recording.files import require_kept_free
+from msgs.values.diagnostics import TopicCount
+from nodes.recording.files import TopicLoss, losses_between, require_kept_free
 
 
 def test_what_is_to_stay_free_may_be_all_that_is_left() -> None:
@@ -17,3 +19,14 @@ def test_what_is_to_stay_free_may_be_all_that_is_left() -> None:
     with pytest.raises(OSError, match="10 MB free, 6 MB are to stay free") as caught:
         require_kept_free(path, kept_bytes=6_000_000, growth_bytes=4_000_001, free=10_000_000)
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, "a.mcap")
+
+
+def count(lost: int, rejected: int = 0, outdated: int = 0) -> TopicCount:
+    return TopicCount(topic="log", messages=9, bytes=9, lost=lost, rejected=rejected, outdated=outdated)
+
+
+def test_losses_are_those_since_the_recording_began() -> None:
+    """3 were lost before and 5 are at its end: 2 of them are the recording's; so with the rejected and the outdated."""
+    losses = losses_between([count(3, 1, 10)], [count(5, 4, 14)], Counter({"log": 7}))
+    assert losses.topics == (TopicLoss(topic="log", lost=2, rejected=3, outdated=4, missed=7),)
+    assert losses_between([count(3)], [count(3)]).topics == ()

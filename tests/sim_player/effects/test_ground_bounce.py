@@ -106,3 +106,14 @@ def test_rough_ground_reflects_less() -> None:
     route = traced(points_world([(3.0, 0.0, 1.0)], ground), NAME).routes[NAME]
     cosine = 2.0 / math.hypot(3.0, 2.0)
     assert route.rough[0] == pytest.approx(math.exp(-0.5 * (4.0 * math.pi * 1e-3 * cosine / RADAR.wavelength_m) ** 2))
+
+
+def test_rough_ground_reflects_less_beside_a_mirror_too() -> None:
+    """5 mm rms under the image (20, 6, -1): 0.980 of the field is left at a cosine of 2 / sqrt(440)."""
+    ground = Surface(role="ground", material="asphalt", roughness_mm=5.0)
+    world = points_world([(4.0, 6.0, 1.0)], wall((12.0, -5.0), (12.0, 8.0), height_m=9.0), ground)
+    routes = traced(world, NAME).routes[NAME]
+    cosine = 2.0 / math.sqrt(20.0**2 + 6.0**2 + 2.0**2)
+    left = math.exp(-0.5 * (4.0 * math.pi * 5e-3 * cosine / RADAR.wavelength_m) ** 2)
+    assert left == pytest.approx(0.980, abs=1e-3)
+    np.testing.assert_allclose(routes.rough[routes.wall == 0], left)

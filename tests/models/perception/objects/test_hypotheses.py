@@ -110,15 +110,19 @@ def test_without_a_wall_there_is_no_hypothesis() -> None:
     assert not found.features.any()
 
 
+def facing(a: np.ndarray, b: np.ndarray) -> WallArrays:
+    """Walls by their ends [W, 2], their normals towards the radar."""
+    normal = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1) / np.linalg.norm(b - a, axis=1)[:, None]
+    normal *= -np.sign(np.sum(normal * a, axis=1))[:, None]
+    nothing = np.zeros(len(a))
+    return WallArrays(normal, -np.sum(normal * a, axis=1), a, b, nothing, nothing, nothing)
+
+
 def random_walls(seed: int, count: int = 9) -> WallArrays:
     """Walls anywhere before the radar, short and long, facing it."""
     rng = np.random.default_rng(seed)
     a = np.stack([rng.uniform(2.0, 50.0, count), rng.uniform(-30.0, 30.0, count)], axis=1)
-    b = a + rng.uniform(-15.0, 15.0, (count, 2))
-    normal = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1) / np.linalg.norm(b - a, axis=1)[:, None]
-    normal *= -np.sign(np.sum(normal * a, axis=1))[:, None]
-    nothing = np.zeros(count)
-    return WallArrays(normal, -np.sum(normal * a, axis=1), a, b, nothing, nothing, nothing)
+    return facing(a, a + rng.uniform(-15.0, 15.0, (count, 2)))
 
 
 def is_free(origin_m: np.ndarray, end_m: np.ndarray, walls: WallArrays, own: int = -1) -> bool:
@@ -156,3 +160,22 @@ def test_what_blocks_a_segment_is_what_the_plain_form_says(seed: int) -> None:
             assert np.exp(4.0 * values[feature("nearest_wall")]) == pytest.approx(nearest_m, rel=1e-5)
         blocked += not values[feature("second_segment_free")]
     assert blocked > 30
+
+
+def test_images_in_other_walls_are_counted() -> None:
+    """Between y = 7 and y = -7 before x = 12 an object at (10, 1) shows in all three: of one, two others, 2 of 2."""
+    around = facing(
+        np.array([[12.0, -7.0], [0.0, 7.0], [0.0, -7.0]]), np.array([[12.0, 7.0], [12.0, 7.0], [12.0, -7.0]])
+    )
+    found = hypotheses(around)
+    row, column = cell(14.0, 1.0)
+    assert found.wall[0, row, column] == 0
+    assert found.features[0, feature("other_images"), row, column] == 1.0
+
+
+@pytest.mark.parametrize(("y_m", "is_mirror"), [(3.2, True), (3.6, True), (4.8, False)])
+def test_a_wall_mirrors_beyond_its_end_by_half_a_metre_and_two_deviations(y_m: float, is_mirror: bool) -> None:
+    """A wall at x = 30 that ends at y = 1: two deviations of a beam are 2 * 0.035 * 30 m, so it reaches to y = 3.6."""
+    row, column = cell(35.0, y_m * 35.0 / 30.0)
+    found = hypotheses(facing(np.array([[30.0, -9.0]]), np.array([[30.0, 1.0]])))
+    assert (found.wall[0, row, column] == 0) == is_mirror

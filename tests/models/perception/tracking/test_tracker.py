@@ -421,3 +421,12 @@ def test_an_object_of_beams_that_lack_their_neighbours_waits_for_them():
     assert len(tracker._tracks) == 1
     tracker.step(rolling(2, item), stationary_pose())
     assert [track.measurements for track in tracker._tracks] == [1]
+
+
+@pytest.mark.parametrize(("later_ms", "measurements"), [(100, 1), (200, 2)])
+def test_an_object_is_new_half_a_sweep_after_it_was_measured(later_ms: int, measurements: int):
+    """Views share beams for a sweep of 264 ms: what is measured 100 ms later is of the same beams, 200 ms is not."""
+    tracker = Tracker()
+    for step, stamp_ns in ((0, 1_100_000_000), (4, 1_100_000_000 + later_ms * 1_000_000)):
+        tracker.step(rolling(step, seen(8.0, 9.0, stamp_ns)), stationary_pose())
+    assert [track.measurements for track in tracker._tracks] == [measurements]

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.perception.yaw_bias import limited, made_drive, run
 from models.perception.tracking.odometry import Odometry, OdometryParams
-from models.perception.tracking.yaw_rate_bias import BiasParams, BiasSource, YawRateBias
+from models.perception.tracking.yaw_rate_bias import BIAS, BiasParams, BiasSource, YawRateBias
 from msgs.values.vehicle import VehicleState
 
 STEP_S = 0.02
@@ -205,3 +205,15 @@ def test_odometry_takes_it_off() -> None:
 def test_parameters_are_checked(name: str) -> None:
     with pytest.raises(ValueError, match=rf"odometry\.{name} must be finite and positive, got nan"):
         OdometryParams(**{name: math.nan})
+
+
+def test_after_a_standstill_the_bias_is_independent_of_steering_and_wheels() -> None:
+    """Driving ties the bias to the car's constants; a standstill measures it alone: no covariance is left."""
+    bias = learnt(drive(20.0, town, turns))
+    driving = bias._driving
+    others = [index for index in range(6) if index != BIAS]
+    assert np.abs(driving._cov[BIAS, others]).max() > 0.0
+    driving.set_bias(0.01)
+    np.testing.assert_array_equal(driving._cov[BIAS, others], 0.0)
+    np.testing.assert_array_equal(driving._cov[others, BIAS], 0.0)
+    assert driving.bias_rps == 0.01

@@ -14,7 +14,7 @@ from models.perception.detection.detectors import CfarDetector
 from models.perception.forming.radial_speed import HEARD
 from models.perception.objects.encoding import ObjectEncoding
 from models.training.data.frames import DataSet, speed_unit_std_mps
-from models.training.data.object_samples import ObjectSample, SampleMaker
+from models.training.data.object_samples import ObjectSample, ObjectTargets, SampleMaker
 from models.training.data.object_store import (
     EXACT_WALLS_SHARE,
     MAP_WALLS_SHARE,
@@ -195,3 +195,19 @@ def test_half_of_the_scans_at_rest_have_speeds(places: DataSet, tmp_path: Path) 
     ]
     assert 0 < sum(shown[0]) < 3
     assert not any(shown[1])
+
+
+def test_the_flip_exchanges_left_and_right_of_every_target() -> None:
+    """Along the ray all stays, across it all changes sign, and so does the sine of twice the heading; of three columns
+    the first becomes the last.
+    """
+    one = np.ones((1, 2), np.float32) * [1.0, 2.0]
+    targets = ObjectTargets(np.array([[0, 1, 0]]), np.zeros(1, int), np.zeros(1, int), one, one + 3.0, one + 6.0, one)
+    cells = np.arange(12, dtype=np.float16).reshape(2, 2, 3)
+    wall = np.arange(6, dtype=np.int16).reshape(1, 2, 3)
+    flipped = ObjectSample(cells, wall, wall + 6, targets).flipped([1])
+    got = flipped.targets
+    assert (got.at.tolist(), got.log_size.tolist()) == ([[0, 1, 2]], [[4.0, 5.0]])
+    assert (got.place_m.tolist(), got.heading.tolist(), got.centre_m.tolist()) == ([[1, -2]], [[7, -8]], [[1, -2]])
+    assert flipped.cells[:, 0].tolist() == [[2, 1, 0], [-8, -7, -6]]
+    assert (flipped.wall[0, 0].tolist(), flipped.second[0, 0].tolist()) == ([2, 1, 0], [8, 7, 6])
