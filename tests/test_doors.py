@@ -273,8 +273,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from mirrorwave.annotate import clouds as annotate_clouds
     from mirrorwave.convert import detection_tables
     from mirrorwave.diagnose import foreign_topic
-    from models.perception import cards
-    from models.perception.detection import onnx_model
+    from models.perception import cards, onnx_session
     from models.perception.transients import scan
     from models.sensors import config_file, confocal
     from msgs.bus import codec
@@ -335,7 +334,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),
         "message of a recording": _size(codec.MAX_INLINE_BYTES),
         "card of a network": _size(cards.MAX_CARD_BYTES),
-        "network": _size(onnx_model.MAX_MODEL_BYTES),
+        "network": _size(onnx_session.MAX_MODEL_BYTES),
         "archive of arrays, unpacked": _size(array_files.MAX_UNPACKED_BYTES),
         "key file": _size(curve_keys.MAX_BYTES),
         "a node's log file": f"{_size(logs._FILE_BYTES)}, four of them",

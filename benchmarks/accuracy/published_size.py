@@ -28,8 +28,8 @@ from rich.progress import track
 
 from mirrorwave.profiles import read_profile
 from models.perception.detection.encoding import encode_map
-from models.perception.detection.onnx_model import open_session
 from models.perception.forming.ra_former import RaFormer
+from models.perception.onnx_session import open_session
 from models.training.export.onnx import Exported, export_onnx
 from models.training.families import preset_network
 from msgs.values.radar import RadarSetup, RangeAzimuthMap

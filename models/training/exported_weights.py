@@ -19,8 +19,9 @@ from torch import Tensor, nn
 
 from models.networks.compact_unet import CompactUNet
 from models.networks.object_unet import ObjectUNet
-from models.perception.detection.onnx_model import load_card, open_session
+from models.perception.detection.onnx_model import load_card
 from models.perception.objects.predictor import load_object_card
+from models.perception.onnx_session import open_session
 
 #: Largest difference of an answer between the file and the network, relative to the largest answer.
 PARITY = 1e-4

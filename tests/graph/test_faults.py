@@ -36,7 +36,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from benchmarks.live.faults import processes_of
 from mirrorwave.cli import main
-from models.perception.detection.onnx_model import MAX_MODEL_BYTES
+from models.perception.onnx_session import MAX_MODEL_BYTES
 from msgs.bus.interface import Outgoing
 from msgs.bus.local import LocalNetwork
 from msgs.bus.topics import TOPICS, topic_facts

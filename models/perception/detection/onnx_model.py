@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,16 +15,10 @@ from models.perception.detection.anchors import anchor_points
 from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.detection.peaks import Points, heatmap_points
 from models.perception.detection.score_calibration import ScoreTable, check_table
+from models.perception.onnx_session import MAX_MODEL_BYTES, session_of, wrong_checksum
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
-#: Errors that a session raises for bytes that are no network.
-_NO_NETWORK = tuple(
-    getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
-    for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
-)
-#: No ONNX file holds more: it is one protobuf message.
-MAX_MODEL_BYTES = (1 << 31) - 1
 #: Hint on how to make a network with its card.
 GUIDE = (
     "`mirrorwave export` writes a network with its card: docs/guides/train-on-my-captures.md; "
@@ -196,8 +189,8 @@ def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxrunt
         wrong.append(str(error))
     try:
         model = read_learned(model_path, MAX_MODEL_BYTES)
-        wrong += _wrong_checksum(model_path, model, card.sha256) if card else []
-        session = _session(model_path, model, threads)
+        wrong += wrong_checksum(model_path, model, card.sha256) if card else []
+        session = session_of(model_path, model, threads)
     except ValueError as error:
         wrong.append(str(error))
     if card is not None:
@@ -207,31 +200,6 @@ def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxrunt
     if wrong or card is None or session is None:
         raise ValueError(f"{'; '.join(wrong)} ({GUIDE})")
     return card, session
-
-
-def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
-    """Return a session for a file with this checksum; raises `ValueError` naming the file."""
-    model = read_learned(model_path, MAX_MODEL_BYTES)
-    if wrong := _wrong_checksum(model_path, model, sha256):
-        raise ValueError(wrong[0])
-    return _session(model_path, model, threads)
-
-
-def _wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
-    actual = hashlib.sha256(model).hexdigest()
-    return [] if actual == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {actual}"]
-
-
-def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    # a spinning worker would keep its core from the other nodes between two maps
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    try:
-        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    except _NO_NETWORK as error:
-        raise ValueError(f"{model_path} must be a whole ONNX file: {' '.join(str(error).split())}") from None
 
 
 def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import card_path, read_card
-from models.perception.detection.onnx_model import open_session
 from models.perception.geometry.recovery import ReflectionState
+from models.perception.onnx_session import open_session
 
 #: Coordinates the network sees: the radar's, those of each image's own wall, or the radar's with the axes of the
 #: published checkpoints (x to the right, y ahead).

@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import card_path, learned_path, read_card
-from models.perception.detection.onnx_model import open_session
 from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
@@ -22,6 +21,7 @@ from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, d
 from models.perception.objects.encoding import ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.radial_speed import radial_speeds
+from models.perception.onnx_session import open_session
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
 from msgs.values.radar import RangeAzimuthMap
