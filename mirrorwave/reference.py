@@ -23,6 +23,7 @@ import msgspec
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import MIB, TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
+from msgs.values.arrays import Checked, limits_of
 
 NODES_DIR = CHECKOUT / "nodes"
 #: In a table cell this would end the cell.
@@ -149,10 +150,24 @@ def _node_section(module_name: str) -> str:
 def fields_of(kind: type) -> list[Field]:
     """Fields of a Struct in the order of its definition, those of its bases first."""
     comments = {name: text for base in reversed(kind.__mro__) for name, text in _source_fields(base)}
+    if issubclass(kind, Checked):
+        plain, ruled = get_type_hints(kind), get_type_hints(kind, include_extras=True)
+        comments = {
+            name: (_type_text(plain[name]), f"{comment} {limits_of(ruled[name])}")
+            for name, (_, comment) in comments.items()
+        }
     return [
         Field(field.name, _cell(comments[field.name][0]), _default(field), _cell(comments[field.name][1]))
         for field in msgspec.structs.fields(kind)
     ]
+
+
+def _type_text(hint: Any) -> str:
+    """Return a type as its source names it, without the limits of its annotation."""
+    if isinstance(hint, type) and not get_args(hint):
+        return "np.ndarray" if hint.__name__ == "ndarray" else hint.__name__
+    text = re.sub(r"\b(?:msgs(?:\.\w+)*|typing)\.", "", str(hint)).replace("numpy.", "np.")
+    return _cell(re.sub(r"^Optional\[(.*)\]$", r"\1 | None", text))
 
 
 @cache

@@ -58,8 +58,9 @@ from models.perception.chain import Chain
 from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.tracker import Tracker
+from msgs.values.arrays import Covariance
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Covariance, HiddenObject, SceneTruth, Track
+from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, Track
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
 from nodes.process.validation import merged

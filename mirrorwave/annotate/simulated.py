@@ -15,6 +15,7 @@ from mirrorwave.annotate.manifest import Cloud, Manifest, Pose
 from models.annotation.registration import import_open3d
 from models.training.files import json_lines
 from msgs.files.whole_files import write_whole
+from msgs.files.yaml_loader import PlainDumper
 from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
 from sim_player.scene.description import Scene
 
@@ -58,7 +59,7 @@ def write_views(
     manifest = Manifest(name=scene.name, radar_height_m=scene.radar.height_m, clouds=tuple(clouds), seed=seed)
     content = msgspec.to_builtins(manifest)
     plain = {name: content[name] for name in ("name", "radar_height_m", "seed", "clouds")}
-    write_whole(out / "scene.yaml", yaml.safe_dump(plain, sort_keys=False).encode())
+    write_whole(out / "scene.yaml", yaml.dump(plain, Dumper=PlainDumper, sort_keys=False).encode())
     write_whole(out / "truth.json", json_lines(truth))
 
 

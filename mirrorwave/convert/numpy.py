@@ -13,7 +13,7 @@ from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -147,6 +147,7 @@ def _column(values: list[Any], shape: tuple[int, ...] | None) -> np.ndarray:
 
 def _shape(kind: Any) -> tuple[int, ...] | None:
     """Shape of a type: () of a number or text, lengths of nested tuples of fixed length, None of anything else."""
+    kind = _without_rule(kind)
     options = [option for option in get_args(kind) if option is not type(None)]
     if get_origin(kind) in (Union, UnionType) and len(options) == 1:
         return _shape(options[0])
@@ -167,7 +168,13 @@ def _plain(value: Any) -> Any:
 
 def _is_single(kind: Any) -> bool:
     """Return whether a field always holds one number or text."""
+    kind = _without_rule(kind)
     return isinstance(kind, type) and issubclass(kind, bool | int | float | str)
+
+
+def _without_rule(kind: Any) -> Any:
+    """Return a type without the limits that an annotation sets it."""
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
 def _table_types(message_type: Any) -> dict[str, Any]:

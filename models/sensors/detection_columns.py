@@ -15,9 +15,8 @@ import msgspec
 import numpy as np
 
 from msgs.values.arrays import require_finite, require_positive
-from msgs.values.detections import MAX_DETECTIONS, RadarDetections
+from msgs.values.detections import MAX_DETECTIONS, OPTIONAL_COLUMNS, RadarDetections
 from msgs.values.frames import Pose2, polar_from_xy
-from msgs.values.perception import PEAK_LIMITS
 
 #: Columns by their names, or by their numbers from 0 where a file has no names.
 Columns = Mapping[str | int, np.ndarray]
@@ -190,7 +189,9 @@ def detections_of(
     values = {name: column[keep][:MAX_DETECTIONS] for name, column in values.items()}
     if (excess := int(keep.sum()) - MAX_DETECTIONS) > 0:
         left_out[f"more than {MAX_DETECTIONS} in a scan"] += excess
-    optional: dict[str, Any] = {field: _optional(values, name, left_out) for field, name in _OPTIONAL.items()}
+    optional: dict[str, Any] = {
+        field: _optional(values, name, OPTIONAL_COLUMNS[field], left_out) for field, name in _OPTIONAL.items()
+    }
     range_m, azimuth_rad = values["range"], values["azimuth"]
     detections = RadarDetections(
         stamp_ns=stamp_ns,
@@ -262,11 +263,14 @@ def _covariance(values: dict[str, np.ndarray]) -> np.ndarray:
     return polar_covariance(values["range"], values["azimuth"], variance_m2)
 
 
-def _optional(values: dict[str, np.ndarray], name: str, left_out: Counter[str]) -> np.ndarray | None:
+def _optional(
+    values: dict[str, np.ndarray], name: str, limits: tuple[float, float], left_out: Counter[str]
+) -> np.ndarray | None:
     if name not in values:
         return None
+    least, greatest = limits
     # NaN is what a sensor writes where it measured nothing; anything else that cannot be is lost
-    absurd = np.abs(values[name]) > PEAK_LIMITS["snr_db"]
+    absurd = (values[name] < least) | (values[name] > greatest)
     if absurd.any():
-        left_out[f"{name} is beyond {PEAK_LIMITS['snr_db']:g}: the value alone"] += int(absurd.sum())
+        left_out[f"{name} is not within {least:g}..{greatest:g}: the value alone"] += int(absurd.sum())
     return np.where(absurd, np.nan, values[name])

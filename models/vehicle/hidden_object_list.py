@@ -1,7 +1,7 @@
 """A view of hidden objects as the messages of a DBC: slot of each object, fitted values, status.
 
 Pure: a view and its age go in, frames come out; the DBC states ids, bits, ranges, cycle times and delays. A value
-beyond its range is clipped to the range and marked; a non-finite one makes its message invalid.
+beyond its range is clipped to the range and marked.
 """
 
 from __future__ import annotations
@@ -65,11 +65,10 @@ class ListFrame(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """Values within the ranges of their signals, whether any was clipped, whether all are numbers."""
+    """Values within the ranges of their signals, and whether any was clipped."""
 
     values: dict[str, float]
     saturated: bool
-    finite: bool
 
 
 class HiddenObjectList:
@@ -105,9 +104,9 @@ class HiddenObjectList:
             for name, values_of in ((POSITION_MESSAGE, position_values), (SHAPE_MESSAGE, shape_values)):
                 message = self._messages[name.format(slot)]
                 fitted = fit(message, {} if hidden_object is None else values_of(hidden_object))
-                valid = hidden_object is not None and fitted.finite
                 saturated = saturated or fitted.saturated
-                frames.append(self._frame(message, {**fitted.values, "VALID": valid}, fitted.saturated, counter))
+                values = {**fitted.values, "VALID": hidden_object is not None}
+                frames.append(self._frame(message, values, fitted.saturated, counter))
         status = self._messages[STATUS_MESSAGE]
         values = {**fit(status, status_values(view, age_ns, self.slots)).values, "VALID": fresh}
         frames.append(self._frame(status, values, saturated, counter))
@@ -120,16 +119,8 @@ class HiddenObjectList:
 
 
 def listed_objects(objects: tuple[HiddenObject, ...], slots: int) -> tuple[HiddenObject, ...]:
-    """Return the objects that get a slot: the highest scores first, those with non-finite numbers last."""
-
-    def rank(item: HiddenObject) -> tuple[bool, float]:
-        values = {**position_values(item), **shape_values(item)}
-        return not all(math.isfinite(value) for value in values.values()), -item.score
-
-    # a score that is NaN would leave the order undefined
-    scored = [item for item in objects if math.isfinite(item.score)]
-    unscored = [item for item in objects if not math.isfinite(item.score)]
-    return tuple((sorted(scored, key=rank) + unscored)[:slots])
+    """Return the objects that get a slot, the highest scores first."""
+    return tuple(sorted(objects, key=lambda item: -item.score)[:slots])
 
 
 def position_values(hidden_object: HiddenObject) -> dict[str, float]:
@@ -144,12 +135,11 @@ def position_values(hidden_object: HiddenObject) -> dict[str, float]:
 
 def shape_values(hidden_object: HiddenObject) -> dict[str, float]:
     """Return the values of a shape message for an object; the heading is ambiguous by half a turn."""
-    yaw_rad = wrap_angle(hidden_object.yaw_rad) if math.isfinite(hidden_object.yaw_rad) else math.nan
     return {
         "ID": hidden_object.id,
         "LENGTH": hidden_object.length_m,
         "WIDTH": hidden_object.width_m,
-        "YAW": yaw_rad,
+        "YAW": wrap_angle(hidden_object.yaw_rad),
         "SCORE": hidden_object.score,
     }
 
@@ -176,14 +166,10 @@ def status_values(view: BevFrame | None, age_ns: int | None, slots: int) -> dict
 
 
 def worst_std_m(hidden_object: HiddenObject) -> float:
-    """Return the standard deviation of the centre along its worst direction, metres; NaN for an invalid covariance."""
+    """Return the standard deviation of the centre along its worst direction, metres."""
     (xx, xy), (yx, yy) = hidden_object.cov_m2
     mean, cross = 0.5 * (xx + yy), 0.5 * (xy + yx)
-    spread = math.hypot(0.5 * (xx - yy), cross)
-    # a matrix with a negative variance is invalid; one that is singular up to rounding is not
-    if not (math.isfinite(mean + spread) and mean - spread >= -1e-9 * (mean + spread)):
-        return math.nan
-    return math.sqrt(max(0.0, mean + spread))
+    return math.sqrt(mean + math.hypot(0.5 * (xx - yy), cross))
 
 
 def observable_share(view: BevFrame) -> float:
@@ -194,16 +180,14 @@ def observable_share(view: BevFrame) -> float:
 
 
 def fit(message: Message, values: Values) -> Fitted:
-    """Return every signal of a message within its range; zero for missing and non-finite values."""
-    fitted, saturated, finite = {}, False, True
+    """Return every signal of a message within its range; zero for missing values."""
+    fitted, saturated = {}, False
     for signal in message.signals:
         value = float(values.get(signal.name, 0.0))
-        if not math.isfinite(value):
-            finite, value = False, 0.0
         fitted[signal.name] = min(max(value, float(signal.minimum or 0)), float(signal.maximum or 0))
         # half a step beyond the end is rounding
         saturated = saturated or abs(fitted[signal.name] - value) > 0.5 * abs(float(signal.scale))
-    return Fitted(fitted, saturated, finite)
+    return Fitted(fitted, saturated)
 
 
 def protected(message: Message, values: Values) -> bytes:

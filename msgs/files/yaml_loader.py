@@ -1,7 +1,11 @@
-"""YAML of others as values: no unbounded growth, no slow parsing, no value that does not match its tag."""
+"""YAML as values and back: no unbounded growth, no slow parsing, no value that does not match its tag.
+
+Plain values are those of YAML 1.2, not of 1.1: `1e-07` is a number; `off`, `12:30:00` and `2026-01-01` are text.
+"""
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import yaml
@@ -38,3 +42,25 @@ class BoundedLoader(yaml.SafeLoader):
             return super().compose_node(parent, index)
         finally:
             self._depth -= 1
+
+
+class PlainDumper(yaml.SafeDumper):
+    """`SafeDumper` that quotes text which YAML 1.1 or 1.2 would read as another value, and writes no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Return True: lists that occur twice are written twice."""
+        return True
+
+
+_PLAIN_VALUES = (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+", list("-+0123456789")),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", list("-+.0123456789")),
+    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.")),
+)
+# what 1.1 adds stays out: the digits of a sexagesimal number multiply, half a megabyte of them takes a minute
+BoundedLoader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in _PLAIN_VALUES:
+    for _yaml_class in (BoundedLoader, PlainDumper):
+        _yaml_class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _first)

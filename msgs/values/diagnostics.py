@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import ClassVar
 
-import msgspec
+from msgs.values.arrays import Checked, Count, Milliseconds, Seconds, StampNs
 
 #: Durations of a stage that travel with one heartbeat at most.
 SAMPLES_LIMIT = 128
@@ -19,61 +20,71 @@ class NodeState(StrEnum):
     STOPPING = "stopping"
 
 
-class StageTime(msgspec.Struct, frozen=True, kw_only=True):
+class StageTime(Checked, frozen=True, kw_only=True):
     """Duration of one stage over the last heartbeat interval."""
 
+    label: ClassVar[str] = "stage"
+
     name: str
-    count: int
-    last_ms: float
-    mean_ms: float
-    max_ms: float
+    count: Count
+    last_ms: Milliseconds
+    mean_ms: Milliseconds
+    max_ms: Milliseconds
     #: Single durations in order, at most `SAMPLES_LIMIT` evenly chosen: quantiles over several heartbeats need them.
-    samples_ms: tuple[float, ...] = ()
+    samples_ms: tuple[Milliseconds, ...] = ()
 
 
-class TopicCount(msgspec.Struct, frozen=True, kw_only=True):
+class TopicCount(Checked, frozen=True, kw_only=True):
     """Messages of one topic since the node started."""
 
+    label: ClassVar[str] = "topic_count"
+
     topic: str
-    messages: int
-    bytes: int
+    messages: Count
+    bytes: Count
     #: Lost in transit, by gaps in the sequence numbers.
-    lost: int = 0
+    lost: Count = 0
     #: Arrived but unreadable.
-    rejected: int = 0
+    rejected: Count = 0
     #: Arrived, and skipped because a newer one waited beside it (topics whose receivers want the newest only).
-    outdated: int = 0
+    outdated: Count = 0
 
 
-class ShedCount(msgspec.Struct, frozen=True, kw_only=True):
+class ShedCount(Checked, frozen=True, kw_only=True):
     """Work that a node dropped since it started, so as not to fall behind: kind, reason and count."""
+
+    label: ClassVar[str] = "shed"
 
     what: str
     reason: str
-    count: int
+    count: Count
 
 
-class NodeStatus(msgspec.Struct, frozen=True, kw_only=True):
+class NodeStatus(Checked, frozen=True, kw_only=True):
     """Heartbeat of a node."""
 
-    stamp_ns: int
+    label: ClassVar[str] = "status"
+
+    stamp_ns: StampNs
     node: str
-    pid: int
+    pid: Count
     state: NodeState
     reason: str = ""
-    uptime_s: float = 0.0
-    cpu_s: float = 0.0
-    resident_bytes: int = 0
+    uptime_s: Seconds = 0.0
+    cpu_s: Seconds = 0.0
+    resident_bytes: Count = 0
     stages: tuple[StageTime, ...] = ()
     received: tuple[TopicCount, ...] = ()
     published: tuple[TopicCount, ...] = ()
     shed: tuple[ShedCount, ...] = ()
 
 
-class LogRecord(msgspec.Struct, frozen=True, kw_only=True):
+class LogRecord(Checked, frozen=True, kw_only=True):
     """One line of a node's log."""
 
-    stamp_ns: int
+    label: ClassVar[str] = "log"
+
+    stamp_ns: StampNs
     node: str
     level: str
     text: str

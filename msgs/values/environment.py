@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import msgspec
 
-from msgs.values.arrays import require_finite, require_stamps, require_within
+from msgs.values.arrays import Checked, StampNs, require_finite, require_within
 
 #: Walls of one message: each is compared with each wall of a scan.
 MAX_PRIOR_WALLS = 256
@@ -40,19 +41,21 @@ class PriorWall(msgspec.Struct, frozen=True, kw_only=True):
             require_within(f"wall.{name}", least, largest, getattr(self, name))
 
 
-class WallPriors(msgspec.Struct, frozen=True, kw_only=True):
+class WallPriors(Checked, frozen=True, kw_only=True):
     """All walls that one source knows about the vehicle (topic `environment/walls`), vehicle frame at `stamp_ns`.
 
     A message replaces the earlier ones of its source; one without walls takes them back.
     """
 
-    stamp_ns: int
+    label: ClassVar[str] = "wall_priors"
+
+    stamp_ns: StampNs
     #: Name of the map or sensor; sources are fused with each other.
     source: str
     walls: tuple[PriorWall, ...] = ()
 
     def __post_init__(self) -> None:
-        require_stamps("wall_priors.stamp_ns", self.stamp_ns)
+        super().__post_init__()
         if not 1 <= len(self.source) <= MAX_SOURCE_LENGTH:
             raise ValueError(f"wall_priors.source must have 1..{MAX_SOURCE_LENGTH} characters, got {len(self.source)}")
         if len(self.walls) > MAX_PRIOR_WALLS:

@@ -11,6 +11,8 @@ from msgs.values.arrays import require_finite, require_within
 
 #: Limit in both directions: its square, and the divisors of it, are finite doubles.
 MAX_COORDINATE_M = 1e12
+#: As beyond it a turn is no longer known to a millionth.
+MAX_YAW_RAD = 1e6
 
 
 class Pose2(msgspec.Struct, frozen=True):
@@ -23,6 +25,7 @@ class Pose2(msgspec.Struct, frozen=True):
     def __post_init__(self) -> None:
         require_finite("pose", self.x_m, self.y_m, self.yaw_rad)
         require_within("pose", -MAX_COORDINATE_M, MAX_COORDINATE_M, self.x_m, self.y_m)
+        require_within("pose.yaw_rad", -MAX_YAW_RAD, MAX_YAW_RAD, self.yaw_rad)
 
     def __matmul__(self, inner: Pose2) -> Pose2:
         """Return the product: `a_from_b @ b_from_c` is `a_from_c`, inner names must meet."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
 
-from msgs.values.arrays import require_array, require_positive, require_stamps
+from msgs.values.arrays import MAX_STAMP_NS, Array, Checked, Count, StampNs
 from msgs.values.frames import Pose2
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import PLANCK_J_S, SPEED_OF_LIGHT_MPS
@@ -159,21 +159,22 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return math.hypot(self.irf_fwhm_s / math.sqrt(8.0 * math.log(2.0)), self.jitter_rms_s)
 
 
-class LidarSetup(msgspec.Struct, frozen=True, kw_only=True):
+class LidarSetup(Checked, frozen=True, kw_only=True):
     """Set-up that a receiver needs before the first histograms: the LiDAR and its directions (topic `lidar/setup`)."""
 
-    stamp_ns: int = 0
+    label: ClassVar[str] = "lidar"
+
+    stamp_ns: StampNs = 0
     spad: SpadParams = SpadParams()
     #: Its columns are the measured azimuths, in this order.
     grid: RangeAzimuthGrid = RangeAzimuthGrid()
-    lidar_height_m: float = 1.0
+    lidar_height_m: Annotated[float, msgspec.Meta(gt=0.0, le=1e4)] = 1.0
     #: Time from the first azimuth of a scan to the first of the next; None: as long as the measurements take.
     scan_period_s: float | None = None
     vehicle_from_lidar: Pose2 = Pose2()
 
     def __post_init__(self) -> None:
-        require_stamps("lidar.stamp_ns", self.stamp_ns)
-        require_positive("lidar.lidar_height_m", self.lidar_height_m)
+        super().__post_init__()
         shortest_s = self.grid.azimuth_bins * self.spad.measurement_time_s
         if self.scan_period_s is not None and not shortest_s * (1.0 - 1e-9) <= self.scan_period_s <= LONGEST_SCAN_S:
             raise ValueError(
@@ -189,20 +190,14 @@ class LidarSetup(msgspec.Struct, frozen=True, kw_only=True):
         return self.grid.azimuth_bins * self.spad.measurement_time_s
 
 
-class PhotonHistograms(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+class PhotonHistograms(Checked, frozen=True, kw_only=True, eq=False):
     """First photons of every azimuth of one scan (topic `lidar/histograms`)."""
 
-    stamp_ns: int
-    scan_id: int
-    #: Photons per azimuth and time bin of the period, uint32 [azimuth, bins].
-    counts: np.ndarray
-    #: Start of the measurement of each azimuth, int64 [azimuth].
-    azimuth_stamp_ns: np.ndarray
+    label: ClassVar[str] = "histograms"
 
-    def __post_init__(self) -> None:
-        require_array("histograms.counts", self.counts, "<u4", (None, None))
-        require_array("histograms.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (len(self.counts),))
-        require_stamps("histograms.stamp_ns", self.stamp_ns)
-        require_stamps("histograms.azimuth_stamp_ns", self.azimuth_stamp_ns)
-        if self.scan_id < 0:
-            raise ValueError(f"histograms.scan_id must not be negative, got {self.scan_id!r}")
+    stamp_ns: StampNs
+    scan_id: Count
+    #: Photons per azimuth and time bin of the period, uint32 [azimuth, bins].
+    counts: Annotated[np.ndarray, Array("<u4", (None, None))]
+    #: Start of the measurement of each azimuth, int64 [azimuth].
+    azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("counts",), 0, MAX_STAMP_NS)]

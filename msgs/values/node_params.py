@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import msgspec
+from typing import ClassVar
 
-from msgs.values.arrays import require_stamps
+from msgs.values.arrays import Checked, StampNs
 
 #: Longest text of parameters or changes, in characters.
 MAX_PARAMS_CHARACTERS = 60_000
 
 
-class ParamRequest(msgspec.Struct, frozen=True, kw_only=True):
+class ParamRequest(Checked, frozen=True, kw_only=True):
     """Request to change parameters of a node while it runs (topic `param/request`)."""
 
-    stamp_ns: int
+    label: ClassVar[str] = "param_request"
+
+    stamp_ns: StampNs
     #: Names the request in its answer; one that is repeated is answered again and changes nothing.
     request: str
     node: str
@@ -21,14 +23,16 @@ class ParamRequest(msgspec.Struct, frozen=True, kw_only=True):
     changes: str
 
     def __post_init__(self) -> None:
-        require_stamps("param_request.stamp_ns", self.stamp_ns)
+        super().__post_init__()
         _require_text("param_request.changes", self.changes)
 
 
-class NodeParams(msgspec.Struct, frozen=True, kw_only=True):
+class NodeParams(Checked, frozen=True, kw_only=True):
     """Parameters of a node (topic `param/values`): when it starts, and in answer to each request."""
 
-    stamp_ns: int
+    label: ClassVar[str] = "node_params"
+
+    stamp_ns: StampNs
     node: str
     #: All parameters in use, as a JSON object.
     params: str
@@ -38,7 +42,7 @@ class NodeParams(msgspec.Struct, frozen=True, kw_only=True):
     error: str = ""
 
     def __post_init__(self) -> None:
-        require_stamps("node_params.stamp_ns", self.stamp_ns)
+        super().__post_init__()
         _require_text("node_params.params", self.params)
 
 

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
 
-from msgs.values.arrays import require_array, require_finite, require_stamps, require_within
+from msgs.values.arrays import (
+    MAX_STAMP_NS,
+    Array,
+    AzimuthRad,
+    Checked,
+    Count,
+    LevelDb,
+    Metres,
+    Share,
+    StampNs,
+    StandardDeviation,
+    require_finite,
+    require_within,
+)
 from msgs.values.frames import Pose2
 from msgs.values.units import (
     BOLTZMANN_J_PER_K,
@@ -250,23 +263,25 @@ class RangeAzimuthGrid(msgspec.Struct, frozen=True, kw_only=True):
         return np.asarray(index) * self.azimuth_step_rad - math.radians(self.azimuth_limit_deg)
 
 
-class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+class RadarSetup(Checked, frozen=True, kw_only=True, eq=False):
     """Set-up that a receiver needs before the first beam: radar, array, beams, calibration (topic `radar/setup`)."""
 
-    stamp_ns: int = 0
+    label: ClassVar[str] = "setup"
+
+    stamp_ns: StampNs = 0
     radar: RadarParams = RadarParams()
     array: ArrayParams = ArrayParams()
     element: ElementPattern = ElementPattern()
     beams: BeamGrid = BeamGrid()
     #: Power of a complex tone of amplitude 32768.
-    full_scale_dbm: float = -20.0
+    full_scale_dbm: LevelDb = -20.0
     #: +1 where beats have positive frequency for positive range, -1 where the hardware differs.
     beat_sign: int = 1
-    radar_height_m: float = 1.0
+    radar_height_m: Metres = 1.0
     #: Steering weights of the columns, complex64 [beams, columns]; None: computed from `array` and `beams`.
-    steering_weights: np.ndarray | None = None
+    steering_weights: Annotated[np.ndarray, Array("<c8", ("beams", "array.columns"))] | None = None
     #: Open-field background, one chirp a beam, complex64 [beams, samples] in units of the int16 codes.
-    background: np.ndarray | None = None
+    background: Annotated[np.ndarray, Array("<c8", ("beams", "radar.samples_per_chirp"))] | None = None
 
     @property
     def scan_bytes(self) -> int:
@@ -274,20 +289,9 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         return 4 * len(self.beams) * self.radar.chirps_per_beam * self.radar.samples_per_chirp
 
     def __post_init__(self) -> None:
-        require_stamps("setup.stamp_ns", self.stamp_ns)
-        require_within("setup.full_scale_dbm", -MAX_LEVEL_DB, MAX_LEVEL_DB, self.full_scale_dbm)
-        require_finite("setup.radar_height_m", self.radar_height_m)
+        super().__post_init__()
         if self.beat_sign not in (1, -1):
             raise ValueError(f"setup.beat_sign must be +1 or -1, got {self.beat_sign!r}")
-        if self.steering_weights is not None:
-            require_array("setup.steering_weights", self.steering_weights, "<c8", (len(self.beams), self.array.columns))
-        if self.background is not None:
-            require_array("setup.background", self.background, "<c8", (len(self.beams), self.radar.samples_per_chirp))
-        for name in ("steering_weights", "background"):
-            array = getattr(self, name)
-            # a non-finite number would spread over every cell of every map
-            if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"setup.{name} must be finite")
 
     @property
     def beam_interval_ns(self) -> int:
@@ -322,27 +326,22 @@ PRESETS: dict[str, RadarSetup] = {
 }
 
 
-class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+class RadarBeam(Checked, frozen=True, kw_only=True, eq=False):
     """Raw beat samples of one steering angle (topic `radar/beam`)."""
 
-    stamp_ns: int
-    scan_id: int
-    beam_index: int
-    beam_count: int
-    azimuth_rad: float
+    label: ClassVar[str] = "beam"
+
+    stamp_ns: StampNs
+    scan_id: Count
+    beam_index: Count
+    beam_count: Annotated[int, msgspec.Meta(ge=1, le=MAX_BEAMS)]
+    azimuth_rad: AzimuthRad
     #: I and Q codes, int16 [chirps, samples, 2].
-    samples: np.ndarray
-    full_scale_dbm: float
+    samples: Annotated[np.ndarray, Array("<i2", (None, None, 2))]
+    full_scale_dbm: LevelDb
 
     def __post_init__(self) -> None:
-        require_array("beam.samples", self.samples, "<i2", (None, None, 2))
-        require_finite("beam.azimuth_rad", self.azimuth_rad)
-        require_stamps("beam.stamp_ns", self.stamp_ns)
-        require_within("beam.full_scale_dbm", -MAX_LEVEL_DB, MAX_LEVEL_DB, self.full_scale_dbm)
-        if self.scan_id < 0:
-            raise ValueError(f"beam.scan_id must not be negative, got {self.scan_id!r}")
-        if self.beam_count > MAX_BEAMS:
-            raise ValueError(f"beam.beam_count must be at most {MAX_BEAMS}, got {self.beam_count!r}")
+        super().__post_init__()
         if not 0 <= self.beam_index < self.beam_count:
             raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
 
@@ -372,26 +371,28 @@ def mps_from_speed_codes(codes: np.ndarray) -> np.ndarray:
     return np.where(codes == NO_RADIAL_SPEED, np.nan, 0.01 * codes)
 
 
-class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+class RangeAzimuthMap(Checked, frozen=True, kw_only=True, eq=False):
     """Complex range-azimuth map of one scan (topic `radar/ra_map`); |values|^2 is milliwatt per bin."""
 
+    label: ClassVar[str] = "map"
+
     #: Acquisition of the first beam; positions in the map refer to the radar's pose at this time.
-    stamp_ns: int
-    scan_id: int
+    stamp_ns: StampNs
+    scan_id: Count
     grid: RangeAzimuthGrid = RangeAzimuthGrid()
     #: complex64 [range, azimuth]; float32-valued (zero imaginary part) unless coherent.
-    values: np.ndarray
+    values: Annotated[np.ndarray, Array("<c8", ("grid.range_bins", "grid.azimuth_bins"))]
     #: Acquisition time of each azimuth column, int64 [azimuth].
-    azimuth_stamp_ns: np.ndarray
+    azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("grid.azimuth_bins",), 0, MAX_STAMP_NS)]
     #: Mean noise power in milliwatt per bin, measured beyond the map's range.
-    noise_power_mw: float
+    noise_power_mw: Annotated[float, msgspec.Meta(ge=0.0, le=1e30)]
     #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
-    incoherent: np.ndarray
+    incoherent: Annotated[np.ndarray, Array("|b1", ("grid.range_bins",))]
     #: Indices of beams that are missing or were left out as silent or interfered, and of those that were not asked for.
-    missing_beams: tuple[int, ...] = ()
-    unused_beams: tuple[int, ...] = ()
+    missing_beams: tuple[Count, ...] = ()
+    unused_beams: tuple[Count, ...] = ()
     #: Share of samples at full scale.
-    saturated_share: float = 0.0
+    saturated_share: Share = 0.0
     #: The radar's own motion was compensated beam by beam.
     ego_compensated: bool = False
     #: Pose of the radar on the vehicle with which the map was formed.
@@ -401,12 +402,12 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     faults: tuple[str, ...] = ()
     #: Radial speed of each cell in cm/s, positive away from the radar, over ground where ego motion was compensated;
     #: `NO_RADIAL_SPEED` in noise; int16 [range, azimuth]. None: not measured.
-    radial_speed_cmps: np.ndarray | None = None
+    radial_speed_cmps: Annotated[np.ndarray, Array("<i2", ("grid.range_bins", "grid.azimuth_bins"))] | None = None
     #: Standard deviation of these at an SNR of 1; it falls with the root of a cell's SNR.
-    radial_speed_unit_std_mps: float = 0.0
+    radial_speed_unit_std_mps: StandardDeviation = 0.0
     #: Of maps that share beams with those before: what was measured after the `settled_stamp_ns` of the last one and up
     #: to this is new, with its neighbours. None: the beams of one scan, all of them new.
-    settled_stamp_ns: int | None = None
+    settled_stamp_ns: StampNs | None = None
 
     def __repr__(self) -> str:
         grid, noise_mw = self.grid, self.noise_power_mw
@@ -417,19 +418,7 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         )
 
     def __post_init__(self) -> None:
-        require_array("map.values", self.values, "<c8", self.grid.shape)
-        require_array("map.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (self.grid.azimuth_bins,))
-        require_array("map.incoherent", self.incoherent, "|b1", (self.grid.range_bins,))
-        require_stamps(
-            "map.stamp_ns", self.stamp_ns, *(() if self.settled_stamp_ns is None else (self.settled_stamp_ns,))
-        )
-        require_stamps("map.azimuth_stamp_ns", self.azimuth_stamp_ns)
-        if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
-            raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
-        if self.radial_speed_cmps is not None:
-            require_array("map.radial_speed_cmps", self.radial_speed_cmps, "<i2", self.grid.shape)
-        require_within("map.radial_speed_unit_std_mps", 0.0, 1e6, self.radial_speed_unit_std_mps)
-        require_within("map.saturated_share", 0.0, 1.0, self.saturated_share)
+        super().__post_init__()
         if self.mode not in MAP_MODES:
             raise ValueError(f"map.mode must be one of {', '.join(MAP_MODES)}, got {self.mode!r}")
         if not set(self.faults) <= set(MAP_FAULTS):

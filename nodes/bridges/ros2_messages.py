@@ -8,9 +8,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from msgs.values.arrays import Covariance
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Covariance, HiddenObject, Track, Visibility, Wall
+from msgs.values.perception import BevFrame, HiddenObject, Track, Visibility, Wall
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.bridges.shapes import (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +13,7 @@ import yaml
 
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
-from msgs.files.yaml_loader import BoundedLoader, in_words
+from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
 from nodes.node import NODE_NAME
 from nodes.process.validation import convert_at, merged
 
@@ -336,7 +335,7 @@ def without_viewers(launch: LaunchFile) -> LaunchFile:
 
 def dump_launch(launch: LaunchFile) -> str:
     """Return the launch file as YAML with all defaults written out; it reads back as an equal value."""
-    return yaml.dump(msgspec.to_builtins(launch), Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
+    return yaml.dump(msgspec.to_builtins(launch), Dumper=PlainDumper, sort_keys=False, allow_unicode=True)
 
 
 def _names(names: Iterable[str]) -> str:
@@ -362,24 +361,3 @@ class _StrictLoader(BoundedLoader):
                 raise yaml.MarkedYAMLError(problem=f"duplicate key {key!r}", problem_mark=key_node.start_mark)
             keys.add(key)
         return super().construct_mapping(node, deep)
-
-
-class _PlainDumper(yaml.SafeDumper):
-    """`SafeDumper` whose output `_StrictLoader` reads back as the same values."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-# YAML 1.2's plain values instead of 1.1's: `1e-3` is a number, `off` and `2026-01-01` are text
-_PLAIN_VALUES = (
-    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
-    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
-    ("int", r"[-+]?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+", list("-+0123456789")),
-    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", list("-+.0123456789")),
-    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.")),
-)
-for _yaml_class in (_StrictLoader, _PlainDumper):
-    _yaml_class.yaml_implicit_resolvers = {}
-    for _tag, _pattern, _first in _PLAIN_VALUES:
-        _yaml_class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _first)

@@ -12,6 +12,8 @@ import msgspec
 import numpy as np
 import yaml
 
+from msgs.files.yaml_loader import PlainDumper
+
 try:
     import shapely
 except ImportError:
@@ -73,8 +75,8 @@ class MapScene:
             "radar": {"preset": self.scene.radar.preset, "height_m": self.scene.radar.height_m},
             "surfaces": [_without_defaults(surface) for surface in self.scene.surfaces],
         }
-        return comment + yaml.safe_dump(
-            content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120
+        return comment + yaml.dump(
+            content, Dumper=PlainDumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120
         )
 
 

@@ -23,7 +23,7 @@ from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
 from msgs.files.shipped import shipped_path
-from msgs.files.yaml_loader import BoundedLoader, in_words
+from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
 from msgs.values.known_names import with_known_names
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.radar import PRESETS, RadarSetup
@@ -309,7 +309,7 @@ def _rounded(value: Any) -> Any:
 
 def scene_to_yaml(scene: Scene) -> str:
     """Return the YAML text that `scene_from_yaml` reads back to the same scene."""
-    return yaml.safe_dump(_plain(scene), sort_keys=False, allow_unicode=True)
+    return yaml.dump(_plain(scene), Dumper=PlainDumper, sort_keys=False, allow_unicode=True)
 
 
 def _plain(scene: Scene) -> dict[str, Any]:

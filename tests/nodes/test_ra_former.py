@@ -88,10 +88,10 @@ def test_after_a_silence_the_unfinished_scan_is_published(node: RaFormerNode) ->
 @pytest.mark.parametrize(
     ("states", "compensated"),
     [
-        ([state(0, 8.0)], True),
-        ([state(1, 8.0)], False),
-        ([state(0, 8.0, valid=False)], False),
-        ([state(-600_000_000, 8.0)], False),
+        ([state(600_000_000, 8.0)], True),
+        ([state(600_000_001, 8.0)], False),
+        ([state(600_000_000, 8.0, valid=False)], False),
+        ([state(0, 8.0)], False),
         ([], False),
     ],
     ids=["at the first beam", "after it", "invalid", "too old", "none"],
@@ -99,7 +99,7 @@ def test_after_a_silence_the_unfinished_scan_is_published(node: RaFormerNode) ->
 def test_the_state_at_the_first_beam_holds_for_the_scan(
     node: RaFormerNode, states: list[Received], compensated: bool
 ) -> None:
-    (out,) = steps(node, setup(), *states, *[beam(index) for index in range(25)])
+    (out,) = steps(node, setup(), *states, *[beam(index, scan=2) for index in range(25)])
     assert out.message.ego_compensated is compensated
 
 

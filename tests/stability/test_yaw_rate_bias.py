@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from models.perception.tracking.odometry import Odometry
 from models.perception.tracking.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
-from msgs.values.vehicle import MAX_SPEED_MPS, MAX_YAW_RATE_RPS, VehicleState
+from msgs.values.arrays import MAX_SPEED_MPS
+from msgs.values.vehicle import MAX_YAW_RATE_RPS, VehicleState
 from tests.models.perception.tracking.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
 from tests.stability.catalogue import Errors
 

@@ -15,6 +15,7 @@ from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print
 from mirrorwave.diagnose.running_graph import is_running, no_graph, silence
 from mirrorwave.diagnose.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from mirrorwave.diagnose.topic_rates import are_foreign, awaited, ends_of, listen, measure, messages
+from mirrorwave.reference import fields_of
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.codec import to_builtins
 from msgs.bus.interface import Received
@@ -68,7 +69,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
     about = {
         **{name: value for name, value in msgspec.structs.asdict(facts).items() if name != "type"},
         "type": facts.type.__name__,
-        "fields": {field.name: _type_name(field.type) for field in msgspec.structs.fields(facts.type)},
+        "fields": {field.name: field.annotation for field in fields_of(facts.type)},
         **ends_of(topic, window, domain),
     }
     if as_json:
@@ -252,12 +253,6 @@ def delay(
         print_table([name.upper() for name in rows[0]], [[value or None for value in row.values()] for row in rows])
     if topics or not rows:
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
-
-
-def _type_name(kind: Any) -> str:
-    if isinstance(kind, type):
-        return kind.__name__
-    return str(kind).replace("msgs.values.perception.", "").replace("msgs.values.", "")
 
 
 def _require_heard(topics: list[str], heard: set[str], duration_s: float, domain: str) -> None:

@@ -24,9 +24,9 @@ from models.perception.tracking.bernoulli import MAX_EXISTENCE, Bernoulli, born,
 from models.perception.tracking.estimate import Estimate
 from models.perception.tracking.measurements import Sighting, detection_probabilities, rotation, sightings
 from models.perception.tracking.odometry import OdometryPose, odom_from_radar_after
-from msgs.values.arrays import require_positive, require_within
+from msgs.values.arrays import Covariance, require_positive, require_within
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Covariance, Track
+from msgs.values.perception import BevFrame, Track
 from msgs.values.units import ns_from_s, s_from_ns
 
 #: A radar at the reference point of the vehicle's motion.

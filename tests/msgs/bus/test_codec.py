@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import TOPICS
-from msgs.values.arrays import DTYPES, MAX_STAMP_NS
+from msgs.values.arrays import DTYPES, MAX_SPEED_MPS, MAX_STAMP_NS
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
@@ -27,7 +27,7 @@ from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.values.vehicle import MAX_SPEED_MPS, VehicleState
+from msgs.values.vehicle import VehicleState
 
 RANDOM = np.random.default_rng(7)
 GRID = RangeAzimuthGrid(range_bins=6, azimuth_bins=4)
@@ -274,7 +274,7 @@ def test_header_has_a_limit_of_its_own() -> None:
 
 def test_integer_too_large_for_msgpack() -> None:
     with pytest.raises(CodecError):
-        encode(envelope("log"), LogRecord(stamp_ns=1 << 70, node="a", level="INFO", text=""))
+        encode_inline(_Plain(1 << 70))
 
 
 def tampered(change: object, frames: list[bytes] | None = None) -> list[bytes]:
@@ -293,7 +293,7 @@ TAMPERINGS = {
     "float for integer": (lambda h: h["body"].update(scan_id=2.5), "Expected `int`"),
     "bool for integer": (lambda h: h["body"].update(scan_id=True), "Expected `int`"),
     "value its type refuses": (lambda h: h["body"].update(beam_index=9), "beam.beam_index must be"),
-    "not finite": (lambda h: h["body"].update(azimuth_rad=math.nan), "beam.azimuth_rad must be finite"),
+    "not finite": (lambda h: h["body"].update(azimuth_rad=math.nan), "Expected `float` >= -3.14"),
     "protocol": (lambda h: h["envelope"].update(protocol=2), "protocol must be 1"),
     "other topic": (lambda h: h["envelope"].update(topic="log"), "topic must be that of the first frame"),
     "negative sequence": (lambda h: h["envelope"].update(sequence=-1), "sequence must not be negative"),
@@ -350,9 +350,7 @@ def test_first_frame_must_be_a_topic(frames: list[bytes]) -> None:
 def test_summary_of_arrays_stays_small_and_valid_json() -> None:
     values = np.full(GRID.shape, 3.0 - 4.0j, np.complex64)
     values[0, 0] = np.nan
-    example = EXAMPLES["radar/ra_map"][0]
-    summary = to_builtins(msgspec.structs.replace(example, values=values))
-    assert json.loads(json.dumps(summary, allow_nan=False))["values"] == {
+    assert json.loads(json.dumps(to_builtins(_Any(values)), allow_nan=False))["array"] == {
         "dtype": "<c8",
         "shape": [6, 4],
         "min": 5.0,
@@ -362,10 +360,13 @@ def test_summary_of_arrays_stays_small_and_valid_json() -> None:
 
 
 def test_non_finite_numbers_become_null() -> None:
-    point = HiddenPoint(x_m=math.inf, y_m=math.nan, score=1.0, image_x_m=0.0, image_y_m=0.0, wall=0)
-    assert to_builtins(point) == {
-        "x_m": None, "y_m": None, "score": 1.0, "image_x_m": 0.0, "image_y_m": 0.0, "wall": 0
-    }  # fmt: skip
+    assert [to_builtins(_Plain(number)) for number in (math.inf, math.nan, 1.0)] == [
+        {"number": None}, {"number": None}, {"number": 1.0},
+    ]  # fmt: skip
+
+
+class _Plain(msgspec.Struct, frozen=True):
+    number: float
 
 
 class _Any(msgspec.Struct, frozen=True, eq=False):
@@ -433,7 +434,7 @@ def refusal(read: Callable[[], object]) -> str:
 @given(
     message=st.builds(
         VehicleState,
-        stamp_ns=st.integers(-MAX_STAMP_NS, MAX_STAMP_NS),
+        stamp_ns=st.integers(0, MAX_STAMP_NS),
         speed_mps=st.floats(-MAX_SPEED_MPS, MAX_SPEED_MPS),
         valid=st.booleans(),
         reason=st.text(max_size=30),
@@ -458,7 +459,7 @@ def test_vehicle_states_of_an_older_version_know_no_wheels() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -3e7])
 def test_a_difference_of_wheels_that_is_none_is_refused(value: float) -> None:
-    with pytest.raises(ValueError, match=r"vehicle\.wheel_speed_difference_mps must lie in"):
+    with pytest.raises(ValueError, match=r"vehicle\.wheel_speed_difference_mps must be within"):
         VehicleState(stamp_ns=7, wheel_speed_difference_mps=value)
 
 

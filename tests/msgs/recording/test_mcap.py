@@ -442,7 +442,7 @@ def test_copy_trims_and_compresses(tmp_path: Path) -> None:
 
 
 def test_log_text_of_any_kind(tmp_path: Path) -> None:
-    record_in = LogRecord(stamp_ns=-5, node="a", level="info", text="Mauer \u00e4 \U0001f697 \0")
+    record_in = LogRecord(stamp_ns=5, node="a", level="info", text="Mauer \u00e4 \U0001f697 \0")
     with RecordingWriter(tmp_path / "a.mcap", {}) as writer:
         writer.write("log", record_in, publisher="a", sequence=(1 << 32) + 3, sent_ns=0)
     ((message,), _) = read(tmp_path / "a.mcap")

@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from msgs.values.arrays import Covariance
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Visibility, Wall
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track, Visibility, Wall
 from msgs.values.radar import MAP_FAULTS
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import ViewFigures
@@ -118,18 +119,6 @@ def test_only_what_surely_moves_is_called_moving(speed_mps: float, std_mps: floa
     assert is_moving(one, PARAMS) is moves
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-@pytest.mark.parametrize("field", ["cov_m2", "velocity_cov_m2ps2"])
-@pytest.mark.parametrize("x_m", [8.0, 3.0])
-def test_a_covariance_that_is_not_finite_says_nothing_of_motion(x_m: float, field: str, value: float) -> None:
-    """Neither that ways meet nor, of its velocity, that it moves; what else is known is said all the same."""
-    one = track(x_m, x_m - 2.0, velocity_y_mps=-2.0, time_to_appear_s=2.0, **{field: ((value, 0.0), (0.0, value))})
-    (told,) = at_last([facts(0.0, frame(one), vehicle=VehicleState(stamp_ns=0, speed_mps=2.0))])
-    moves = field == "cov_m2"
-    assert told.level is (Level.URGENT if moves else Level.CAUTION)
-    assert told.title.endswith("about to appear")
-
-
 def test_one_car_followed_twice_is_one_warning() -> None:
     twins = track(time_to_appear_s=2.4), track(35.5, 15.2, id=7, time_to_appear_s=2.0)
     (one,) = at_last(steady(frame(*twins), 1))
@@ -212,8 +201,7 @@ def test_objects_without_tracks_are_a_notice() -> None:
     one = HiddenObject(
         id=0, x_m=10.0, y_m=-10.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.9, cov_m2=PLACE_COV
     )  # fmt: skip
-    nowhere = msgspec.structs.replace(one, x_m=math.nan)
-    (told,) = at_last(steady(frame(objects=(one, nowhere))))
+    (told,) = at_last(steady(frame(objects=(one,))))
     assert (told.key, told.level) == ("hidden/right", Level.NOTICE)
     assert told.detail == "14 m, 45° right; not followed, motion unknown"
 
@@ -265,7 +253,6 @@ def test_a_turning_vehicle_goes_round_a_circle_and_its_radar_with_it() -> None:
         track(20.0, 40.0),  # too far
         track(20.0, 16.0, velocity_cov_m2ps2=None),  # nobody knows how surely
         track(20.0, 16.0, velocity_cov_m2ps2=((4.0, 0.0), (0.0, 4.0))),  # not surely at all
-        track(20.0, 16.0, cov_m2=((math.inf, 0.0), (0.0, 1.0))),
     ],
 )
 def test_ways_that_nobody_can_tell_to_meet_do_not(one: Track) -> None:

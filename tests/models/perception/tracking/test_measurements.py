@@ -16,8 +16,9 @@ from models.perception.tracking.measurements import (
     detection_probabilities,
     sightings,
 )
+from msgs.values.arrays import Covariance
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, RadialSpeed, Visibility
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, RadialSpeed, Visibility
 
 EYE: Covariance = ((0.09, 0.0), (0.0, 0.09))
 

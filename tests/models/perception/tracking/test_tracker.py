@@ -12,8 +12,9 @@ from models.perception.tracking.estimate import motion_noise
 from models.perception.tracking.measurements import UNOBSERVABLE_SHARE
 from models.perception.tracking.odometry import Odometry, OdometryParams, OdometryPose, stationary_pose
 from models.perception.tracking.tracker import MAX_POSITION_STD_M, Tracker, TrackerParams
+from msgs.values.arrays import Covariance
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Visibility, Wall
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track, Visibility, Wall
 from msgs.values.vehicle import VehicleState, ego_motion
 
 PERIOD_NS = 300_000_000
