@@ -105,6 +105,7 @@ class Link(Node):
 
     #: A peer counts omitted messages as lost.
     wants_all = True
+    takes_all_publishers = True
     max_origins = MAX_LATCHED
 
     def __init__(self, params: Params) -> None:

@@ -37,6 +37,7 @@ from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
 from msgs.bus.topics import topic_facts
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from nodes.inputs.publishers import BoundInputs
 from nodes.process.interpreter import start_again_if_compiled
 from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
 from nodes.process.memory import FreeHeap, release_unused
@@ -136,6 +137,8 @@ class Node:
     outputs: tuple[str, ...] = ()
     #: Its inputs arrive complete, also on topics whose receivers otherwise want the newest message only.
     wants_all: bool = False
+    #: It takes the messages of all publishers of a topic, not those of one (`nodes.inputs.publishers`).
+    takes_all_publishers: bool = False
     #: Number of publishers that it may send for on one topic.
     max_origins: int = 1
     #: Priority of the node's process on busy cores: Unix niceness, 0..19.
@@ -292,11 +295,12 @@ class Heartbeat:
         self._bus.publish("diagnostics/node", status)
         self._publish_log()
 
-    def beat_if_due(self, node: Node) -> bool:
+    def beat_if_due(self, node: Node, inputs: BoundInputs) -> bool:
         """Publish the heartbeat of a running node, at most once per `HEARTBEAT_S`; return whether it did."""
         is_due = self.remaining_s() <= 0.0
         if is_due:
-            self.beat(*node.health(), stages=node.stages.drain(), shed=node.shed.counts())
+            health = inputs.health(*node.health(), self._bus.now_ns())
+            self.beat(*health, stages=node.stages.drain(), shed=node.shed.counts())
         else:
             self._publish_log()
         return is_due
@@ -316,6 +320,7 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
     Heartbeats are sent between the steps: a step that hangs stops them. `params` answers requests between them too.
     """
     receive = bus.receive if params is None else params.receive
+    inputs = bound_inputs(node, bus)
     for topic in node.inputs:
         bus.subscribe(topic)
     for source in node.watched():
@@ -331,11 +336,11 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
             bus.receive(max(0.0, SETTLE_S - open_s))
         settled_s, heap = time.monotonic() + SETTLED_S, None
         while not (stop.requested or node.finished()):
-            inputs = receive(min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
-            _turn(node, bus, inputs)
-            if heartbeat.beat_if_due(node) and time.monotonic() > settled_s:
+            received = receive(min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
+            _turn(node, bus, inputs.take(received, bus.now_ns()))
+            if heartbeat.beat_if_due(node, inputs) and time.monotonic() > settled_s:
                 heap = _keep_small(heap)
-        _drain(node, bus, stop, heartbeat)
+        _drain(node, bus, stop, heartbeat, inputs)
     except Exception as error:
         reason = one_line(error)
         raise
@@ -355,15 +360,21 @@ def _keep_small(heap: FreeHeap | None) -> FreeHeap:
     return heap
 
 
-def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
+def bound_inputs(node: Node, bus: Bus) -> BoundInputs:
+    """Return the inputs of a node, bound to one publisher each unless it takes all."""
+    topics = () if node.takes_all_publishers else node.inputs
+    return BoundInputs(bus, topics, lambda topic: node.shed.add(f"{topic} message", "of another publisher"))
+
+
+def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat, bound: BoundInputs) -> None:
     """Answer waiting inputs, until none come, the time is up or the node is to end at once."""
     end_s = time.monotonic() + DRAIN_LIMIT_S
     while not (stop.at_once or node.finished()) and time.monotonic() < end_s:
-        inputs = bus.receive(0.0 if node.pending() else DRAINED_S)
+        inputs = bound.take(bus.receive(0.0 if node.pending() else DRAINED_S), bus.now_ns())
         if not (inputs or node.pending()):
             return
         _step(node, bus, inputs, bus.now_ns())
-        heartbeat.beat_if_due(node)
+        heartbeat.beat_if_due(node, bound)
 
 
 def one_line(error: BaseException) -> str:
@@ -415,6 +426,7 @@ class InProcessGraph:
         for name, node in self._nodes.items():
             for topic in node.inputs:
                 self._buses[name].subscribe(topic)
+        self._inputs = {name: bound_inputs(node, self._buses[name]) for name, node in self._nodes.items()}
 
     def run(self, until_ns: int | None = None) -> None:
         """Step until no node is due any more, or up to the virtual time `until_ns`."""
@@ -426,6 +438,10 @@ class InProcessGraph:
                 return
             self._network.advance(due_ns - self._network.now_ns)
 
+    def health(self, name: str) -> tuple[NodeState, str]:
+        """Return the health that a node's next heartbeat would tell."""
+        return self._inputs[name].health(*self._nodes[name].health(), self._network.now_ns)
+
     def close(self) -> None:
         """Close all nodes and their buses."""
         for name, node in self._nodes.items():
@@ -433,8 +449,12 @@ class InProcessGraph:
             self._buses[name].close()
 
     def _round(self) -> bool:
-        stepped = [_turn(node, self._buses[name], self._buses[name].receive(0.0)) for name, node in self._live()]
+        stepped = [self._step(name, node) for name, node in self._live()]
         return any(stepped)
+
+    def _step(self, name: str, node: Node) -> bool:
+        bus = self._buses[name]
+        return _turn(node, bus, self._inputs[name].take(bus.receive(0.0), bus.now_ns()))
 
     def _live(self) -> list[tuple[str, Node]]:
         return [(name, node) for name, node in self._nodes.items() if not node.finished()]

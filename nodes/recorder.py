@@ -49,6 +49,7 @@ class Recorder(Node):
     """
 
     wants_all = True
+    takes_all_publishers = True
 
     def __init__(self, params: Params, *, ends_when_refused: bool = False) -> None:
         super().__init__()

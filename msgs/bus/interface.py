@@ -61,6 +61,9 @@ class Bus(Protocol):
     def receive(self, timeout_s: float) -> list[Received]:
         """Return all messages waiting, in order of arrival; wait up to `timeout_s` for the first, then return none."""
 
+    def has_publisher(self, topic: str, publisher: str) -> bool:
+        """Return whether a publisher of this name has `topic` open; of one behind a link, whether a link has."""
+
     def now_ns(self) -> int:
         """Return the bus clock: monotonic on a live bus, virtual on an in-process one."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from msgs.bus.codec import Buffer
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.sequencing import Tally
-from msgs.bus.topics import Topic, topic_facts
+from msgs.bus.topics import TOPICS, Topic, topic_facts
 from msgs.values.arrays import require_finite
 from msgs.values.diagnostics import TopicCount
 
@@ -93,6 +93,8 @@ class LocalNetwork:
         self._faults: dict[str, Faults] = {}
         self._queues: dict[str, list[_Queue]] = {}
         self._latched: dict[tuple[str, str], _Parcel] = {}
+        #: Topic and node of every open publisher.
+        self._publishers: set[tuple[str, str]] = set()
         self._serial = 0
 
     @property
@@ -164,6 +166,7 @@ class LocalBus:
     def publish(self, topic: str, message: msgspec.Struct) -> None:
         """Send `message` to all subscribers; raises `CodecError` if it cannot be encoded."""
         facts = topic_facts(topic)
+        self._network._publishers.add((topic, self._node))
         envelope, frames = self._tally.pack(topic, message, self._network.now_ns)
         self._network._send(facts, envelope, frames)
 
@@ -187,6 +190,10 @@ class LocalBus:
         accepted = (self._tally.accept(topic, parcel.frames, now_ns) for parcel, topic in due)
         return self._tally.without_outdated([message for message in accepted if message is not None])
 
+    def has_publisher(self, topic: str, publisher: str) -> bool:
+        """Return whether a node of this name has published `topic` and is still there."""
+        return (topic, publisher) in self._network._publishers
+
     def now_ns(self) -> int:
         """Return the network's virtual clock."""
         return self._network.now_ns
@@ -199,4 +206,5 @@ class LocalBus:
         """Leave the network; waiting messages are discarded."""
         for topic, queue in self._queues.items():
             self._network._leave(topic, queue)
+        self._network._publishers -= {(topic, self._node) for topic in TOPICS}
         self._queues.clear()

@@ -131,6 +131,10 @@ class Tally:
             self._paced_ns.pop(topic, None)
         return received
 
+    def publishers(self, topic: str) -> frozenset[str]:
+        """Return the names under which messages of a topic came lately."""
+        return frozenset(self._last.get(topic, ()))
+
     def forget(self, topic: str, publisher: str) -> None:
         """Treat the next message of `publisher` as its first: no gap before it."""
         self._last.get(topic, {}).pop(publisher, None)

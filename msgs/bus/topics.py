@@ -30,6 +30,8 @@ class Topic(msgspec.Struct, frozen=True, kw_only=True):
     latched: bool = False
     #: Receivers that fall behind want the newest message only.
     newest_only: bool = False
+    #: Each message stands for itself, whoever sends it; else a node takes those of one publisher (`nodes.inputs`).
+    shared: bool = False
 
     @property
     def history_messages(self) -> int:
@@ -82,12 +84,41 @@ _ALL = (
     ),
     Topic(name="vehicle/state", type=VehicleState, rate_hz=50.0, max_bytes=4096, history_bytes=1 * MIB),
     # neither latched nor newest only: a wall without its time is none, and one source must not displace another
-    Topic(name="environment/walls", type=WallPriors, rate_hz=0.0, max_bytes=MIB // 8, history_bytes=4 * MIB),
+    Topic(
+        name="environment/walls",
+        type=WallPriors,
+        rate_hz=0.0,
+        max_bytes=MIB // 8,
+        history_bytes=4 * MIB,
+        shared=True,
+    ),
     Topic(name="sim/truth", type=SceneTruth, rate_hz=1 / 0.3, max_bytes=4 * MIB, history_bytes=32 * MIB),
-    Topic(name="diagnostics/node", type=NodeStatus, rate_hz=2.0, max_bytes=MIB // 4, history_bytes=4 * MIB),
-    Topic(name="param/request", type=ParamRequest, rate_hz=0.0, max_bytes=MIB // 4, history_bytes=4 * MIB),
-    Topic(name="param/values", type=NodeParams, rate_hz=0.0, max_bytes=MIB // 4, history_bytes=4 * MIB, latched=True),
-    Topic(name="log", type=LogRecord, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=4 * MIB),
+    Topic(
+        name="diagnostics/node",
+        type=NodeStatus,
+        rate_hz=2.0,
+        max_bytes=MIB // 4,
+        history_bytes=4 * MIB,
+        shared=True,
+    ),
+    Topic(
+        name="param/request",
+        type=ParamRequest,
+        rate_hz=0.0,
+        max_bytes=MIB // 4,
+        history_bytes=4 * MIB,
+        shared=True,
+    ),
+    Topic(
+        name="param/values",
+        type=NodeParams,
+        rate_hz=0.0,
+        max_bytes=MIB // 4,
+        history_bytes=4 * MIB,
+        latched=True,
+        shared=True,
+    ),
+    Topic(name="log", type=LogRecord, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=4 * MIB, shared=True),
 )
 
 TOPICS: dict[str, Topic] = {topic.name: topic for topic in _ALL}

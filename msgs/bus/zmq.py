@@ -181,6 +181,25 @@ class ZmqBus:
             if received or is_watched_ready or self.now_ns() >= deadline_ns:
                 return received
 
+    def has_publisher(self, topic: str, publisher: str) -> bool:
+        """Return whether a running process of this name publishes `topic`; of one behind a link, whether any link does.
+
+        True where it cannot be asked.
+        """
+        if self._exchange is not None and publisher in self._exchange.nodes:
+            return True
+        try:
+            if "." not in publisher:
+                return _is_alive(socket_path(self._dir, topic, publisher))
+            # a link has the topic open under its own name, under which nothing is sent
+            own_names = self._tally.publishers(topic)
+            published = [node for name, node in _published_names(self._dir) if name == topic and node not in own_names]
+            return any(_is_alive(socket_path(self._dir, topic, node)) for node in published)
+        except OSError as error:
+            if error.errno not in (errno.EMFILE, errno.ENFILE):
+                raise
+            return True
+
     def now_ns(self) -> int:
         """Return the machine's monotonic clock, shared by all processes on it."""
         return time.monotonic_ns()

@@ -73,6 +73,7 @@ class SnapshotRecorder(Node):
     """
 
     wants_all = True
+    takes_all_publishers = True
 
     def __init__(self, params: RecordingParams) -> None:
         super().__init__()

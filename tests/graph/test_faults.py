@@ -22,7 +22,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ from msgs.bus.zmq import ZmqBus, socket_path
 from msgs.files.shipped import WEIGHTS
 from msgs.recording.mcap import RecordingReader
 from msgs.values.diagnostics import NodeState
-from msgs.values.perception import BevFrame
+from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry, player, ra_former
@@ -289,6 +289,43 @@ def test_garbage_on_every_topic_is_counted_and_survived(graph: LiveGraph) -> Non
             socket_path(graph.run_dir, topic, "evil").unlink(missing_ok=True)
     graph.await_views()
     assert graph.pids() == pids
+
+
+def flood(run_dir: Path, ends: threading.Event) -> None:
+    """A set-up that turns all beats round, and 600 empty sets of peaks a second."""
+    none = np.zeros(0)
+    with closing(ZmqBus("stray", run_dir)) as bus:
+        bus.publish("radar/setup", RadarSetup(beat_sign=-1))
+        while not ends.wait(1 / 600):
+            peaks = Peaks(
+                stamp_ns=bus.now_ns(), scan_id=0, range_m=none, azimuth_rad=none, score=none, snr_db=none,
+                path_class=none.astype(np.uint8), covariance=none.reshape(0, 2, 2), peak_stamp_ns=none.astype(np.int64),
+            )  # fmt: skip
+            bus.publish("perception/peaks", peaks)
+            bus.receive(0.0)
+
+
+@pytest.mark.graph
+def test_a_second_publisher_changes_nothing_and_is_named(graph: LiveGraph) -> None:
+    readers = {"ra_former": "radar/setup", "dense_predictor": "radar/setup", "geometry": "perception/peaks"}
+
+    def name_it() -> bool:
+        return all(f"{topic} has 2 publishers" in graph.status[node].reason for node, topic in readers.items())
+
+    ends = threading.Event()
+    sender = threading.Thread(target=flood, args=(graph.run_dir, ends))
+    sender.start()
+    try:
+        graph.await_that("the second publisher to be named", name_it)
+        graph.await_views(5)
+        assert graph.view is not None
+        assert graph.view.objects
+    finally:
+        ends.set()
+        sender.join()
+    for node, topic in readers.items():
+        shed = {count.what: count.reason for count in graph.status[node].shed}
+        assert shed[f"{topic} message"] == "of another publisher"
 
 
 @pytest.mark.graph

@@ -304,14 +304,14 @@ def test_a_node_behind_passes_over_old_maps_and_counts_them() -> None:
 
 def test_work_left_over_is_done_before_the_end() -> None:
     """A node asked to stop answers what waits, also what it took in and has not begun."""
-    from nodes.node import Heartbeat, Stop, _drain
+    from nodes.node import Heartbeat, Stop, _drain, bound_inputs
 
     rig = Rig(behind=1e9)
     for _ in range(3 * BEAMS):
         rig.radar.publish("radar/beam", rig._beam())
     _turn(rig.node, rig.bus, rig.bus.receive(0.0))
     assert rig.node.pending()
-    _drain(rig.node, rig.bus, Stop(), Heartbeat(rig.bus, "ra_former"))
+    _drain(rig.node, rig.bus, Stop(), Heartbeat(rig.bus, "ra_former"), bound_inputs(rig.node, rig.bus))
     assert not rig.node.pending()
     assert rig.listener.counts()[0][0].messages == 0
     assert [one.message.scan_id for one in rig.listener.receive(0.0)] == [2], "the newest of three maps"  # type: ignore[attr-defined]

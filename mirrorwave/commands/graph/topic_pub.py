@@ -37,7 +37,7 @@ def pub(
 ) -> None:
     """Publish messages of your own; a stamp that is not given is the time of each. Exit code 3 if nobody listens."""
     from mirrorwave.control.topic_message import message_of
-    from msgs.bus.zmq import ZmqBus, run_dir
+    from msgs.bus.zmq import ZmqBus, list_publishers, run_dir
 
     facts = topic_facts(topic)
     fields = _fields(value, file)
@@ -57,6 +57,11 @@ def pub(
     finally:
         bus.close()
     print_line(f"{topic}: {counted(count, 'message')} to {counted(readers, 'reader')}")
+    others = [node for name, node in list_publishers(run_dir(domain)) if name == topic]
+    if readers and others and not facts.shared:
+        print_line(
+            f"{topic}: {', '.join(others)} publishes it too; a node takes one publisher, those of the graph first"
+        )
     if not readers:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
