@@ -310,7 +310,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from msgs.bus import codec
     from msgs.bus import sequencing as tally
     from msgs.bus.topics import TOPICS
-    from msgs.files import yaml_loader
+    from msgs.files import unpacking, yaml_loader
     from msgs.link import curve as curve_link
     from msgs.link import exporter as curve_exporter
     from msgs.link import keys as curve_keys
@@ -355,8 +355,12 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "line of a table of detections; its columns": (
             f"{_size(detection_tables.MAX_LINE)}; {detection_tables.MAX_COLUMNS}"
         ),
-        "line of a CAN log; object of a BLF, packed": (
-            f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"
+        "line of a CAN log; object of a BLF, packed; unpacked": (
+            f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}; "
+            f"{_size(can_log_file.MAX_CONTAINER_BYTES)}"
+        ),
+        "log that is packed, unpacked": (
+            f"{_size(unpacking.Budget.FREE_BYTES)} and {unpacking.Budget.RATIO} times what was read"
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
