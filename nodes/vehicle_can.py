@@ -48,7 +48,7 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mapping: str = "launch/can/mirrorwave.yaml"
     #: A candump (.log), ASC, BLF, CSV or TRC log that is played instead of the bus.
     log: str | None = None
-    #: Only frames of this channel of the log.
+    #: Only frames of this channel of the log; ASC and BLF count from 1.
     log_channel: str | None = None
     #: Speed of play; 1 is real time.
     rate: float = 1.0
@@ -261,5 +261,5 @@ def create(params: Params) -> VehicleCanNode:
         return VehicleCanNode(decoder, LiveSource(CanLink(params)), params.clock_offset_s)
     source = LogSource(read_log(Path(params.log), params.log_channel), params.rate, params.log_start_ns)
     if source.ended:
-        raise ValueError(f"{params.log}: holds no frames" + (f" of {params.log_channel}" if params.log_channel else ""))
+        raise ValueError(f"{params.log}: holds no frames")
     return VehicleCanNode(decoder, source, params.clock_offset_s)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.records import Chunk
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from mirrorwave.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from mirrorwave.annotate.manifest import load_manifest
@@ -163,29 +163,59 @@ def chunk(compression: str, data: bytes, size: int) -> Chunk:
     )
 
 
-PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
+PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "": bytes}
 
 
 @pytest.mark.parametrize("compression", PACKERS)
-def test_a_chunk_that_unpacks_to_more_than_it_promises_is_refused(compression: str) -> None:
-    """16 MiB of zeros in some kilobytes: the head of the chunk promises 1000 bytes, the data know no limit."""
+@pytest.mark.parametrize("says", [1000, 16 * MIB + 1])
+def test_a_chunk_of_another_size_than_its_head_promises_is_refused(compression: str, says: int) -> None:
+    """16 MiB of zeros in some kilobytes; no more than the head promises is ever unpacked."""
     packed = PACKERS[compression](bytes(16 * MIB))
-    assert len(packed) < MIB
-    with pytest.raises(ValueError, match="does not unpack to the 1000 bytes"):
-        recording._without_bomb(chunk(compression, packed, 1000))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=f"does not unpack to the {says} bytes"):
+            recording._unpacked(chunk(compression, packed, says))
+        assert says > MIB or tracemalloc.get_traced_memory()[1] < MIB
+    finally:
+        tracemalloc.stop()
 
 
-def test_an_unsaid_size_is_held_to_the_chunks() -> None:
-    packer = zstandard.ZstdCompressor(write_content_size=False)
-    whole = recording._without_bomb(chunk("zstd", packer.compress(bytes(MIB)), 1000))
-    with pytest.raises(recording._DAMAGE):
-        recording.breakup_chunk(whole)
+@pytest.mark.parametrize("compression", PACKERS)
+def test_a_chunk_may_be_of_several_frames_and_none_of_them_cut(compression: str) -> None:
+    halves = np.random.default_rng(0).bytes(1000), bytes(MIB)
+    packed = b"".join(map(PACKERS[compression], halves))
+    assert recording._unpacked(chunk(compression, packed, 1000 + MIB)) == b"".join(halves)
+    with pytest.raises(ValueError, match=r"does not unpack|ends within"):
+        recording._unpacked(chunk(compression, packed[:-5], 1000 + MIB))
 
 
-def test_an_lz4_chunk_that_ends_early_is_refused() -> None:
-    packed = lz4.frame.compress(np.random.default_rng(0).bytes(1000))
-    with pytest.raises(ValueError, match="does not unpack"):
-        recording._without_bomb(chunk("lz4", packed[:-200], 1000))
+def _written(path: Path, compression: str, *chunks: bytes) -> Path:
+    """A complete recording without a summary, of chunks as they are."""
+    size = struct.pack
+    parts = []
+    for data in chunks:
+        packed = PACKERS[compression](data)
+        head = size("<QQQII", 0, 0, len(data), 0, len(compression)) + compression.encode() + size("<Q", len(packed))
+        parts.append(size("<BQ", 6, len(head) + len(packed)) + head + packed)
+    end = size("<BQI", 15, 4, 0) + size("<BQQQI", 2, 20, 0, 0, 0)
+    path.write_bytes(MCAP0_MAGIC + b"".join(parts) + end + MCAP0_MAGIC)
+    return path
+
+
+def test_a_recording_may_not_unpack_to_a_thousand_times_its_size(tmp_path: Path) -> None:
+    """Three chunks of 200 MiB of zeros, 19 KiB in all; each would do."""
+    with pytest.raises(ValueError, match=r"a\.mcap: chunks unpack to 629145600 bytes, at most 536870912 are read"):
+        RecordingReader(_written(tmp_path / "a.mcap", "zstd", *[bytes(200 * MIB)] * 3))
+    with RecordingReader(_written(tmp_path / "b.mcap", "zstd", bytes(300 * MIB))) as reader:
+        assert list(reader.messages()) == []
+        assert f"chunk of {300 * MIB} bytes exceeds {256 * MIB}" in str(reader.loss)
+
+
+def test_a_chunk_of_a_million_empty_messages_is_refused(tmp_path: Path) -> None:
+    empty = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    with RecordingReader(_written(tmp_path / "a.mcap", "zstd", empty * 1_000_000)) as reader:
+        assert list(reader.messages()) == []
+        assert "more records than bytes" in str(reader.loss)
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -279,7 +309,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from msgs.bus import codec
     from msgs.bus import sequencing as tally
     from msgs.bus.topics import TOPICS
-    from msgs.files import yaml_loader
+    from msgs.files import unpacking, yaml_loader
     from msgs.link import curve as curve_link
     from msgs.link import exporter as curve_exporter
     from msgs.link import keys as curve_keys
@@ -324,14 +354,22 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "line of a table of detections; its columns": (
             f"{_size(detection_tables.MAX_LINE)}; {detection_tables.MAX_COLUMNS}"
         ),
-        "line of a CAN log; object of a BLF, packed": (
-            f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"
+        "line of a CAN log; object of a BLF, packed; unpacked": (
+            f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}; "
+            f"{_size(can_log_file.MAX_CONTAINER_BYTES)}"
+        ),
+        "log that is packed, unpacked": (
+            f"{_size(unpacking.Budget.FREE_BYTES)} and {unpacking.Budget.RATIO} times what was read"
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
         "confocal transients, packed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
         "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
-        "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),
+        "record of a recording": _size(recording._MAX_RECORD_BYTES),
+        "packed chunk of a recording, unpacked; all of its chunks": (
+            f"{_size(recording._MAX_UNPACKED_CHUNK_BYTES)}; {_size(recording._FREE_UNPACKED_BYTES)}, "
+            f"or {recording._MAX_UNPACKED_RATIO} times the file"
+        ),
         "message of a recording": _size(codec.MAX_INLINE_BYTES),
         "card of a network": _size(cards.MAX_CARD_BYTES),
         "network": _size(onnx_session.MAX_MODEL_BYTES),

@@ -57,8 +57,7 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
                 counts["valid_states"] += state.valid
                 reason = state.reason
         if frames.count == 0:
-            channel = f" of channel {source.channel}" if source.channel else ""
-            raise ValueError(frames.loss or f"{source.log}: holds no frames{channel}")
+            raise ValueError(frames.loss or f"{source.log}: holds no frames")
         if not counts["valid_states"]:
             raise ValueError(f"{source.log}: gives no valid state with {source.dbc} and {source.mapping}: {reason}")
     verdicts = {str(verdict): count for verdict, count in sorted(decoder.counts.items())}

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from cantools.database.errors import DecodeError
+from cantools.database.utils import decode_data
 
 from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step
 from models.vehicle.mapping import MessageRule
@@ -77,9 +78,8 @@ class FrameCheck:
         if why := self._checksum_fault(data):
             return Checked(Verdict.WRONG_CHECKSUM, why)
         try:
-            # numbers only: enumeration names are not needed, and a message of a DBC is no container
-            values = cast("dict[str, float]", self._message.decode(data, decode_choices=False))
-        except DecodeError as error:
+            values = _values(self._message, data)
+        except (DecodeError, ValueError, OverflowError) as error:
             return Checked(Verdict.UNDECODABLE, f"undecodable: {error}")
         return Checked(*self._check_counter(values, silent), values)
 
@@ -109,6 +109,22 @@ class FrameCheck:
         if step > rule.max_step:
             return Verdict.WRONG_COUNTER, f"counter jumped from {last} to {self._counter}"
         return Verdict.COUNTED, ""
+
+
+def _values(message: Message, data: bytes) -> dict[str, float]:
+    """Return the signals of a frame as numbers; those of a multiplexer's page that the DBC lacks are absent.
+
+    `Message.decode` refuses such a frame as a whole, and with it the signals that every page has.
+    """
+    values: dict[str, float] = {}
+    nodes = [message._codecs]
+    while nodes:
+        if (node := nodes.pop()) is None:
+            continue
+        signals = decode_data(data, message.length, node["signals"], node["formats"], False, True, False, True)
+        values |= cast("dict[str, float]", signals)
+        nodes += [pages.get(int(values[name])) for name, pages in node["multiplexers"].items()]
+    return values
 
 
 def _padded_length(length: int) -> int:

@@ -36,7 +36,9 @@ def decode(
     log: Annotated[Path, typer.Argument(help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
     dbc: Dbc = _DBC,
     mapping: Mapping = _MAPPING,
-    channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
+    channel: Annotated[
+        str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
+    ] = None,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.0, help="Show a state each S seconds.")] = 1.0,
     signals: Annotated[
         bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
@@ -55,7 +57,7 @@ def decode(
     report = LogReport(load_decoder(shipped_path(dbc), shipped_path(mapping)), every)
     report.read(read_log(log, channel))
     if report.frames == 0:
-        raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+        raise ValueError(report.loss or f"{log}: holds no frames")
     if as_json:
         print_json({"log": str(log), **report.as_dict()})
     else:
@@ -99,7 +101,7 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     report = SignalReport(load_dbc(shipped_path(dbc)), every_s)
     report.read(until_error(read_log(log, channel), report))
     if report.frames == 0:
-        raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+        raise ValueError(report.loss or f"{log}: holds no frames")
     if as_json:
         print_json({"log": str(log), **report.as_dict()})
     else:

@@ -148,7 +148,9 @@ def can(
     mapping: Annotated[
         Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")
     ] = Path("launch/can/mirrorwave.yaml"),
-    channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
+    channel: Annotated[
+        str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
+    ] = None,
     start_ns: Annotated[
         int | None, typer.Option("--start-ns", metavar="N", help="Stamp of the first frame, to fit another recording.")
     ] = None,

@@ -416,7 +416,6 @@ BO_ 16 A: 8 X
     assert set(verdicts) == {Verdict.COUNTED}
     assert decoder.state(9 * PERIOD_NS).valid
     assert decoder.state(10 * PERIOD_NS).reason == "yaw rate: no A for 0.20 s"
-    assert decoder.add(16, b"\x07" + bytes(7), 11 * PERIOD_NS).verdict is Verdict.UNDECODABLE
 
 
 def test_a_float_that_is_no_number_is_out_of_range() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cantools
 import pytest
 
 from models.vehicle.end_to_end import ChecksumRule, CounterRule, checksum_byte, checksum_of
@@ -59,3 +60,23 @@ def test_after_a_silence_the_counter_starts_anew(check: FrameCheck) -> None:
 def test_without_rules_every_frame_of_the_right_length_counts() -> None:
     check = FrameCheck(load_dbc(DBC).get_message_by_name("MW_SPEED"), MessageRule())
     assert [check.check(bytes(8)).verdict for _ in range(3)] == [Verdict.COUNTED] * 3
+
+
+def test_a_page_that_the_dbc_lacks_takes_no_plain_signal_away() -> None:
+    """Neither one of the selector nor one of a selector on a page; the signals of a known page are read beside it."""
+    dbc = """VERSION ""
+BO_ 16 A: 8 X
+ SG_ M M : 0|8@1+ (1,0) [0|255] "" X
+ SG_ N m1M : 8|8@1+ (1,0) [0|255] "" X
+ SG_ W m1 : 16|16@1- (0.01,0) [-300|300] "" X
+ SG_ U m3 : 32|16@1- (0.01,0) [-300|300] "" X
+ SG_ V : 48|16@1+ (0.01,0) [0|655.35] "" X
+SG_MUL_VAL_ 16 N M 1-1;
+SG_MUL_VAL_ 16 W M 1-1;
+SG_MUL_VAL_ 16 U N 3-3;
+"""
+    check = FrameCheck(cantools.database.load_string(dbc, "dbc").messages[0], MessageRule())
+    pages = {0x0D: {"M": 13, "V": 2.5}, 0x0301: {"M": 1, "N": 3, "W": 0.0, "U": 0.0, "V": 2.5}}
+    pages[0x0901] = {"M": 1, "N": 9, "W": 0.0, "V": 2.5}
+    for page, values in pages.items():
+        assert check.check(page.to_bytes(2, "little") + bytes(4) + b"\xfa\x00").values == values

@@ -19,8 +19,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import CRCValidationError, StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
+from msgs.bus.codec import encode_inline
 from msgs.bus.topics import TOPICS
 from msgs.recording import mcap as recording
 from msgs.recording import mcap_writer as mcap_file
@@ -309,7 +310,7 @@ def test_damage_outside_a_span_of_time_is_not_met(tmp_path: Path, damaged: int, 
     with RecordingReader(path) as reader:
         (offset,) = [at for at, start_ns, *_ in reader._walk.chunks if start_ns == 2_000_000_000 * damaged]
     raw = bytearray(path.read_bytes())
-    raw[offset + 60] ^= 1
+    raw[offset + 70] ^= 1
     path.write_bytes(raw)
     with RecordingReader(path) as reader:
         messages = list(reader.messages(start_ns=8_000_000_000, end_ns=14_000_000_000))
@@ -416,6 +417,30 @@ def test_foreign_topics_are_listed_and_skipped(tmp_path: Path, chunked: bool) ->
         assert reader.loss is None
     topics = {topic.topic: (topic.messages, topic.known, topic.type) for topic in info(path).topics}
     assert topics == {"imu": (3, False, "Imu"), "log": (1, True, ""), "vehicle/state": (2, True, "")}
+
+
+@pytest.mark.parametrize("index_types", [IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE, IndexType.ALL])
+@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize("repeats", [True, False], ids=["repeated", "declared once"])
+def test_every_optional_part_of_the_summary_may_be_absent(
+    tmp_path: Path, index_types: IndexType, chunked: bool, repeats: bool
+) -> None:
+    """What is recorded is found by its topic, whatever index the writer left out."""
+    path, target = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    with path.open("wb") as file:
+        options = dict.fromkeys(("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets"), repeats)
+        writer = Writer(file, chunk_size=300, index_types=index_types, use_chunking=chunked, **options)
+        writer.start()
+        schema = writer.register_schema("VehicleState", "jsonschema", b"{}")
+        channels = [writer.register_channel(topic, "msgpack", schema) for topic in ("vehicle/state", "other")]
+        for index in range(10):
+            writer.add_message(channels[index % 2], index, encode_inline(state(index)), index, index)
+        writer.finish()
+    with RecordingReader(path) as reader:
+        assert reader.types == {"vehicle/state": "VehicleState", "other": "VehicleState"}
+        assert [message.sequence for message in reader.messages(["vehicle/state"])] == [0, 2, 4, 6, 8]
+        assert (reader.complete, reader.loss) == (True, None)
+    assert copy_recording(path, target, topics=["other"]) == (5, None)
 
 
 def test_copy_recovers_a_cut_file_and_keeps_unknown_topics(tmp_path: Path) -> None:

@@ -1,0 +1,52 @@
+"""Text of other people's files: byte-order marks, UTF-16, and the bytes of cp1252 where a file is no UTF-8.
+
+Names, comments and paths in such files are written in whatever a maker's tool takes for text; their numbers are ASCII.
+"""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+
+#: Marks and their encodings; that of UTF-32 begins as that of UTF-16 does.
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+#: Name of the error handler that reads each byte that is no UTF-8 as cp1252.
+AS_CP1252 = "mirrorwave.cp1252"
+
+
+def _as_cp1252(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeDecodeError) or error.encoding != "utf-8":
+        raise error
+    return error.object[error.start : error.end].decode("cp1252", "replace"), error.end
+
+
+codecs.register_error(AS_CP1252, _as_cp1252)
+
+
+def text_encoding(head: bytes) -> str:
+    """Return the encoding that the first four bytes of a file state, UTF-8 where they state none."""
+    return next((name for mark, name in _MARKS if head.startswith(mark)), "utf-8")
+
+
+def decode_text(content: bytes, errors: str = "strict") -> str:
+    """Return the text of a file without its byte-order mark; `ValueError` that names the byte that is none."""
+    encoding = text_encoding(content[:4])
+    try:
+        return content.decode(encoding, errors)
+    except UnicodeDecodeError as error:
+        at, name = error.start, encoding.removesuffix("-sig").upper()
+        raise ValueError(f"must be {name} text, got byte {content[at]:#04x} at {at}") from None
+
+
+def read_text(path: Path, errors: str = "strict") -> str:
+    """Return the text of a file; `ValueError` that begins with its path, `OSError` where it cannot be read."""
+    try:
+        return decode_text(path.read_bytes(), errors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None

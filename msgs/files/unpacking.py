@@ -1,0 +1,78 @@
+"""Compressed bytes of others, unpacked to no more than is asked for: every frame, and nothing beyond the limit."""
+
+from __future__ import annotations
+
+import zlib
+from io import BytesIO, RawIOBase
+from typing import Any, BinaryIO
+
+import lz4.frame
+import zstandard
+
+#: Exceptions of the decompressors for bytes that are not theirs.
+UNPACKING_ERRORS = (zstandard.ZstdError, RuntimeError, zlib.error, EOFError, MemoryError)
+
+
+def unpack(data: bytes, method: str, limit: int) -> bytes:
+    """Return what all frames of `data` unpack to, at most `limit` bytes and one: more is never held.
+
+    Methods: "zstd", "lz4" (frames), "zlib", and "" for none. May raise any of `UNPACKING_ERRORS`, and `ValueError` for
+    another method and for data that end within a frame.
+    """
+    if method == "":
+        return data
+    if method == "zstd":
+        # one call unpacks the first frame alone
+        with zstandard.ZstdDecompressor().stream_reader(BytesIO(data), read_across_frames=True) as reader:
+            return reader.read(limit + 1)
+    if method == "zlib":
+        return zlib.decompressobj().decompress(data, limit + 1)
+    if method != "lz4":
+        raise ValueError(f"compression must be zstd, lz4 or none, got {method[:20]!r}")
+    unpacked = b""
+    while data and len(unpacked) <= limit:
+        frame = lz4.frame.LZ4FrameDecompressor()
+        unpacked += frame.decompress(data, max_length=limit + 1 - len(unpacked))
+        if not frame.eof and len(unpacked) <= limit:
+            raise ValueError("ends within an lz4 frame")
+        data = frame.unused_data or b""
+    return unpacked
+
+
+class Budget:
+    """What a stream may unpack to: 8 MiB, and beyond that a hundred times what was read for it.
+
+    Logs and tables become 3 to 30 times smaller; 1,000 times and more is what zeros do.
+    """
+
+    FREE_BYTES, RATIO = 1 << 23, 100
+
+    def __init__(self) -> None:
+        self._unpacked = 0
+
+    def spend(self, unpacked: int, read: int) -> None:
+        """Count `unpacked` more bytes, of `read` bytes read so far; raises `ValueError` beyond the budget."""
+        self._unpacked += unpacked
+        if self._unpacked > self.FREE_BYTES + self.RATIO * read:
+            raise ValueError(
+                f"unpacks to more than {self.FREE_BYTES} bytes and {self.RATIO} times what is read, {read} bytes so far"
+            )
+
+
+class UnpackedFile(RawIOBase):
+    """What a compressed file unpacks to, read forward within a `Budget`."""
+
+    def __init__(self, unpacking: BinaryIO, stored: BinaryIO) -> None:
+        self._unpacking, self._stored = unpacking, stored
+        self._budget = Budget()
+
+    def readable(self) -> bool:
+        """Return that it can be read."""
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Fill a buffer, or part of it; returns the number of bytes, 0 at the end."""
+        data = self._unpacking.read(min(len(buffer), self._budget.FREE_BYTES))
+        self._budget.spend(len(data), self._stored.tell())
+        buffer[: len(data)] = data
+        return len(data)
