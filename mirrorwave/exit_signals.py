@@ -11,7 +11,7 @@ import sys
 import threading
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 #: Exit codes as a shell gives them to a program that the signal ended: 128 and its number.
 INTERRUPTED, TERMINATED, HUNG_UP = 128 + signal.SIGINT, 128 + signal.SIGTERM, 128 + signal.SIGHUP
@@ -27,8 +27,12 @@ _UNTIL_STOPPED: dict[tuple[str, ...], frozenset[str]] = {
 _SAID = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 #: After so long a lost interrupt is sent again.
 _AGAIN_S = 0.05
+#: What is said to whoever asks a second time.
+PATIENCE = "closing; press Ctrl-C once more to end at once"
 #: The last signal to end that interrupted the process.
 _heard: signal.Signals | None = None
+#: How often the process was asked to end.
+_asked = 0
 
 
 def hear_endings() -> None:
@@ -74,6 +78,25 @@ def runs_until_stopped(arguments: Sequence[str]) -> bool:
     )
 
 
+def is_asked_again(number: int) -> bool:
+    """Note a signal to end; return whether one came before it. The second gets a line, the third ends the process.
+
+    What a verb holds open is closed after the first, which the others must not interrupt.
+    """
+    global _asked
+    if number == signal.SIGHUP and _asked:
+        # the terminal is closed: no user is there to request haste
+        return True
+    _asked += 1
+    if _asked == 2:
+        # not through `sys.stderr`, in whose code the signal may have come
+        with suppress(OSError):
+            os.write(2, f"mirrorwave: {PATIENCE}\n".encode())
+    elif _asked > 2:
+        os._exit(128 + number)
+    return _asked > 1
+
+
 def keep_code() -> None:
     """Take no further notice of signals: what was done is done, and the exit code stands."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -104,6 +127,8 @@ def _hear_again(lost: sys.UnraisableHookArgs) -> None:
     if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
         return
+    global _asked
+    _asked = 0
     number = _heard or signal.SIGINT
     if number == signal.SIGHUP:
         signal.signal(number, _interrupt)
@@ -122,5 +147,7 @@ def _hear_once(number: int) -> None:
 def _interrupt(number: int, frame: object) -> None:
     global _heard
     _hear_once(number)
+    if is_asked_again(number):
+        return
     _heard = signal.Signals(number)
     raise KeyboardInterrupt

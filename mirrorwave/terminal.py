@@ -19,7 +19,7 @@ READER_LEFT = 128 + signal.SIGPIPE
 
 
 def open_closed_streams() -> None:
-    """Have stdin, stdout and stderr that came closed read and write nothing.
+    """Have stdin, stdout and stderr that came closed read and write nothing, in processes started from here too.
 
     The next file to be opened would get their numbers, and whatever is printed.
     """
@@ -28,10 +28,10 @@ def open_closed_streams() -> None:
             os.fstat(number)
         except OSError:
             # the lowest number that is free is the missing one
-            os.open(os.devnull, os.O_RDWR)
-    for name in ("stdout", "stderr"):
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 class _ReaderLeftError(BaseException):

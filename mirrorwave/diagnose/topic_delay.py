@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from msgs.bus.interface import Received
+from msgs.values.diagnostics import NodeStatus
 from msgs.values.perception import BevFrame
-from nodes.inputs.view_latency import LONGEST_AGE_NS, Setup, latency_ns, on_one_clock
+from nodes.inputs.view_latency import UNHEARD_NS, GraphStart, Setup, latency_ns, on_one_clock
 
 #: What is measured, in the order in which it is shown, and what it says.
 SPANS = {
@@ -35,12 +36,17 @@ class DelayWatch:
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
+        self._graph = GraphStart(start_ns)
         self._setup: Setup | None = None
         self._spans: dict[tuple[str, str], _Spans] = {}
 
     def set_up(self, setup: Setup) -> None:
         """Beams and their time on air, for the end of a scan."""
         self._setup = setup
+
+    def hear(self, status: NodeStatus, now_ns: int) -> None:
+        """Take in a heartbeat: it says since when the graph runs."""
+        self._graph.hear(status, now_ns)
 
     def take(self, received: Received, now_ns: int) -> None:
         """Take in a message that arrived at `now_ns`."""
@@ -52,9 +58,10 @@ class DelayWatch:
         else:
             spans.ms["sent to received"].append(1e-6 * (now_ns - envelope.sent_ns))
         stamp_ns: int = getattr(received.message, "stamp_ns", envelope.sent_ns)
-        if not on_one_clock(stamp_ns, envelope.sent_ns):
-            spans.ahead += 0 < stamp_ns - envelope.sent_ns <= LONGEST_AGE_NS
-            spans.other_clock += not 0 < stamp_ns - envelope.sent_ns <= LONGEST_AGE_NS
+        if not on_one_clock(stamp_ns, envelope.sent_ns, self._graph.since_ns):
+            is_ahead = 0 < stamp_ns - envelope.sent_ns <= UNHEARD_NS
+            spans.ahead += is_ahead
+            spans.other_clock += not is_ahead
             return
         spans.ms["acquired to sent"].append(1e-6 * (envelope.sent_ns - stamp_ns))
         if isinstance(received.message, BevFrame):

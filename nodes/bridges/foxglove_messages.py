@@ -37,7 +37,7 @@ from nodes.bridges.shapes import (
     stamp_parts,
     wall_line_m,
 )
-from nodes.inputs.view_latency import Setup, latency_ns, on_one_clock
+from nodes.inputs.view_latency import GraphStart, Setup, latency_ns, on_one_clock
 from nodes.viewer.view_model import map_level_db
 
 #: Topics of the graph that become messages here, or say how to read others (the set-ups).
@@ -91,12 +91,14 @@ class FoxgloveStream:
         self._setup: Setup | None = None
         self._vehicle_from_radar = Pose2()
         self._heartbeats: dict[str, NodeStatus] = {}
+        self._graph: GraphStart | None = None
 
     def drafts(self, message: Any, at_ns: int) -> list[Draft]:
         """Return what a message of `TOPICS` becomes, which arrived, or was sent, at a time of the graph's clock."""
+        self._graph = self._graph or GraphStart(at_ns)
         match message:
             case BevFrame():
-                return self._view_drafts(message, at_ns)
+                return self._view_drafts(message, at_ns, self._graph.since_ns)
             case RangeAzimuthMap():
                 self._vehicle_from_radar = message.vehicle_from_radar
                 grey = functools.cache(partial(_grey, message))
@@ -112,6 +114,7 @@ class FoxgloveStream:
             case VehicleState():
                 return self._state_drafts(message)
             case NodeStatus():
+                self._graph.hear(message, at_ns)
                 return [Draft("/nodes", partial(_node, message, self._last_heartbeat(message)))]
             case LogRecord():
                 return [Draft("/log", partial(_log, message))]
@@ -119,9 +122,9 @@ class FoxgloveStream:
                 self._setup = message
         return []
 
-    def _view_drafts(self, frame: BevFrame, at_ns: int) -> list[Draft]:
+    def _view_drafts(self, frame: BevFrame, at_ns: int, since_ns: int) -> list[Draft]:
         """The mounting comes with every view: who connects late needs it too."""
-        same_clock = on_one_clock(frame.stamp_ns, at_ns)
+        same_clock = on_one_clock(frame.stamp_ns, at_ns, since_ns)
         latency_ms = 1e-6 * latency_ns(frame.stamp_ns, at_ns, self._setup) if same_clock else None
         mounting = partial(_transform, frame.stamp_ns, VEHICLE, RADAR, self._vehicle_from_radar)
         return [

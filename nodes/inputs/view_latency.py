@@ -12,7 +12,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from msgs.values.diagnostics import StageTime
+from msgs.values.diagnostics import NodeStatus, StageTime
 from msgs.values.lidar import LidarSetup
 from msgs.values.perception import BevFrame, HiddenObject
 from msgs.values.radar import RadarSetup
@@ -22,8 +22,8 @@ from msgs.values.units import ns_from_s, s_from_ns
 DEADLINE_S = 0.3
 #: Length of the recent window.
 WINDOW_S = 10.0
-#: A stamp that differs more from the clock was taken on another one (a capture played back): it has no age.
-LONGEST_AGE_NS = ns_from_s(60.0)
+#: Before any heartbeat tells since when the graph runs, it is taken to run this much longer than it is watched.
+UNHEARD_NS = ns_from_s(60.0)
 
 
 #: Set-up of a sensor.
@@ -48,9 +48,29 @@ def latency_ns(stamp_ns: int, now_ns: int, setup: Setup | None = None) -> int:
     return now_ns - stamp_ns - last_beam_ns(setup)
 
 
-def on_one_clock(stamp_ns: int, now_ns: int) -> bool:
-    """Return whether a stamp and a clock reading are of one clock."""
-    return 0 <= now_ns - stamp_ns <= LONGEST_AGE_NS
+def on_one_clock(stamp_ns: int, now_ns: int, since_ns: int = 0) -> bool:
+    """Return whether a graph that runs since `since_ns` can have measured at `stamp_ns` on the clock of `now_ns`."""
+    return since_ns <= stamp_ns <= now_ns
+
+
+class GraphStart:
+    """Since when a graph runs, by the heartbeats of its nodes.
+
+    A stamp within that time has an age, however long; an earlier one is of a capture that is played back.
+    """
+
+    def __init__(self, start_ns: int) -> None:
+        self.since_ns = start_ns - UNHEARD_NS
+        self._is_heard = False
+
+    def hear(self, status: NodeStatus, now_ns: int) -> None:
+        """Take in a heartbeat that arrived at `now_ns`; the node's own clock may be another host's."""
+        if not status.uptime_s > 0.0:
+            # a node of other people need not say it
+            return
+        started_ns = now_ns - ns_from_s(status.uptime_s)
+        self.since_ns = min(self.since_ns, started_ns) if self._is_heard else started_ns
+        self._is_heard = True
 
 
 class NewObjects:
@@ -167,6 +187,7 @@ class ViewWatch:
     def __init__(self, start_ns: int, window_s: float = WINDOW_S, deadline_s: float = DEADLINE_S) -> None:
         self._start_ns, self._window_s, self._deadline_s = start_ns, window_s, deadline_s
         self._setup: Setup = RadarSetup()
+        self._graph = GraphStart(start_ns)
         self._views: deque[_View] = deque()
         self._newest: _View | None = None
         self._total = self._late_total = self._absent_total = 0
@@ -175,9 +196,19 @@ class ViewWatch:
         """Set beams and their time on air from now on."""
         self._setup = setup
 
+    @property
+    def since_ns(self) -> int:
+        """Since when the graph runs, as far as known: earlier stamps are of another clock."""
+        return self._graph.since_ns
+
+    def hear(self, status: NodeStatus, now_ns: int) -> None:
+        """Take in a heartbeat of a node."""
+        self._graph.hear(status, now_ns)
+
     def add(self, scan_id: int, stamp_ns: int, now_ns: int) -> bool:
         """Add the view of a scan that began at `stamp_ns`; return true if it came after the deadline."""
-        latency = latency_ns(stamp_ns, now_ns, self._setup) if on_one_clock(stamp_ns, now_ns) else None
+        is_ours = on_one_clock(stamp_ns, now_ns, self.since_ns)
+        latency = latency_ns(stamp_ns, now_ns, self._setup) if is_ours else None
         view = _View(now_ns, scan_id, stamp_ns, latency, self._absent_before(scan_id, stamp_ns))
         self._newest = view
         self._views.append(view)

@@ -207,12 +207,13 @@ class Supervisor:
         self._serves = False
         self._exit_code = EXIT_DONE
         self._stop_requests = 0
+        self._asked_for_patience = False
         #: Nodes still to be stopped one after the other; None while the graph runs.
         self._stopping: list[list[str]] | None = None
         self._stop_at_s: float | None = None
 
     def request_stop(self) -> None:
-        """Ask the graph to end, from a signal handler or a callback; a second request kills."""
+        """Ask the graph to end, from a signal handler or a callback; a second request gets a line, a third kills."""
         self._stop_requests += 1
 
     def run(self) -> int:
@@ -477,9 +478,14 @@ class Supervisor:
         return [self._nodes[other] for other in node.entry.after]
 
     def _check_end(self, now_s: float) -> None:
-        if self._stop_requests > 1:
+        if self._stop_requests > 2:
             for node in self._nodes.values():
                 node.kill()
+        elif self._stop_requests > 1 and not self._asked_for_patience:
+            self._asked_for_patience = True
+            is_recording = any(node.records and node.child for node in self._nodes.values())
+            what = "the recording" if is_recording else "the graph"
+            self._say("warning", f"closing {what}; press Ctrl-C once more to end at once")
         if self._stopping is not None:
             return
         if self._stop_requests:

@@ -119,6 +119,8 @@ class Facts(NamedTuple):
     #: The sensor, "radar" or "LiDAR", and the duration of a scan.
     sensor: str = "radar"
     scan_period_s: float = 0.0
+    #: Since when the graph runs: the age of earlier stamps is not known.
+    graph_since_ns: int = 0
 
 
 class Finding(NamedTuple):
@@ -233,7 +235,15 @@ def findings(facts: Facts, params: WarningParams) -> list[Finding]:
 
 
 def _is_fresh(facts: Facts, params: WarningParams) -> bool:
-    return facts.frame_at_ns is not None and s_from_ns(facts.now_ns - facts.frame_at_ns) <= _silent_s(facts, params)
+    """Return whether a view came lately and shows what was measured lately."""
+    if facts.frame_at_ns is None:
+        return False
+    return max(s_from_ns(facts.now_ns - facts.frame_at_ns), _view_age_s(facts)) <= _silent_s(facts, params)
+
+
+def _view_age_s(facts: Facts) -> float:
+    """Return the time since the last beam of the newest view; 0 where it is not known."""
+    return 0.0 if facts.views is None or facts.views.age_ms is None else 1e-3 * facts.views.age_ms
 
 
 def _silent_s(facts: Facts, params: WarningParams) -> float:
@@ -265,7 +275,8 @@ def hidden_objects(facts: Facts, params: WarningParams) -> Iterable[Finding]:
     tracks = sorted(tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
     crossings = _crossings(facts, tracks, params)
     # tracks refer to the scan's stamp, warnings to now
-    late_s = s_from_ns(facts.now_ns - frame.stamp_ns) if on_one_clock(frame.stamp_ns, facts.now_ns) else 0.0
+    has_age = on_one_clock(frame.stamp_ns, facts.now_ns, facts.graph_since_ns)
+    late_s = s_from_ns(facts.now_ns - frame.stamp_ns) if has_age else 0.0
     ranked = [
         finding._replace(detail=finding.detail + _others(count[side_of_track(track, params)] - 1))
         for track, crossing in zip(tracks, crossings, strict=True)
@@ -464,6 +475,8 @@ def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
         waited_s = s_from_ns(facts.now_ns - facts.since_ns)
         if waited_s > _silent_s(facts, params):
             yield Finding("silent", Level.CAUTION, "No view yet", f"waiting for {waited_s:.0f} s")
+    elif s_from_ns(facts.now_ns - facts.frame_at_ns) <= _silent_s(facts, params) < _view_age_s(facts):
+        yield Finding("silent", Level.URGENT, "The view is old", f"measured {_view_age_s(facts):.0f} s ago")
     elif not _is_fresh(facts, params):
         quiet = f"no view for {s_from_ns(facts.now_ns - facts.frame_at_ns):.0f} s"
         yield Finding("silent", Level.URGENT, *_who_is_silent(facts, quiet, params))

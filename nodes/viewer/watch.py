@@ -62,7 +62,7 @@ class Watch:
         """Process one message; topics that are not used here are ignored."""
         group = _GROUPS.get(type(message))
         if group is not None and self._series.is_due(group, now_ns):
-            self._series.take(group, _numbers(message, now_ns), now_ns)
+            self._series.take(group, _numbers(message, now_ns, self._views.since_ns), now_ns)
         match message:
             case BevFrame():
                 self._trails.add_view(message, self._facts.vehicle_from_radar)
@@ -78,6 +78,7 @@ class Watch:
                 self._facts = self._facts._replace(vehicle=message, vehicle_at_ns=now_ns)
             case NodeStatus():
                 self._nodes.add(message, now_ns)
+                self._views.hear(message, now_ns)
             case RadarSetup() | LidarSetup():
                 self._views.set_up(message)
                 self.sensor = message
@@ -93,7 +94,10 @@ class Watch:
         """Return the warnings at a time, the most urgent first; to be called often enough for right times."""
         views = self._views.figures(now_ns)
         nodes = _node_facts(self._nodes.rows(now_ns))
-        return self._warner.step(self._facts._replace(now_ns=now_ns, views=views, nodes=nodes))
+        graph_since_ns = self._views.since_ns
+        return self._warner.step(
+            self._facts._replace(now_ns=now_ns, views=views, nodes=nodes, graph_since_ns=graph_since_ns)
+        )
 
     def table(self, now_ns: int) -> dict[str, Any]:
         """Return the node table in the page's form."""
@@ -106,11 +110,11 @@ class Watch:
         return {"type": "nodes", "graph": graph, "nodes": rows}
 
 
-def _numbers(message: msgspec.Struct, now_ns: int) -> Iterator[tuple[str, float]]:
+def _numbers(message: msgspec.Struct, now_ns: int, since_ns: int) -> Iterator[tuple[str, float]]:
     """Yield what is plotted of a message: what is counted in it first, then its own numbers."""
     match message:
         case BevFrame():
-            if on_one_clock(message.stamp_ns, now_ns):
+            if on_one_clock(message.stamp_ns, now_ns, since_ns):
                 yield "latency_ms", 1e-6 * (now_ns - message.stamp_ns)
             yield "direct_returns.count", float(len(message.los_points_m))
         case Peaks():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import shlex
 import signal
 import subprocess
 import sys
@@ -285,8 +286,21 @@ def test_a_file_does_not_get_the_number_of_a_stream_that_came_closed(box: Path) 
     with RecordingReader(out) as reader:
         assert reader.loss is None
         assert reader.types
-    launched = through_shell(f"mirrorwave launch {box}/t.yaml --duration 0.5 --runs-dir {box}/runs >&-")
+    launched = through_shell(f"mirrorwave launch {box}/t.yaml --duration 0.5 --runs-dir {box}/runs <&- >&- 2>&-")
     assert launched.returncode == 0
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- 2>&-", "<&- >&- 2>&-"])
+def test_what_a_verb_starts_has_its_streams_too(closed: str) -> None:
+    """A socket of the fork server, or of a worker, would get the number of one that is missing."""
+    code = (
+        "import os, sys; from mirrorwave.terminal import open_closed_streams; open_closed_streams();"
+        "sys.stdin.read(); sys.stdout.write('.'); sys.stderr.write('.');"
+        "words = ['sh', '-c', 'for n in 0 1 2; do [ -e /proc/$$/fd/$n ] || exit 1; done'];"
+        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(os.posix_spawn('/bin/sh', words, os.environ), 0)[1]))"
+    )
+    command = f"{sys.executable} -c {shlex.quote(code)} </dev/null {closed}"
+    assert subprocess.run(["bash", "-c", command], capture_output=True, timeout=PATIENCE_S, check=False).returncode == 0
 
 
 @pytest.mark.parametrize("verb", ["topic list", "sim material concrete --json"])

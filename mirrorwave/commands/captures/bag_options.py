@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from mirrorwave.console import require_new_file
+from mirrorwave.exit_signals import is_asked_again
 from msgs.values.units import ns_from_s
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Recording.")]
@@ -121,9 +122,13 @@ def stop_by_signal(stop: Any, duration_s: float | None) -> Any:
     """Have SIGINT, SIGTERM, SIGHUP unless it is ignored and, after `duration_s`, the alarm clock ask for the end."""
     from nodes.node import stopping_signals
 
+    def end(number: int, frame: object) -> None:
+        if number == signal.SIGALRM or not is_asked_again(number):
+            # at once: publishers go on, so what waits would never end
+            stop.request(at_once=True)
+
     for number in stopping_signals(signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
-        # at once: publishers go on, so what waits would never end
-        signal.signal(number, lambda _number, _frame: stop.request(at_once=True))
+        signal.signal(number, end)
     if duration_s is not None:
         signal.setitimer(signal.ITIMER_REAL, duration_s)
     return stop

@@ -78,6 +78,7 @@ class GraphWatch:
         }
 
     def _hear(self, status: NodeStatus, now_ns: int) -> None:
+        self._views.hear(status, now_ns)
         heard = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
         if heard and heard[-1].status.pid != status.pid:
             heard.clear()

@@ -20,6 +20,7 @@ from mirrorwave.terminal import ends_with_reader
 from msgs.bus.codec import to_builtins
 from msgs.bus.interface import Received
 from msgs.bus.topics import TOPICS, topic_facts
+from msgs.values.diagnostics import NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
@@ -234,13 +235,15 @@ def delay(
 
     # raw beams only when asked for: listening to 350 MB/s changes what is measured
     wanted = list(topics or (name for name in TOPICS if name != "radar/beam"))
-    bus = listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup"])))
+    bus = listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup", "diagnostics/node"])))
     try:
         watch = DelayWatch(bus.now_ns())
         with ends_with_reader():
             for received in messages(bus, time.monotonic() + duration):
                 if isinstance(received.message, RadarSetup | LidarSetup):
                     watch.set_up(received.message)
+                if isinstance(received.message, NodeStatus):
+                    watch.hear(received.message, bus.now_ns())
                 if received.topic in wanted:
                     watch.take(received, bus.now_ns())
     finally:

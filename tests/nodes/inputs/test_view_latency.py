@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from msgs.values.diagnostics import SAMPLES_LIMIT, StageTime
+from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, StageTime
 from msgs.values.perception import BevFrame, HiddenObject
 from msgs.values.radar import BeamGrid, RadarSetup
 from nodes.inputs.view_latency import NewObjects, ViewWatch, last_beam_ns, on_one_clock, stage_figures, views_text
@@ -91,7 +91,27 @@ def test_a_stamp_of_another_clock_has_no_age() -> None:
     assert (views.age_ms, views.latency_p50_ms, views.late_total, views.overdue) == (None, None, 0, 0)
     assert "unknown" in views_text(views)
     assert not on_one_clock(10**18, 0)
-    assert not on_one_clock(0, 61_000 * MS)
+
+
+@pytest.mark.parametrize("late_s", [59, 61, 222, 86_400])
+def test_a_view_is_late_however_old_it_is(late_s: int) -> None:
+    """Whoever falls behind without bound is not in time after a minute."""
+    watch, now_ns = watch_of(dict.fromkeys(range(34), 1000.0 * late_s), window_s=10.0)
+    views = watch.figures(now_ns)
+    assert (views.late, views.late_total) == (34, 34)
+    assert views.age_ms == pytest.approx(1e3 * late_s)
+    assert views.overdue == round((late_s - 0.3) / 0.3 - 0.5)
+
+
+def test_what_was_measured_before_the_graph_ran_is_of_a_capture() -> None:
+    """A watch that joins late learns from a heartbeat that the graph has run for 300 s, on whatever clock that is."""
+    joined_ns = 10_000 * 1_000 * MS
+    for age_s, is_known in ((0.4, True), (250.0, True), (301.0, False), (9_000.0, False)):
+        watch = ViewWatch(joined_ns)
+        watch.hear(NodeStatus(stamp_ns=5, node="player", pid=1, state=NodeState.READY, uptime_s=300.0), joined_ns)
+        watch.hear(NodeStatus(stamp_ns=5, node="restarted", pid=2, state=NodeState.READY, uptime_s=1.0), joined_ns)
+        watch.add(0, joined_ns - round(1e3 * age_s) * MS, joined_ns)
+        assert (watch.figures(joined_ns).age_ms is not None) is is_known, age_s
 
 
 def test_nothing_seen_is_said_so() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -314,7 +315,8 @@ def test_what_was_over_before_the_first_scan_is_not_marked(tmp_path: Path) -> No
         state = VehicleState(stamp_ns=0)
         writer.write("vehicle/state", state, publisher="c", sequence=0, sent_ns=0)
         for sequence, sent_ns in enumerate([5 * 10**9, 5 * 10**9 + PERIOD_NS]):
-            writer.write("perception/hidden_objects", view, publisher="g", sequence=sequence, sent_ns=sent_ns)
+            seen = msgspec.structs.replace(view, stamp_ns=sent_ns)
+            writer.write("perception/hidden_objects", seen, publisher="g", sequence=sequence, sent_ns=sent_ns)
     with RecordingReader(path) as reader:
         log = read_log(reader)
     assert "silent" in {one.key for one in log.marks}
