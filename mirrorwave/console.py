@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import typer
 
+from msgs.values.wording import duration_text
+
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
-    from rich.table import Table
+    from rich.progress import Progress as Bar
 
 
 class ExitCode(IntEnum):
@@ -32,6 +36,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a ta
 Domain = Annotated[str, typer.Option("--domain", envvar="MIRRORWAVE_DOMAIN", help="Graph to talk to.")]
 DEFAULT_DOMAIN = "default"
 
+#: Tables: space between columns; a line of a text that wraps has at least so many cells, and a longer word is broken.
+_GAP, _LINE, _LONG_WORD = 2, 20, 32
+_UNLIMITED = 100_000
+#: How often the progress of a long verb is shown, where stderr is no terminal and where it is one.
+BEAT_S, BAR_S = 10.0, 0.2
 _CONTROL = {code: "\N{REPLACEMENT CHARACTER}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
 #: What pictures may be written as.
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
@@ -59,9 +68,15 @@ def print_line(text: str) -> None:
         sys.stdout.flush()
 
 
-def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """A table on stdout; columns of numbers are aligned right. Lines are never cut where stdout is no terminal."""
-    print_picture(console_table(columns, rows))
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], drop: Sequence[str] = ()) -> None:
+    """Print a table on stdout, laid out as `console_table` says."""
+    print_picture(console_table(columns, rows, drop))
+
+
+def print_rows(columns: Sequence[str], rows: Sequence[Mapping[str, object]], drop: Sequence[str] = ()) -> None:
+    """Print these columns of mappings as a table, with their names as headings in capitals."""
+    headings, least = ([name.upper() for name in names] for names in (columns, drop))
+    print_table(headings, [[row[name] for name in columns] for row in rows], least)
 
 
 def print_picture(picture: RenderableType) -> None:
@@ -71,10 +86,10 @@ def print_picture(picture: RenderableType) -> None:
 
 
 def stdout_console() -> Console:
-    """Stdout for rich; where nobody's eyes set the width, nothing is cut."""
+    """Stdout for rich; where no terminal sets the width, nothing is cut."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 1000)
+    return Console(width=None if sys.stdout.isatty() else _UNLIMITED)
 
 
 @contextmanager
@@ -88,44 +103,151 @@ def _printing() -> Iterator[None]:
         raise OSError(error.errno, error.strerror, "standard output") from None
 
 
-def console_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
-    """The same as a rich table."""
+def console_table(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], drop: Sequence[str] = (), width: int | None = None
+) -> RenderableType:
+    """Return a table that fits a terminal of `width` cells, by default stdout's, without cutting a heading or a cell.
+
+    Columns of numbers are aligned right. Where space is short, headings and long texts wrap at spaces; then the columns
+    that `drop` names are left out, the first of them first, and a last line names them. Where the others are still too
+    wide, each row is a block with one line a column.
+    """
+    from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
+    width = stdout_console().width if width is None else width
     cells = [[_cell(value) for value in row] for row in rows]
+    kept = list(range(len(columns)))
+    left_out: list[int] = []
+    least = [index for name in drop for index, column in enumerate(columns) if column == name]
+    while (widths := _column_widths(columns, cells, kept, width)) is None and len(left_out) < len(least):
+        left_out.append(least[len(left_out)])
+        kept.remove(left_out[-1])
+    if widths is None:
+        return Text("\n\n".join(_block(columns, row) for row in cells))
+    # a wide one may have left room for others
+    for index in reversed(left_out):
+        if (more := _column_widths(columns, cells, sorted([*kept, index]), width)) is not None:
+            kept, widths = sorted([*kept, index]), more
+    names = ", ".join(columns[index] for index in sorted(set(left_out).difference(kept)))
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for index, name in enumerate(columns):
-        numeric = bool(cells) and all(_is_number(row[index]) for row in cells)
-        table.add_column(Text(name), justify="right" if numeric else "left", no_wrap=True)
+    for index, column_width in zip(kept, widths, strict=True):
+        justify: Literal["left", "right"] = "right" if _is_numeric(cells, index) else "left"
+        table.add_column(Text(columns[index]), justify=justify, overflow="fold", width=column_width)
     for row in cells:
-        table.add_row(*(Text(cell) for cell in row))
-    return table
+        table.add_row(*(Text(row[index]) for index in kept))
+    note = f"left out at this width: {names}; a wider terminal or --json shows them"
+    return Group(table, Text(note)) if names else table
+
+
+def _column_widths(columns: Sequence[str], cells: list[list[str]], kept: list[int], width: int) -> list[int] | None:
+    """Return widths of columns with the widest narrowed until all fit; None where they do not fit."""
+    wanted, least = [], []
+    for index in kept:
+        texts = [row[index] for row in cells]
+        widest = _width(texts)
+        words = _width(word for text in texts for word in text.split())
+        # a number is not broken, nor a short text; of a long one a few words stay on a line
+        narrow = widest if _is_numeric(cells, index) else min(widest, max(min(words, _LONG_WORD), _LINE))
+        wanted.append(max(widest, _width([columns[index]])))
+        least.append(max(narrow, _width(columns[index].split())))
+    room = width - _GAP * (len(kept) - 1)
+    if sum(least) > room:
+        return None
+    limits = range(max(wanted, default=0), -1, -1)
+    narrowed = ([max(low, min(high, limit)) for low, high in zip(least, wanted, strict=True)] for limit in limits)
+    return next(widths for widths in narrowed if sum(widths) <= room)
+
+
+def _width(texts: Iterable[str]) -> int:
+    """Terminal cells of the longest line."""
+    from rich.cells import cell_len
+
+    return max((cell_len(line) for text in texts for line in text.splitlines()), default=0)
+
+
+def _block(columns: Sequence[str], row: list[str]) -> str:
+    """One row, a line a column."""
+    return "\n".join(f"{name}: {cell}" if name else cell for name, cell in zip(columns, row, strict=True))
+
+
+def _is_numeric(cells: list[list[str]], index: int) -> bool:
+    return bool(cells) and all(_is_number(row[index]) for row in cells)
+
+
+class Progress:
+    """Count of what a long verb has done, and of how much there is where that is known. Safe between threads."""
+
+    def __init__(self, name: str, total: float | None, done: float, write: Callable[[str], None]) -> None:
+        self.name, self.total, self.done = name, total, done
+        self._write, self._start_s, self._kept = write, time.monotonic(), done
+
+    def __call__(self, count: float = 1) -> None:
+        """Add `count` to what is done."""
+        self.done += count
+
+    def update(self, done: float, total: float | None) -> None:
+        """Set what is done, and of how much."""
+        self.done, self.total = done, total
+
+    def keep(self, count: float) -> None:
+        """Add what an earlier run has done: its time says nothing of what is left."""
+        self.done, self._kept = self.done + count, self._kept + count
+
+    def print(self, text: str) -> None:
+        """Write a line on stderr."""
+        self._write(text)
+
+    def line(self) -> str:
+        """Return what is done, how long it took, and how long the rest takes at this rate."""
+        elapsed_s, done = time.monotonic() - self._start_s, self.done - self._kept
+        of = "" if self.total is None else f" of {self.total:.0f}"
+        left = ""
+        if self.total is not None and done > 0.0:
+            left = f", {duration_text((self.total - self.done) * elapsed_s / done)} left"
+        count = f"{self.done:.0f}{of}, " if self.done or of else ""
+        return f"{self.name}: {count}{duration_text(elapsed_s)}{left}"
 
 
 @contextmanager
-def progress_bar(name: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar with the time left where stderr is a terminal; gives what advances it."""
+def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iterator[Progress]:
+    """Show on stderr how much is done: a bar on a terminal, elsewhere a line every `BEAT_S`; gives what advances it."""
+    is_terminal, ended = sys.stderr.isatty(), threading.Event()
+    with _bar(is_terminal) as bar:
+        progress = Progress(name, total, done, bar.console.print if is_terminal else _heartbeat)
+        task = bar.add_task("", total=total, line="")
+
+        def show() -> None:
+            while not ended.wait(BAR_S if is_terminal else BEAT_S):
+                if is_terminal:
+                    bar.update(task, completed=progress.done, total=progress.total, line=progress.line())
+                else:
+                    _heartbeat(progress.line())
+
+        thread = threading.Thread(target=show, name="progress", daemon=True)
+        thread.start()
+        try:
+            yield progress
+        finally:
+            ended.set()
+            thread.join()
+
+
+def _bar(is_shown: bool) -> Bar:
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn
+    from rich.progress import Progress as Bar
 
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task(name, total=total)
-        yield lambda: progress.advance(task)
-
-
-@contextmanager
-def scan_counter() -> Iterator[Callable[[], None]]:
-    """Scans so far and the time they took, where stderr is a terminal; gives what advances them."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} scans"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), BarColumn(20), TextColumn("{task.fields[line]}", markup=False))
     # stdout is for results
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task("scans", total=None)
-        yield lambda: progress.advance(task)
+    return Bar(*columns, console=Console(stderr=True), transient=True, disable=not is_shown)
+
+
+def _heartbeat(line: str) -> None:
+    with suppress(OSError):
+        sys.stderr.write(f"{printable(line)}\n")
+        sys.stderr.flush()
 
 
 @contextmanager

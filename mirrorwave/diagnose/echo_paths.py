@@ -12,10 +12,10 @@ from sim_player.effects.names import PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.planner.plan import BUDGET_DB, resolve_plan
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
-from sim_player.scene.world import prepare
+from sim_player.scene.world import World, prepare
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import best_power_mw
+from sim_player.trace.truth import best_power_mw, hidden_objects
 from sim_player.trace.vertices import outbound_vertices
 
 
@@ -35,14 +35,46 @@ class PlanChoice(NamedTuple):
     purpose: str = Purpose.SAMPLES.value
 
 
-def echo_paths(scene: Scene, seed: int, choice: PlanChoice, strongest: int | None) -> EchoPaths:
-    """Trace a scene with some effects; of all paths only the `strongest` where that is given."""
+class PathFilter(NamedTuple):
+    """Paths to keep: all that pass every condition, then the strongest of them."""
+
+    hidden_only: bool = False
+    kind: str | None = None
+    object_index: int | None = None
+    surface: int | None = None
+    strongest: int | None = None
+
+    def check(self, world: World) -> None:
+        """Raise `ValueError` for an object or a surface that the scene lacks."""
+        for option, wanted, count in (
+            ("--object", self.object_index, len(world.scene.objects)),
+            ("--surface", self.surface, len(world.wall_a)),
+        ):
+            if wanted is not None and not 0 <= wanted < count:
+                known = f"0..{count - 1}" if count else "none of them in this scene"
+                raise ValueError(f"{option} must be {known}, got {wanted}")
+
+    def passes(self, paths: Paths) -> np.ndarray:
+        """Return which paths to keep, without regard to their strength."""
+        kept = np.ones(len(paths), bool)
+        if self.hidden_only:
+            kept &= np.isin(paths.object_index, list(hidden_objects(paths)))
+        if self.kind is not None:
+            kept &= (paths.kind == PathClass.MIRRORED) == (self.kind == "mnlos")
+        for column, wanted in ((paths.object_index, self.object_index), (paths.surface, self.surface)):
+            kept &= wanted is None or column == wanted
+        return kept
+
+
+def echo_paths(scene: Scene, seed: int, choice: PlanChoice, wanted: PathFilter) -> EchoPaths:
+    """Trace a scene with some effects; `ValueError` where `wanted` names what the scene lacks."""
     world = prepare(scene, seed)
+    wanted.check(world)
     plan = resolve_plan(world, scene.setup, choice.effects, choice.budget_db, purpose=purpose_of(choice.purpose))
     paths = trace(world) if plan is None else plan.paths
     power_mw = best_power_mw(scene.setup, paths)
     order = np.argsort(-power_mw, kind="stable")
-    kept = order if strongest is None else order[:strongest]
+    kept = order[wanted.passes(paths)[order]][: wanted.strongest]
     return EchoPaths(paths.take(kept), power_mw[kept], outbound_vertices(world, paths.take(kept)))
 
 
@@ -70,8 +102,7 @@ def path_line(paths: Any, index: int, power_mw: float) -> tuple[object, ...]:
         f"{paths.length_m[index]:.2f}",
         f"{math.degrees(paths.azimuth_rad[index]):.1f}",
         f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
-        int(paths.object_index[index]),
-        int(paths.surface[index]),
+        *(None if number < 0 else int(number) for number in (paths.object_index[index], paths.surface[index])),
         ", ".join(_needs(paths, index)),
     )
 

@@ -13,9 +13,10 @@ from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObje
 
 #: A hidden object is found when its visible face or centre is met within this.
 GATE_M = 1.0
-#: What the error is, wherever it is printed.
+#: What the errors are, wherever they are printed.
 ERROR = (
-    "error: to the nearest visible face of the true box or to its centre, whichever is nearer; beside it to the centre"
+    "error: from the centre of the report to the centre of the true box, and to the nearest visible face of the true "
+    "box (or to its centre where that is nearer)"
 )
 #: Scans for which truth is kept while their view is still on its way.
 KEPT_SCANS = 64
@@ -24,7 +25,8 @@ KEPT_SCANS = 64
 class Score(msgspec.Struct, frozen=True, kw_only=True):
     """Sum over scans; the counts against truth are None where no truth was given.
 
-    Errors are to the nearest visible face of the true box or to its centre, whichever is nearer.
+    `mean_error_m` and `worst_error_m` are to the nearest visible face of the true box or to its centre, whichever is
+    nearer.
     """
 
     scans: int
@@ -90,13 +92,14 @@ class Scoreboard:
         """Objects of the last scan, the last one with truth if there is any, then the sum over all scans."""
         if self._last is not None:
             frame, truth = self._last
-            columns = ("hidden object", "x [m]", "y [m]", "std [m]", "score", "truth", "x [m]", "y [m]", "error [m]",
-                       "to centre [m]")  # fmt: skip
-            print_table(columns, _rows(frame, truth))
+            columns = ("hidden object", "x [m]", "y [m]", "std [m]", "score", "truth", "true x [m]", "true y [m]",
+                       "error: centre [m]", "error: nearest visible face [m]")  # fmt: skip
+            print_table(columns, _rows(frame, truth), ("std [m]", "score"))
         score = self.summary()
-        names = ("scans", "objects", "matched", "missed", "unmatched", "mean error [m]", "worst error [m]",
-                 "mean to centre [m]")  # fmt: skip
-        print_table(names, [tuple(msgspec.structs.astuple(score))])
+        names = ("scans", "objects", "matched", "missed", "unmatched", "mean error: centre [m]",
+                 "mean error: nearest visible face [m]", "worst error: nearest visible face [m]")  # fmt: skip
+        errors = (score.mean_centre_error_m, score.mean_error_m, score.worst_error_m)
+        print_table(names, [(score.scans, score.objects, score.matched, score.missed, score.unmatched, *errors)])
         if score.matched is not None:
             print_line(ERROR)
 
@@ -119,7 +122,7 @@ def _rows(frame: BevFrame, truth: SceneTruth | None) -> list[tuple[object, ...]]
     real = {item.id: item for item in truth.objects}
     match = match_objects(frame.objects, truth, GATE_M)
     pairs = zip(match.matched, match.centre_m, strict=True)
-    rows = [(*_report_cells(reported[i]), *_truth_cells(real[j]), error_m, to_m) for (i, j, error_m), to_m in pairs]
+    rows = [(*_report_cells(reported[i]), *_truth_cells(real[j]), to_m, error_m) for (i, j, error_m), to_m in pairs]
     rows += [(*_report_cells(reported[i]), "nothing there", *[None] * 4) for i in match.unmatched_objects]
     return rows + [("missed", *[None] * 4, *_truth_cells(real[j]), None, None) for j in match.missed_truths]
 

@@ -19,6 +19,8 @@ from msgs.files.whole_files import write_whole
 
 #: Draws of a bootstrap interval.
 DRAWS = 1000
+#: A machine is busy beyond this load of a core before a run, or where timed sections wait for a core so often.
+MAX_LOAD, MAX_WAITED = 0.5, 0.1
 #: A quantile needs so many samples to be printed.
 SAMPLES_FOR = {"p50": 2, "p90": 20, "p99": 200}
 
@@ -72,6 +74,24 @@ def quantiles_ms(samples_ms: np.ndarray) -> Times:
 def machine() -> str:
     """Return processor, cores and system."""
     return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
+
+
+def load_per_core() -> float:
+    """Return how many processes wanted each core in the last minute."""
+    return os.getloadavg()[0] / (os.cpu_count() or 1)
+
+
+def busy_reason(load_before: float, waited: float = 0.0) -> str:
+    """Return why measured times do not count, "" where they do.
+
+    `load_before`: `load_per_core` before the run; `waited`: share of the timed sections that was no CPU time.
+    """
+    reasons = []
+    if load_before > MAX_LOAD:
+        reasons.append(f"{load_before:.2f} processes wanted each core before it began (limit {MAX_LOAD:g})")
+    if waited > MAX_WAITED:
+        reasons.append(f"it waited for a core {100.0 * waited:.0f} % of the time (limit {100.0 * MAX_WAITED:g} %)")
+    return " and ".join(reasons)
 
 
 def versions() -> dict[str, str]:

@@ -6,3 +6,13 @@ from __future__ import annotations
 def counted(count: int, noun: str, plural: str | None = None) -> str:
     """Return a count with its noun in English: "1 scan", "2 scans", "0 scans"; `plural` if an s does not do."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration as "4 s", "2 min 05 s", "1 h 02 min"."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"

@@ -23,7 +23,7 @@ def print_info(contents: Any) -> None:
         (topic.topic, topic.type or None, topic.messages, topic.bytes, topic.rate_hz, ", ".join(topic.publishers))
         for topic in contents.topics
     ]
-    print_table(columns, rows)
+    print_table(columns, rows, ("TYPE", "BYTES"))
     _print_losses(contents.losses)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_rows, print_table
 from mirrorwave.terminal import ends_with_reader
 from msgs.values.wording import counted
 
@@ -70,12 +70,12 @@ def decode(
 
 def _print_report(report: LogReport) -> None:
     columns = ("time_s", "speed_mps", "yaw_rate_rps", "steering_rad", "valid", "reason")
-    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in report.samples])
+    print_rows(columns, report.samples)
     print_line("")
     if report.events:
         keys = ("event", "from_s", "to_s", "count", "message", "why")
         shown = report.events[:_SHOWN_EVENTS]
-        print_table([name.upper() for name in keys], [[event[name] for name in keys] for event in shown])
+        print_rows(keys, shown)
         if len(report.events) > len(shown):
             print_line(f"... {len(report.events)} events in all")
         print_line("")
@@ -114,7 +114,8 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
 
 def _print_signals(report: SignalReport) -> None:
     columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
-    print_table([name.upper() for name in columns], [_signals_row(row) for row in report.messages()])
+    rows = [_signals_row(row) for row in report.messages()]
+    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS",))
     print_line("")
     print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
     if report.loss:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -56,9 +55,6 @@ def xradarnlos(
     as_json: AsJson = False,
 ) -> int:
     """The published simulated maps or real captures as a data set of maps, for `train` and `eval`."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from models.training.data.xradarnlos import SimKeys, import_folder
 
     wanted_keys = [name.strip() for name in keys.split(",")]
@@ -66,15 +62,14 @@ def xradarnlos(
         raise ValueError(f"--keys must be three different names with commas between them, got {keys!r}")
     if not folder.is_dir():
         raise NotADirectoryError(20, "must be a folder", str(folder))
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task("captures", total=None)
+    with progress_bar("captures") as progress:
         summary = import_folder(
             folder,
             out,
             kind.value,
             SimKeys(direct=wanted_keys[0], image=wanted_keys[1], true_place=wanted_keys[2]),
             skip_broken,
-            lambda done, total: progress.update(task, completed=done, total=total),
+            progress.update,
         )
     for reason in summary.broken:
         typer.echo(f"mirrorwave: left out: {reason}", err=True)

@@ -14,7 +14,7 @@ import msgspec
 import typer
 
 from mirrorwave.completion import NodeName
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_rows, print_table
 from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.topics import ABOUT_NODES
@@ -131,7 +131,7 @@ def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_j
         row["shed"] = shed_text(row["shed"]) or None
     figures = ("uptime_s", "cpu_percent", "rss_mib", "in_hz", "out_hz", "lost", "rejected", "outdated")
     columns = ("node", "state", "pid", *figures, "shed", "reason")
-    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in rows])
+    print_rows(columns, rows, ("uptime_s", "pid", "outdated", "rejected", "rss_mib", "cpu_percent", "out_hz", "in_hz"))
 
 
 @app.command()
@@ -173,7 +173,7 @@ def types(
         print_json(rows)
     elif name is None:
         columns = ("module", "package", "inputs", "outputs", "about")
-        print_table([column.upper() for column in columns], [_type_cells(row, columns) for row in rows])
+        print_rows(columns, [_type_row(row) for row in rows], ("package", "outputs", "inputs"))
     else:
         for row in rows:
             print_line(f"{row['module']}, {row['package']}: {row['error'] or row['about']}")
@@ -182,9 +182,9 @@ def types(
         raise typer.Exit(ExitCode.FAILED)
 
 
-def _type_cells(row: dict[str, Any], columns: tuple[str, ...]) -> list[str]:
-    cells = {**row, "about": f"BROKEN: {row['error']}" if row["error"] else row["about"]}
-    return [", ".join(value) if isinstance(value := cells[column], list) else value for column in columns]
+def _type_row(row: dict[str, Any]) -> dict[str, Any]:
+    texts = {key: ", ".join(value) for key, value in row.items() if key in ("inputs", "outputs")}
+    return {**row, **texts, "about": f"BROKEN: {row['error']}" if row["error"] else row["about"]}
 
 
 _DIRECTIONS = {"received": "in", "published": "out"}
@@ -192,7 +192,7 @@ _DIRECTIONS = {"received": "in", "published": "out"}
 
 def _print_details(topics: list[dict[str, Any]], status: NodeStatus) -> None:
     columns = ("way", "topic", "hz", "bytes_per_s", "messages", "bytes", "lost", "rejected", "outdated")
-    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in topics])
+    print_rows(columns, topics, ("bytes", "messages", "bytes_per_s", "outdated", "rejected"))
     stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
     print_table(("STAGE", "COUNT", "LAST MS", "MEAN MS", "MAX MS"), stages)
 

@@ -177,13 +177,14 @@ def _picture(report: dict[str, Any]) -> RenderableType:
     return Group(
         Text(f"domain {report['domain']}: {views_text(msgspec.convert(views, ViewFigures))}"),
         Text(),
-        console_table(_NODE_COLUMNS, [_node_cells(row) for row in nodes]),
+        console_table(_NODE_COLUMNS, [_node_cells(row) for row in nodes], _LEAST),
         Text(),
-        console_table(_STAGE_COLUMNS, [cells for row in nodes for cells in _stage_cells(row)]),
+        console_table(_STAGE_COLUMNS, [cells for row in nodes for cells in _stage_cells(row)], ("COUNT",)),
     )
 
 
 _NODE_COLUMNS = ("NODE", "STATE", "CPU %", "RSS MIB", "IN HZ", "OUT HZ", "LOST", "OUTDATED", "REASON", "SHED SO FAR")
+_LEAST = ("OUTDATED", "RSS MIB", "CPU %", "OUT HZ", "IN HZ")
 _STAGE_COLUMNS = ("NODE", "STAGE", "COUNT", "MEAN MS", "P50 MS", "P99 MS", "MAX MS")
 
 

@@ -11,7 +11,7 @@ import typer
 
 from mirrorwave.commands.graph.topic_pub import pub
 from mirrorwave.completion import complete_topics
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_rows, print_table
 from mirrorwave.diagnose.running_graph import is_running, no_graph, silence
 from mirrorwave.diagnose.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from mirrorwave.diagnose.topic_rates import are_foreign, awaited, ends_of, listen, measure, messages
@@ -76,15 +76,13 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
     if as_json:
         print_json(about)
         return
-    ends = [(side, row) for side in ("publishers", "readers") for row in about.pop(side)]
+    ends = [{"": side, **row} for side in ("publishers", "readers") for row in about.pop(side)]
     fields = about.pop("fields")
     for name, value in about.items():
         print_line(f"{name}: {value}")
     print_table(("FIELD", "TYPE"), fields.items())
-    columns = ("node", "hz", "messages", "bytes", "lost", "rejected", "outdated")
-    print_table(
-        ("", *(name.upper() for name in columns)), [(side, *(row[name] for name in columns)) for side, row in ends]
-    )
+    columns = ("", "node", "hz", "messages", "bytes", "lost", "rejected", "outdated")
+    print_rows(columns, ends, ("bytes", "messages", "outdated"))
     _say_where_no_graph(domain)
 
 
@@ -203,7 +201,7 @@ def hz(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN,
         print_json(rates)
     else:
         columns = ("topic", "publisher", "messages", "rate_hz", "mean_ms", "std_ms", "max_ms", "lost")
-        print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in rates])
+        print_rows(columns, rates, ("std_ms", "messages", "mean_ms"))
     _require_heard(topics, {row["topic"] for row in rates}, duration, domain)
 
 
@@ -216,7 +214,7 @@ def bw(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN,
         print_json(volumes)
     else:
         columns = ("topic", "messages", "bytes_per_s", "mean_bytes", "lost", "rejected")
-        print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in volumes])
+        print_rows(columns, volumes, ("mean_bytes", "messages"))
     _require_heard(topics, {row["topic"] for row in volumes if row["messages"]}, duration, domain)
 
 
@@ -253,7 +251,8 @@ def delay(
     if as_json:
         print_json(rows)
     elif rows:
-        print_table([name.upper() for name in rows[0]], [[value or None for value in row.values()] for row in rows])
+        shown = [{name: value or None for name, value in row.items()} for row in rows]
+        print_rows(list(rows[0]), shown, ("messages", "p90_ms", "p99_ms", "publisher"))
     if topics or not rows:
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 

@@ -124,9 +124,9 @@ def _command(plan: Plan, sweeps: list[str], quick: bool) -> str:
 
 
 def _show(report: Report, out: Path) -> None:
-    from mirrorwave.studies.compare.report import COLUMNS, cells
+    from mirrorwave.studies.compare.report import COLUMNS, LEAST, cells
 
-    print_table(("sweep", "value", *COLUMNS), [[row.sweep, *cells(row)] for row in report.rows])
+    print_table(("sweep", "value", *COLUMNS), [[row.sweep, *cells(row)] for row in report.rows], LEAST)
     for finding in report.findings:
         print_line(finding)
     print_line(f"{out}: compare.json, compare.md, compare.png")

@@ -239,6 +239,8 @@ def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
     print_line(f"{counted(report['frames'], 'frame')} of {report['split']}; test set {report['test_sha256']}")
     for truth in report["methods"][0]["measures"]:
         print_line(f"against {truth} truth:")
-        print_table(headline_columns(), headline_rows(report, truth))
+        columns = headline_columns()
+        least = [name for name in reversed(columns[1:]) if name not in ("dense Macro-F1", "recovered F1 1 m")]
+        print_table(columns, headline_rows(report, truth), least)
     if out is not None:
         print_line(f"{out}: results.json, results.md and figures")

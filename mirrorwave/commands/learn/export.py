@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from mirrorwave.console import AsJson, print_json, print_line, print_table
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 
 
 def export(
@@ -34,8 +34,6 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write the best network of a run as ONNX, with a card that says how it was made and how good it is."""
-    from rich.console import Console
-
     from models.training.export.onnx import ExportConfig, export_run
 
     if run.suffix == ".onnx":
@@ -49,8 +47,8 @@ def export(
         calibration_maps=calibration,
         range_bins=range_bins,
     )
-    with Console(stderr=True).status("reading the run") as status:
-        card = export_run(run, out, config, report=status.update)
+    with progress_bar("export") as progress:
+        card = export_run(run, out, config, report=progress.print)
     if as_json:
         print_json(card)
         return
@@ -78,7 +76,8 @@ def _export_objects(
 
     if precision != "int8" or data is None:
         raise ValueError(f"{source}: an exported network takes --precision int8 and --data, a data set of its training")
-    card = quantize_objects(source, DataSet(data), calibration, out)
+    with progress_bar("export"):
+        card = quantize_objects(source, DataSet(data), calibration, out)
     if as_json:
         print_json(card)
         return

@@ -46,7 +46,7 @@ def tradeoff(
     if simulator:
         _simulator(out, full, seed, as_json)
         return
-    from mirrorwave.studies.report import write_report
+    from mirrorwave.studies.report import busy_reason, load_per_core, write_report
     from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
     from mirrorwave.studies.tradeoff.report import make_report, markdown
     from mirrorwave.studies.tradeoff.runner import Plan, peak_memory_mib, run_plan
@@ -56,6 +56,8 @@ def tradeoff(
     count, often = FULL if full else QUICK
     plan = Plan(rows=rows, frames=frames or count, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
+        if busy := busy_reason(load_per_core()):
+            tick.print(f"mirrorwave: the machine is busy, times will not count: {busy}")
         results = run_plan(plan, out, tick)
     failed = {name for result in results for name in result.failed}
     running = [setting for setting in plan.rows if setting.name not in failed] if memory else []
@@ -114,10 +116,12 @@ def _command(plan: Plan, networks: Path | None, settings: Path | None, names: li
 def _show(report: Report, out: Path, as_json: bool) -> None:
     import msgspec
 
-    from mirrorwave.studies.tradeoff.report import COLUMNS, cells
+    from mirrorwave.studies.tradeoff.report import COLUMNS, LEAST, cells
 
     if as_json:
         print_json(msgspec.to_builtins(report))
         return
-    print_table(COLUMNS, [cells(row) for row in report.rows])
+    print_table(COLUMNS, [cells(row) for row in report.rows], LEAST)
+    if report.busy:
+        print_line(f"the times do not count, the machine was busy: {report.busy}")
     print_line(f"{out}: tradeoff.json, tradeoff.md, front.png, stages.png")

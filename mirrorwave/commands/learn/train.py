@@ -12,7 +12,7 @@ from mirrorwave.commands.learn.train_confidence import confidence
 from mirrorwave.commands.learn.train_objects import objects
 from mirrorwave.commands.learn.train_probabilities import probabilities
 from mirrorwave.commands.learn.train_residual import residual
-from mirrorwave.console import print_json, print_line
+from mirrorwave.console import print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
     from models.training.objectives.objectives import ObjectiveConfig
@@ -109,22 +109,17 @@ def dense(
 
 def _run(training: DenseTraining) -> None:
     """Train with a bar for all batches and a line an epoch."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     epochs, steps = training.config.schedule.epochs, training.steps_per_epoch
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("batches", total=epochs * steps, completed=len(training.reports) * steps)
+    with progress_bar("batches", epochs * steps, len(training.reports) * steps) as progress:
 
         def show(report: EpochReport) -> None:
-            progress.console.print(
+            progress.print(
                 f"epoch {report.epoch}: loss {report.train_loss:.3f}, validation {report.validation_loss:.3f}, "
                 f"Macro-F1 {report.macro_f1:.3f} (LOS {report.los_f1:.3f}, mirrored {report.mirrored_f1:.3f}), "
                 f"best {report.best_macro_f1:.3f} at {report.best_threshold}"
             )
 
-        training.run(show, lambda done, of: progress.advance(task))
+        training.run(show, lambda done, of: progress())
 
 
 def _objective(default: ObjectiveConfig, kind: str | None, schedule: str) -> ObjectiveConfig:

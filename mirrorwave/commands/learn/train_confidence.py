@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from mirrorwave.console import AsJson, print_json, print_line
+from mirrorwave.console import AsJson, print_json, print_line, progress_bar
 
 
 def confidence(
@@ -37,8 +37,6 @@ def confidence(
 ) -> None:
     """Fit the probability that a folded place is true, to what a detector finds and the geometry stage makes of it."""
     import msgspec
-    from rich.console import Console
-    from rich.progress import Progress
 
     from models.perception.detection.detectors import NetworkDetector, detector_name
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
@@ -57,15 +55,11 @@ def confidence(
     scenes, splits = DataSet(data), fixed_splits(data)
     detector = NetworkDetector(scenes.setup, path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     places = {}
-    with Progress(console=Console(stderr=True), disable=json) as progress:
-        for split in ("train", "validation"):
-            frames = scenes.frames(splits.of(split))
-            if not clean:
-                frames = chain(
-                    frames, scenes.frames(splits.of(split), partial(imperfect, seed=seed, setup=scenes.setup))
-                )
-            total = len(splits.of(split)) * (1 if clean else 2)
-            on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=total))
+    for split in ("train", "validation"):
+        frames = scenes.frames(splits.of(split))
+        if not clean:
+            frames = chain(frames, scenes.frames(splits.of(split), partial(imperfect, seed=seed, setup=scenes.setup)))
+        with progress_bar(f"{split} scenes", len(splits.of(split)) * (1 if clean else 2)) as on_scene:
             places[split] = collected(frames, detector, GeometryParams(), correction, on_scene)
     command = f"mirrorwave train confidence --data {data} --out {out} --model {path} --refine {refine}"
     command += f" --threshold {at:g}{f' --residual {residual}' if residual else ''}"

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from mirrorwave.console import print_json, print_line
+from mirrorwave.console import print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from models.perception.objects.encoding import ObjectEncoding
     from models.training.data.frames import DataSet
     from models.training.data.object_samples import SampleMaker
@@ -51,8 +49,6 @@ def objects(
 ) -> None:
     """Train the network that judges what each cell of a map would be if a wall had mirrored it."""
     import msgspec
-    from rich.console import Console
-    from rich.progress import Progress
 
     from mirrorwave.plots.training_curves import draw_object_curves
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
@@ -91,11 +87,10 @@ def objects(
     _check_start(start, config)
     adopt_config(out, config)
     maker = Maker(detector, config.encoding)
-    with Progress(console=Console(stderr=True)) as progress:
-        train = object_samples(scenes, maker, out / TRAIN_SAMPLES, seed, workers, progress)
-        chosen_by = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
-        training = ObjectTraining(config, train, chosen_by, out, device)
-        best = _run(training, progress)
+    train = object_samples(scenes, maker, out / TRAIN_SAMPLES, seed, workers)
+    chosen_by = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers)
+    training = ObjectTraining(config, train, chosen_by, out, device)
+    best = _run(training)
     file = out / MODEL_FILE
     card = export_objects_run(out, chosen_by, file)
     draw_object_curves(training.reports, out / CURVES_PICTURE)
@@ -144,9 +139,7 @@ class _Job(NamedTuple):
     seed: int | None
 
 
-def object_samples(
-    scenes: Sequence[DataSet], maker: Maker, folder: Path, seed: int | None, workers: int, progress: Progress
-) -> list[Path]:
+def object_samples(scenes: Sequence[DataSet], maker: Maker, folder: Path, seed: int | None, workers: int) -> list[Path]:
     """Samples of all scans of the data sets, kept in a folder."""
     from models.training.data.object_store import sample_files
     from sim_player.dataset.executors import map_jobs
@@ -156,9 +149,9 @@ def object_samples(
         for number, data in enumerate(scenes)
         for path, scans in sample_files(len(data), folder / f"{number:02d}").items()
     ]
-    task = progress.add_task(folder.name, total=sum(map(len, scenes)))
-    for count in map_jobs(_make, jobs, workers=workers):
-        progress.advance(task, count)
+    with progress_bar(folder.name, sum(map(len, scenes))) as advance:
+        for count in map_jobs(_make, jobs, workers=workers):
+            advance(count)
     return [job.path for job in jobs]
 
 
@@ -188,19 +181,19 @@ def _sample_maker(folder: Path, maker: Maker) -> SampleMaker:
     return SampleMaker(maker.encoding, detector)
 
 
-def _run(training: ObjectTraining, progress: Progress) -> ObjectEpoch:
+def _run(training: ObjectTraining) -> ObjectEpoch:
     """Train with a bar for all batches and a line an epoch."""
     steps, done = training.steps_per_epoch, len(training.reports)
     total = training.config.schedule.epochs * steps
-    task = progress.add_task("batches", total=total, completed=done * steps)
+    with progress_bar("batches", total, done * steps) as progress:
 
-    def show(report: ObjectEpoch) -> None:
-        progress.console.print(
-            f"epoch {report.epoch}: loss {report.train_loss:.3f}, validation {report.validation_loss:.3f}, "
-            f"{_summary_line(report)}"
-        )
+        def show(report: ObjectEpoch) -> None:
+            progress.print(
+                f"epoch {report.epoch}: loss {report.train_loss:.3f}, validation {report.validation_loss:.3f}, "
+                f"{_summary_line(report)}"
+            )
 
-    return training.run(show, partial(progress.advance, task))
+        return training.run(show, progress)
 
 
 def _summary_line(report: ObjectEpoch) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mirrorwave.commands.learn.train_objects import VALIDATION_SAMPLES, Maker, object_samples
-from mirrorwave.console import AsJson, print_json, print_line
+from mirrorwave.console import AsJson, print_json, print_line, progress_bar
 
 
 def probabilities(
@@ -35,8 +35,6 @@ def probabilities(
 ) -> None:
     """Fit the tables from an object network's answers to probabilities, and its threshold, to validation scans."""
     import msgspec
-    from rich.console import Console
-    from rich.progress import Progress
 
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.predictor import ObjectPredictor
@@ -47,8 +45,8 @@ def probabilities(
     detector, judges = model or DEFAULT_MODEL, list(map(DataSet, validation))
     predictor = ObjectPredictor(network, flip_test=flip_test)
     maker = Maker(detector, predictor.card.encoding, flip_test)
-    with Progress(console=Console(stderr=True), disable=json) as progress:
-        files = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers, progress)
+    files = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers)
+    with progress_bar("answers"):
         card = with_probabilities(predictor.card, predictor, files, false_cost)
     command = f"mirrorwave train probabilities {network}{''.join(f' --validation {path}' for path in validation)}"
     command += f" --out {out} --model {detector.name}{' --flip-test' if flip_test else ''} --false-cost {false_cost:g}"

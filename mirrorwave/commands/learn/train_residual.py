@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mirrorwave.console import print_line
+from mirrorwave.console import print_line, progress_bar
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from models.training.data.residual_samples import FoldedImages, SampleConfig
     from models.training.train_residual import ResidualEpoch, ResidualTraining
 
@@ -42,8 +39,6 @@ def residual(
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
 ) -> None:
     """Train the network that corrects what the mirror law of a fitted wall leaves over."""
-    from rich.console import Console
-    from rich.progress import Progress
 
     from mirrorwave.plots.training_curves import draw_residual_curves
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
@@ -66,10 +61,9 @@ def residual(
         },
     )
     adopt_config(out, config)
-    with Progress(console=Console(stderr=True)) as progress:
-        folded = _folded(data, detector, config.samples, out, progress)
-        training = ResidualTraining(config, folded["train"], folded["validation"], out)
-        _run(training, progress)
+    folded = _folded(data, detector, config.samples, out)
+    training = ResidualTraining(config, folded["train"], folded["validation"], out)
+    _run(training)
     draw_residual_curves(training.reports, out / CURVES_PICTURE)
     command = f"mirrorwave train residual --data {data} --out {out} --source {source} --frame {frame}"
     command += f" --geometry {geometry} --model {detector} --reach-m {reach_m:g} --epochs {epochs} --seed {seed}"
@@ -81,7 +75,7 @@ def residual(
     )
 
 
-def _folded(data: Path, model: Path, config: SampleConfig, out: Path, progress: Progress) -> dict[str, FoldedImages]:
+def _folded(data: Path, model: Path, config: SampleConfig, out: Path) -> dict[str, FoldedImages]:
     """Folded images of each split, kept in the run folder; validation and test are always of detected peaks."""
     from models.perception.detection.detectors import NetworkDetector
     from models.training.data.frames import DataSet, fixed_splits
@@ -92,24 +86,24 @@ def _folded(data: Path, model: Path, config: SampleConfig, out: Path, progress: 
         path = out / SAMPLES.format(split)
         if not path.exists():
             indices, source = splits.of(split), config.source if split == "train" else "peaks"
-            on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=len(indices)))
             # the published chain takes the heatmap's maxima
             detector = NetworkDetector(scenes.setup, model, refine=config.geometry == "ours")
-            save_folded(path, fold_scenes(scenes, indices, source, detector, config, on_scene))
+            with progress_bar(f"{split} scenes", len(indices)) as on_scene:
+                save_folded(path, fold_scenes(scenes, indices, source, detector, config, on_scene))
         folded[split] = load_folded(path)
     return folded
 
 
-def _run(training: ResidualTraining, progress: Progress) -> None:
+def _run(training: ResidualTraining) -> None:
     """Train with a bar and a line for each epoch."""
-    task = progress.add_task("epochs", total=training.config.epochs, completed=len(training.reports))
+    with progress_bar("epochs", training.config.epochs, len(training.reports)) as progress:
 
-    def show(report: ResidualEpoch) -> None:
-        progress.console.print(
-            f"epoch {report.epoch}: loss {report.train_loss:.3f}, recovered l1 {report.recovered_l1_m:.3f} m "
-            f"(without {report.recovered_l1_without_m:.3f}), F1 {report.recovered_f1:.3f} "
-            f"(without {report.recovered_f1_without:.3f})"
-        )
-        progress.advance(task)
+        def show(report: ResidualEpoch) -> None:
+            progress.print(
+                f"epoch {report.epoch}: loss {report.train_loss:.3f}, recovered l1 {report.recovered_l1_m:.3f} m "
+                f"(without {report.recovered_l1_without_m:.3f}), F1 {report.recovered_f1:.3f} "
+                f"(without {report.recovered_f1_without:.3f})"
+            )
+            progress()
 
-    training.run(show)
+        training.run(show)

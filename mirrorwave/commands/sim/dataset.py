@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from enum import StrEnum
 from pathlib import Path
@@ -11,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.commands.sim.effects import For
-from mirrorwave.console import AsJson, print_json, print_line, print_table
+from mirrorwave.console import AsJson, Progress, print_json, print_line, print_table, progress_bar
+from msgs.values.wording import duration_text
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from sim_player.dataset.shards import ShardDone
     from sim_player.dataset.statistics import Statistics
 
@@ -104,8 +102,8 @@ def dataset(
         scans=scans_of_a_drive(motion, scans),
         truth=truth,
     )
-    report = _Report(out, count * (scans or 1))
-    with report.progress:
+    with progress_bar("scenes", count * (scans or 1)) as progress:
+        report = _Report(out, count * (scans or 1), progress)
         write_dataset(
             out,
             count,
@@ -177,23 +175,19 @@ def parse_slurm(texts: list[str]) -> dict[str, Any]:
 class _Report:
     """Progress of a run, and its rate; rates count only what this run made."""
 
-    def __init__(self, out: Path, count: int) -> None:
-        self.out, self.count = out, count
+    def __init__(self, out: Path, count: int, progress: Progress) -> None:
+        self.out, self.count, self.progress = out, count, progress
         self.scenes = {"kept": 0, "made": 0, "rewritten": 0}
         self.rewritten: list[dict[str, str]] = []
         self.start_s = time.perf_counter()
-        self.progress = _progress()
-        self.task = self.progress.add_task("simulating", total=count, speed="")
 
     def hear(self, shard: ShardDone) -> None:
         """One more shard."""
         self.scenes[shard.state] += shard.scenes
         if shard.state == "rewritten":
             self.rewritten.append({"shard": shard.shard, "reason": shard.reason})
-            typer.echo(f"mirrorwave: {self.out / shard.shard}: made again: {shard.reason}", err=True)
-        done, rate = sum(self.scenes.values()), self.rate
-        speed = f"{rate:.2f} scenes/s, {_duration((self.count - done) / rate)} left" if rate else ""
-        self.progress.update(self.task, completed=done, speed=speed)
+            self.progress.print(f"mirrorwave: {self.out / shard.shard}: made again: {shard.reason}")
+        (self.progress.keep if shard.state == "kept" else self.progress)(shard.scenes)
 
     @property
     def made(self) -> int:
@@ -226,26 +220,9 @@ class _Report:
         """The same for people."""
         kept = f", {self.scenes['kept']} there already" if self.scenes["kept"] else ""
         again = f", {len(self.rewritten)} shards made again" if self.rewritten else ""
-        return f"{self.out}: {self.count} scenes in {_duration(self.seconds)}, {self.rate:.2f} a second{kept}{again}"
-
-
-def _progress() -> Progress:
-    """A bar on stderr with scenes a second and the time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"))
-    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
-
-
-def _duration(seconds: float) -> str:
-    """Seconds as 4 s, 2 min 05 s, 1 h 02 min."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+        return (
+            f"{self.out}: {self.count} scenes in {duration_text(self.seconds)}, {self.rate:.2f} a second{kept}{again}"
+        )
 
 
 def _print_statistics(statistics: Statistics) -> None:

@@ -126,18 +126,33 @@ def paths(
     choice: Effects = "all",
     purpose: For = "samples",
     seed: int = 0,
-    strongest: Annotated[int | None, typer.Option(min=1, help="Only so many, the strongest first.")] = None,
+    hidden_only: Annotated[
+        bool, typer.Option("--hidden-only", help="Only echoes of objects that mirrors show and direct sight does not.")
+    ] = False,
+    kind: Annotated[
+        Literal["los", "mnlos"] | None, typer.Option(help="Only direct echoes (los), or mirrored ones (mnlos).")
+    ] = None,
+    object_index: Annotated[
+        int | None, typer.Option("--object", metavar="N", help="Only echoes of this object, as the table numbers it.")
+    ] = None,
+    surface: Annotated[
+        int | None, typer.Option(metavar="N", help="Only echoes by this piece of wall, as the table numbers it.")
+    ] = None,
+    strongest: Annotated[
+        int | None, typer.Option("--top", "--strongest", metavar="N", min=1, help="Only the N strongest of them.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the ways (PNG).")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Every echo the tracer finds: its way, length, direction and weight."""
-    from mirrorwave.diagnose.echo_paths import PlanChoice, echo_paths, path_line, path_row
+    from mirrorwave.diagnose.echo_paths import PathFilter, PlanChoice, echo_paths, path_line, path_row
     from sim_player.scene.description import load_scene
 
     loaded = load_scene(scene)
     if loaded.radar.preset == "spad":
         raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
-    traced, power_mw, polylines = echo_paths(loaded, seed, PlanChoice(choice, budget_db, purpose), strongest)
+    wanted = PathFilter(hidden_only, kind, object_index, surface, strongest)
+    traced, power_mw, polylines = echo_paths(loaded, seed, PlanChoice(choice, budget_db, purpose), wanted)
     if plot is not None:
         from mirrorwave.plots.scene import draw_paths
 
@@ -146,6 +161,8 @@ def paths(
         print_json([path_row(traced, index, polylines[index]) for index in range(len(traced))])
         return
     rows = [path_line(traced, index, float(power_mw[index])) for index in range(min(len(traced), 40))]
-    print_table(("kind", "order", "length m", "azimuth deg", "dBm", "object", "wall", "by way of"), rows)
+    print_table(
+        ("kind", "order", "length m", "azimuth deg", "dBm", "object", "surface", "by way of"), rows, ("surface",)
+    )
     more = f", the strongest {len(rows)} shown" if len(traced) > len(rows) else ""
     print_line(f"{loaded.name}: {counted(len(traced), 'path')}{more}{'' if plot is None else f'; picture: {plot}'}")

@@ -107,7 +107,8 @@ def _print_table(table: ReflectanceTable, path: Path) -> None:
                 f"{comparison.absent}",
             ]
         )
-    print_table(("wall", "GHz", "pol", "rough mm", "worst dB", "error dB", "at deg", "within 0.5 dB", "absent"), rows)
+    columns = ("wall", "GHz", "pol", "rough mm", "worst dB", "error dB", "at deg", "within 0.5 dB", "absent")
+    print_table(columns, rows, ("absent", "at deg"))
     print_line("FDTD minus |r|^2 exp(-g^2), the ray tracer's formula; error: standard error over the seeds")
     for row in card["walls"]:
         for band in row["bands"]:

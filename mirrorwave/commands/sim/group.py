@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,7 +16,7 @@ from mirrorwave.commands.sim.lidar import lidar
 from mirrorwave.commands.sim.map_import import app as import_app
 from mirrorwave.commands.sim.material import material
 from mirrorwave.completion import complete_scenes
-from mirrorwave.console import compile_line, print_line, require_new_file
+from mirrorwave.console import compile_line, print_line, progress_bar, require_new_file
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -58,9 +57,6 @@ def run(
     ] = Walls.NONE,
 ) -> None:
     """Record what the radar or the LiDAR of a scene would measure, with the truth."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from msgs.files.whole_files import require_room
     from nodes import player
     from sim_player.player import ScenePlayer
@@ -96,16 +92,21 @@ def run(
         require_room(out, scans * source.setup.scan_bytes)
     if not len(source.paths(0)):
         typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
-    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
-    with compile_line(), bar as progress:
+    with compile_line(), progress_bar("messages", total) as advance:
         sent = player.with_walls(player.scene_events(source, scans), source, params)
-        events = progress.track((event.outgoing for event in sent), total=total)
+        events = _counted_by(advance, (event.outgoing for event in sent))
         origin = {"scene": source.scene.name, "seed": str(seed)}
         if out.suffix == ".mcap":
             write_recording(out, iter(events), origin)
         elif isinstance(source, ScenePlayer):
             write_sigmf(out, source.setup, iter(events), origin)
     print_line(f"{out}: {counted(scans, 'scan')} of {source.scene.name}, seed {seed}")
+
+
+def _counted_by(advance: Callable[[], None], events: Iterator[Outgoing]) -> Iterator[Outgoing]:
+    for event in events:
+        yield event
+        advance()
 
 
 def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:

@@ -105,6 +105,7 @@ def _list_materials(as_json: bool, extrapolate: bool) -> None:
     if as_json:
         print_json(rows)
         return
-    print_table(list(rows[0]), [list(row.values()) for row in rows])
+    least = ("roughness mm", "error dB", *(name for name in rows[0] if name.startswith("eps")), "valid GHz")
+    print_table(list(rows[0]), [list(row.values()) for row in rows], least)
     print_line("R: TE power reflection [dB] at 0/45/70 deg, materials as half-spaces; -: not known at this frequency")
     print_line("error: of R at 0 deg [dB], where the frequency lies in no measured band")

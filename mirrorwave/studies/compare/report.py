@@ -452,6 +452,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
+#: What a narrow terminal leaves out, the first of them first.
+LEAST = ("time [s]", "closed form", "loss [dB]", "false objects", "SNR [dB]", "F1 2 m", "found", "false points")
+
+
 def cells(row: Row) -> list[str]:
     """A row as its value and `COLUMNS`."""
     if not row.scans:

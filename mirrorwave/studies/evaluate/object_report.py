@@ -262,10 +262,10 @@ def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectRepo
 def _errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """Quantiles of the errors of what was found, and of all reports."""
     kinds = {
-        "found": "error_found_m",
-        "found, by centre": "centre_found_m",
-        "without the gate": "error_ungated_m",
-        "without the gate, by centre": "centre_ungated_m",
+        "found, centre": "centre_found_m",
+        "found, nearest visible face": "error_found_m",
+        "without the gate, centre": "centre_ungated_m",
+        "without the gate, nearest visible face": "error_ungated_m",
     }
     rows = [
         (

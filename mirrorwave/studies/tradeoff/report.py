@@ -16,6 +16,7 @@ from mirrorwave.studies.report import (
     Interval,
     Provenance,
     Times,
+    busy_reason,
     finite,
     machine,
     quantiles_ms,
@@ -79,6 +80,8 @@ class Report(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
     repeats: int
     deadline_ms: float
     rows: list[Row]
+    #: Why the times do not count: the machine was busy. Empty where they do.
+    busy: str = ""
 
 
 def make_report(plan: Plan, results: Sequence[FrameResult], memory_mib: dict[str, float], command: str) -> Report:
@@ -101,6 +104,10 @@ def make_report(plan: Plan, results: Sequence[FrameResult], memory_mib: dict[str
         repeats=plan.repeats,
         deadline_ms=DEADLINE_MS,
         rows=with_front(rows),
+        busy=busy_reason(
+            max((result.load_before for result in results), default=0.0),
+            float(np.mean([result.waited for result in results])) if results else 0.0,
+        ),
     )
 
 
@@ -225,6 +232,13 @@ COLUMNS = (
 )  # fmt: skip
 
 
+#: What a narrow terminal leaves out, the first of them first.
+LEAST = (
+    "size [KiB]", "transport", "load", "geometry", "detection", "forming", "dense F1", "recovered F1 1 m", "25 dB",
+    "memory [MiB]", "p99", "false a scan", "loss a scan", "against", "p90",
+)  # fmt: skip
+
+
 def cells(row: Row) -> list[str]:
     """A row as `COLUMNS`."""
     if row.failed is not None or row.end_to_end_ms is None:
@@ -272,6 +286,7 @@ def markdown(report: Report) -> str:
         f"`{report.command}`: {report.frames} places of series {report.seed}, each timed {report.repeats} times; "
         f"{report.machine}; {report.packages}.",
         "",
+        *([f"**The times do not count**: the machine was busy. {report.busy}.", ""] if report.busy else []),
         *table(COLUMNS, map(cells, ordered)),
     ]
     return "\n".join(lines) + "\n"

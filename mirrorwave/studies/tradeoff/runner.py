@@ -24,6 +24,7 @@ from mirrorwave.api import scan_beams
 from mirrorwave.node_chain import SharedParts, stage_params
 from mirrorwave.studies.evaluate.objects import image_truth
 from mirrorwave.studies.evaluate.runner import answer_of, truth_of_points
+from mirrorwave.studies.report import load_per_core
 from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
@@ -79,6 +80,9 @@ class FrameResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     times_ms: dict[str, dict[str, list[float]]]
     #: Rows that failed, and why in one line.
     failed: dict[str, str]
+    #: Load of the machine before the run, by core, and the share of the timed sections in which others had the cores.
+    load_before: float = 0.0
+    waited: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -192,8 +196,8 @@ class _Stages:
 class Measuring:
     """All rows on one frame after the other."""
 
-    def __init__(self, plan: Plan, hop: Hop) -> None:
-        self.plan, self._hop = plan, hop
+    def __init__(self, plan: Plan, hop: Hop, load_before: float = 0.0) -> None:
+        self.plan, self._hop, self._load_before = plan, hop, load_before
         self._stages, self._scan_id = _Stages(), 0
         self.failed: dict[str, str] = {}
         for row in plan.rows:
@@ -222,6 +226,8 @@ class Measuring:
             objects={name: scan_row(index, view.objects, truth.scene, truth.images) for name, view in views.items()},
             times_ms={variant.name: pass_.times_of(variant) for variant in variants},
             failed=dict(self.failed),
+            load_before=self._load_before,
+            waited=pass_.waited,
         )
 
     def _repeat(self, pass_: _Pass, beams: list[RadarBeam], rng: np.random.Generator) -> None:
@@ -261,33 +267,28 @@ class Measuring:
             for beam in beams
         ]
         last = max(beam.beam_index for beam in beams if beam.beam_index % former.folder.params.beam_step == 0)
-        start_ns = time.perf_counter_ns()
-        for beam in scan_copies[:last]:
-            maps += former.add(beam)
-        last_ns = time.perf_counter_ns()
-        for beam in scan_copies[last:]:
-            maps += former.add(beam)
-        end_ns = time.perf_counter_ns()
+        with pass_.timed(BEFORE, key):
+            for beam in scan_copies[:last]:
+                maps += former.add(beam)
         # what is not looked at after the last beam that is, is measured all the same
-        pass_.add(BEFORE, key, MS_PER_NS * (last_ns - start_ns))
-        pass_.add("forming", key, MS_PER_NS * (end_ns - last_ns))
+        with pass_.timed("forming", key):
+            for beam in scan_copies[last:]:
+                maps += former.add(beam)
         pass_.maps[key] = msgspec.structs.replace(maps[0], scan_id=0, stamp_ns=0)
         pass_.add("transport", key, self._hop("radar/ra_map", maps[0]))
 
     def _detect(self, pass_: _Pass, key: tuple[str, str]) -> None:
         detector, ra_map = self._stages.detector[key[1]], pass_.maps[key[0]]
-        start_ns = time.perf_counter_ns()
-        peaks = detector.detect(ra_map)
-        pass_.add("detection", key, MS_PER_NS * (time.perf_counter_ns() - start_ns))
+        with pass_.timed("detection", key):
+            peaks = detector.detect(ra_map)
         pass_.peaks[key] = peaks
         pass_.add("transport", key, self._hop("perception/peaks", peaks))
 
     def _place(self, pass_: _Pass, key: tuple[str, str, str]) -> None:
         # as the node's, and without the memory of another place
         stage, peaks = self._stages.geometry[key[2]].stage(), pass_.peaks[key[:2]]
-        start_ns = time.perf_counter_ns()
-        view = stage.view(peaks, pass_.maps[key[0]])
-        pass_.add("geometry", key, MS_PER_NS * (time.perf_counter_ns() - start_ns))
+        with pass_.timed("geometry", key):
+            view = stage.view(peaks, pass_.maps[key[0]])
         pass_.views[key] = view
         pass_.add("transport", key, self._hop("perception/hidden_objects", view))
 
@@ -306,6 +307,22 @@ class _Pass:
         self.peaks: dict[tuple[str, str], Peaks] = {}
         self.views: dict[tuple[str, str, str], BevFrame] = {}
         self._times_ms: dict[tuple[str, Any], list[float]] = {}
+        self._timed_ns = self._waited_ns = 0
+
+    @property
+    def waited(self) -> float:
+        """Share of the timed sections in which this process did not compute."""
+        return self._waited_ns / max(self._timed_ns, 1)
+
+    @contextmanager
+    def timed(self, part: str, key: Any) -> Iterator[None]:
+        """Time the body."""
+        start_ns, start_cpu_ns = time.perf_counter_ns(), time.process_time_ns()
+        yield
+        wall_ns, cpu_ns = time.perf_counter_ns() - start_ns, time.process_time_ns() - start_cpu_ns
+        self.add(part, key, MS_PER_NS * wall_ns)
+        self._timed_ns += wall_ns
+        self._waited_ns += max(0, wall_ns - cpu_ns)
 
     def add(self, part: str, key: Any, milliseconds: float) -> None:
         """One sample."""
@@ -338,9 +355,10 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
     """
     files = {index: f"frames/frame-{index:05d}.msgpack" for index in range(plan.frames)}
     run = ResumableRun(plan, out, FrameResult, files)
+    load_before = load_per_core()
     if missing := run.missing(on_frame):
         with socket_hop() as hop:
-            measuring = Measuring(plan, hop)
+            measuring = Measuring(plan, hop, load_before)
             # the first call of anything compiles, allocates, reads
             measuring.frame(missing[0])
             for index in missing:

@@ -121,9 +121,7 @@ def _exact_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polar
 
 def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polarisation: Any) -> Curves:
     """Smooth walls as a column of cells, rough ones as one random surface; |t| below what a run resolves is 0."""
-    from rich.console import Console
-    from rich.progress import track
-
+    from mirrorwave.console import progress_bar
     from models.physics.materials import wall_layers
     from msgs.values.units import SPEED_OF_LIGHT_MPS
     from sim_player.fdtd.rough import RoughParams
@@ -134,10 +132,11 @@ def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polari
     if wall.roughness_m > 0.0:
         correlation_m = FDTD_CORRELATION_WAVELENGTHS * SPEED_OF_LIGHT_MPS / frequency_hz
         settings = RoughParams(FDTD_ROUGH_CELLS, wall.roughness_m, correlation_m)
-    console = Console(stderr=True)
-    label = f"{wall.material} {frequency_hz / 1e9:g} GHz {polarisation}"
-    angles = track(np.radians(angles_deg), label, console=console, transient=True, disable=not console.is_terminal)
-    results = [reflect(layers, float(angle), frequency_hz, polarisation, settings) for angle in angles]
+    results = []
+    with progress_bar(f"{wall.material} {frequency_hz / 1e9:g} GHz {polarisation}, angles", len(angles_deg)) as advance:
+        for angle in np.radians(angles_deg):
+            results.append(reflect(layers, float(angle), frequency_hz, polarisation, settings))
+            advance()
     t = np.array([result.t for result in results], np.complex128)
     return Curves(
         np.array([result.r for result in results], np.complex128),

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from mirrorwave.console import Progress, progress_bar
 
+if TYPE_CHECKING:
     from sim_player.fdtd.experiment import Experiment, Transmission
     from sim_player.fdtd.reflectance import Comparison, ReflectanceTable
 
@@ -79,9 +79,8 @@ def answer(
     column = reflect(layers, angle_rad, frequency_hz, polarisation, RoughParams(COLUMN_CELLS, dtype="float64"))
     beam, sides_m = None, (0.0, 0.0)
     if setup is not None:
-        with _progress() as progress:
-            on_step = _Steps(progress, title)
-            beam = transmission_experiment(layers, frequency_hz, polarisation, angle_rad, setup, on_step)
+        with progress_bar(f"a beam on {title}, per cent", 100) as progress:
+            beam = transmission_experiment(layers, frequency_hz, polarisation, angle_rad, setup, _Steps(progress))
         sides_m = setup.before_m, setup.behind_m
     column_db = _level_db(column.r), _level_db(column.t)
     return WallAnswer(title, frequency_hz, angle_deg, polarisation, exact_db, column_db, beam, *sides_m)
@@ -122,11 +121,8 @@ def rebuild_table(path: Path, workers: int) -> None:
     if not path.absolute().parent.is_dir():
         raise NotADirectoryError(20, "its directory does not exist", str(path))
     partial = path.with_suffix(".cells.jsonl")
-    with _progress() as progress:
-        task = progress.add_task("simulating walls")
-        table = build_tables(
-            table_entries(), lambda done, total: progress.update(task, completed=done, total=total), partial, workers
-        )
+    with progress_bar("cells of walls") as progress:
+        table = build_tables(table_entries(), progress.update, partial, workers)
     table.save(path, provenance(workers))
     partial.unlink(missing_ok=True)
 
@@ -159,8 +155,8 @@ def _version() -> str:
 class _Steps:
     """Progress of an experiment: its two runs, without and with the wall, each end when the field has decayed."""
 
-    def __init__(self, progress: Progress, title: str) -> None:
-        self.progress, self.task = progress, progress.add_task(f"a beam on {title}", total=2.0)
+    def __init__(self, progress: Progress) -> None:
+        self.progress = progress
         self.runs, self.steps = 0, 0
 
     def __call__(self, steps: int, residue: float) -> None:
@@ -170,29 +166,7 @@ class _Steps:
             self.runs += 1
         self.steps = steps
         share = math.log(min(max(residue, DECAY), 1.0)) / math.log(DECAY)
-        self.progress.update(self.task, completed=self.runs + share)
-
-
-def _progress() -> Progress:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        "{task.description}",
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        "left",
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self.progress.update(50.0 * (self.runs + share), 100)
 
 
 def _comparison_row(comparison: Comparison) -> dict[str, Any]:

@@ -46,7 +46,9 @@ def test_order_does_not_matter(truth_first: bool) -> None:
     assert score.mean_error_m == score.worst_error_m == pytest.approx(0.3)
 
 
-def test_the_error_is_told_to_the_face_and_to_the_centre(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_error_of_the_centre_stands_before_that_of_the_nearest_visible_face(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """A report 0.25 m before the seen face at x = 7.75 is 2.5 m from the centre at x = 10."""
     seen = np.array([[7.75, 5.0, 0.5]], np.float32)
     with_face = msgspec.structs.replace(
@@ -59,8 +61,10 @@ def test_the_error_is_told_to_the_face_and_to_the_centre(capsys: pytest.CaptureF
     assert (score.mean_error_m, score.mean_centre_error_m) == (pytest.approx(0.25), pytest.approx(2.5))
     board.print_table()
     text = capsys.readouterr().out
-    assert "to centre [m]" in text
-    assert "error: to the nearest visible face of the true box or to its centre" in text
+    head, row = text.splitlines()[:2]
+    assert head.split("  ")[-2:] == ["error: centre [m]", "error: nearest visible face [m]"]
+    assert row.split()[-2:] == ["2.5", "0.25"], "the centre first"
+    assert "error: from the centre of the report to the centre of the true box" in text
 
 
 def test_without_truth_nothing_is_claimed() -> None:
