@@ -74,7 +74,7 @@ def test_overlaps_go_while_they_fit_every_block() -> None:
 
 
 def test_skirts_over_the_limits_of_the_bins_near_a_tone() -> None:
-    """One beam with limits of 1, 1/2 and 1/4, a window of 1 and 1/2 beside it; a tone past the last bin has its side."""
+    """One beam with limits of 1, 1/2 and 1/4, a window of 1 and 1/2 beside it; a tone past the end has its side."""
     factors = _tightest(np.array([[1.0, 2.0, 4.0]], np.float32), np.array([1.0, 0.5], np.float32), 5)
     assert factors[:, 0].tolist() == [1.0, 2.0, 4.0, 2.0, 0.0]
     magnitude = np.array([[3.0, 1.0], [1.0, 5.0]], np.float32)
