@@ -10,6 +10,7 @@ import pytest
 
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.scene.front_end import FrontEnd, Spur
+from sim_player.signal.levels import noise_density_mw
 from sim_player.signal.receiver import (
     convert,
     converter_step,
@@ -26,6 +27,7 @@ from sim_player.signal.receiver import (
     spur_profile,
     spur_turns,
 )
+from sim_player.signal.switches import SignalEffects
 
 RADAR = RadarParams(samples_per_chirp=256, chirps_per_beam=8)
 SETUP = RadarSetup(radar=RADAR)
@@ -134,3 +136,12 @@ def test_rounding_is_noise_from_one_step_of_noise_on_and_codes_end_at_full_scale
     full = 10.0 ** (-20.0 / 20.0)
     assert overload_objection(setup, full * 32766.0 / 32768.0) is None
     assert overload_objection(setup, full * 32767.5 / 32768.0) is not None
+
+
+def test_noise_is_raised_by_what_the_imbalance_lets_through() -> None:
+    """A gain g of Q: |mu|^2 + |nu|^2 = (1 + g^2) / 2 of the thermal noise, the same over all bins, N N_c times less."""
+    effects = SignalEffects(iq_imbalance=True, adc=False)
+    plain = noise_density_mw(SETUP, np.arange(4), SignalEffects(adc=False))
+    np.testing.assert_allclose(plain, RADAR.noise_power_mw / (256 * 8))
+    unbalanced = noise_density_mw(SETUP, np.arange(4), effects, FrontEnd(iq_gain_db=6.0))
+    np.testing.assert_allclose(unbalanced / plain, 0.5 * (1.0 + 10.0**0.6))
