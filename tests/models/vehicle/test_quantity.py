@@ -180,3 +180,20 @@ def test_a_range_that_is_no_range_of_counts_is_refused_as_one() -> None:
         quantity(bits="0|8@1+", scaling="(0.5,0)", limits="[300|400]", dbc_range="raw")
     with pytest.raises(ValueError, match="must not be raw"):
         quantity(bits="0|8@1+", scaling="(0.5,0)", limits="[-9|-1]", dbc_range="raw")
+
+
+@pytest.mark.parametrize(
+    ("value", "parts"), [(3.47, [3.5, 0.0, -0.03]), (-1.234, [-1.0, -0.2, -0.034]), (1000.0, [1000.0, 0.0, 0.0])]
+)
+def test_a_sum_is_shared_out_by_the_steps_of_each_signal(value: float, parts: list[float]) -> None:
+    """Steps of 0.5, 0.1 and 0.001: each takes the nearest that it can, the last one the remainder."""
+    dbc = """VERSION ""
+BO_ 16 A: 8 X
+ SG_ V : 0|16@1- (0.5,0) [0|0] "m/s" X
+ SG_ W : 16|16@1- (0.1,0) [0|0] "m/s" X
+ SG_ X : 32|16@1- (0.001,0) [0|0] "m/s" X
+"""
+    message = cantools.database.load_string(dbc, "dbc").messages[0]
+    rule = QuantityRule(message="A", signals=("V", "W", "X"), combine="sum", low=-2e3, high=2e3)
+    quantities, negative = Quantity("speed", rule, message, Dimension.SPEED).from_si(value)
+    assert (quantities, negative) == (pytest.approx(parts), False)

@@ -531,3 +531,22 @@ def test_a_trimmed_recording_keeps_what_was_said_once(tmp_path: Path) -> None:
     assert keys(messages)[:2] == [("radar/setup", 1, 1005), ("vehicle/state", 5, 1005)]
     assert copy_recording(path, cut, start_ns=1005, topics=["vehicle/state"], overwrite=True) == (5, None)
     assert copy_recording(path, cut, start_ns=0, overwrite=True) == (12, None)
+
+
+def test_bytes_of_a_span_are_those_of_its_chunks(tmp_path: Path) -> None:
+    """Three chunks at 0, 10 and 20 ns: each span holds those it touches, its end not included; all are in the file."""
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, METADATA) as writer:
+        for index in range(3):
+            writer.write("vehicle/state", state(index), publisher="car", sequence=index, sent_ns=10 * index)
+            writer.flush()
+        before, growth = writer.size_bytes, writer.growth_bytes()
+    # no more than was said, and that is no more than the tail that every file may have
+    assert before < path.stat().st_size <= before + growth < before + (1 << 16) + 8192
+    with RecordingReader(path) as reader:
+        assert reader.span_ns == (0, 20)
+        single = [reader.stored_bytes(10 * index, 10 * index + 1) for index in range(3)]
+        assert reader.stored_bytes() == sum(single) < path.stat().st_size
+        assert min(single) > 50
+        assert (reader.stored_bytes(0, 10), reader.stored_bytes(1, 11)) == (single[0], single[1])
+        assert (reader.stored_bytes(20), reader.stored_bytes(21)) == (single[2], 0)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from msgs.values.radar import RadarParams
+from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.effects.table import EFFECTS, SIGNAL, ArrayEffect, SignalEffect, always
-from sim_player.planner.ablation import EffectAblation
+from sim_player.planner.ablation import EffectAblation, _crowd, _mirror_skirts
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Scene, SceneObject, SceneRadar
@@ -104,3 +105,16 @@ def test_effect_without_a_bound_is_an_error(full: EffectAblation, monkeypatch: p
         change_bound(full, "hum")
     monkeypatch.setitem(EFFECTS, "element_pattern", ArrayEffect("gain falls off the element's axis", always))
     assert change_bound(full, "element_pattern").any()
+
+
+def test_paths_share_what_is_left_out_with_those_two_bins_away() -> None:
+    """In bins 0, 10, 10, 12 and 13: three about the tenth, four about the twelfth, two about the thirteenth."""
+    radar = RadarSetup().radar
+    length_m = 2.0 * radar.range_bin_m * (np.array([0, 10, 10, 12, 13]) + 0.3)
+    assert _crowd(radar, SimpleNamespace(length_m=length_m)).tolist() == [1, 3, 3, 4, 2]  # type: ignore[arg-type]
+
+
+def test_an_image_lies_as_far_below_zero_as_its_echo_above() -> None:
+    """From bin 2 to bin 3 at -f are five bins: 1 / 125; beside zero all of it may be there."""
+    skirts = _mirror_skirts(4)
+    assert (skirts[2, 3], skirts[0, 2], skirts[0, 1], skirts[1, 1]) == (1 / 125, 1 / 8, 1.0, 1 / 8)

@@ -14,7 +14,7 @@ from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import MOVES, WEAKEST, Plan, plan_world
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.spans import REACH, SQUINTED, SpanSelection
+from sim_player.planner.spans import REACH, SQUINTED, SpanSelection, _sines
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.front_end import FrontEnd
@@ -215,3 +215,25 @@ def test_nothing_at_all_is_nothing() -> None:
 def test_the_step_is_that_of_the_tracer() -> None:
     world = prepare(scene(WALL, CAR))
     assert planned(world).holds_s == scene_step_s(world)
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "elevation_deg", "low", "high"),
+    [
+        ((20.0, 40.0), (0.0, 0.0), math.sin(math.radians(20.0)), math.sin(math.radians(40.0))),
+        # past the side, by the shorter way round, and the other side
+        ((80.0, 110.0), (0.0, 0.0), math.sin(math.radians(110.0)), 1.0),
+        ((-80.0, -110.0), (0.0, 0.0), -1.0, -math.sin(math.radians(110.0))),
+        ((170.0, -170.0), (0.0, 0.0), -math.sin(math.radians(10.0)), math.sin(math.radians(10.0))),
+        # cos 60 = 1/2 and cos 0: the widest on either side of zero
+        ((-30.0, 30.0), (60.0, 0.0), -0.5, 0.5),
+        ((30.0, 30.0), (60.0, 0.0), 0.25, 0.5),
+        ((30.0, 30.0), (-60.0, 60.0), 0.25, 0.5),
+        ((30.0, 30.0), (60.0, 60.0), 0.25, 0.25),
+    ],
+)
+def test_sines_between_two_directions(
+    azimuth_deg: tuple[float, float], elevation_deg: tuple[float, float], low: float, high: float
+) -> None:
+    ends = np.radians(np.stack([azimuth_deg, elevation_deg], axis=1))
+    assert _sines(ends) == pytest.approx((low, high), abs=1e-12)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import jv
 
 from models.physics.antenna import two_way_pattern
 from msgs.values.radar import ArrayParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
-from sim_player.planner.sweep_terms import sweep_terms
+from sim_player.planner.sweep_terms import MAX_TERMS, _needed, _reach_m, sweep_terms
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import departure
@@ -54,3 +55,26 @@ def test_without_squint_one_term_says_all() -> None:
     assert not found.remainder.any()
     np.testing.assert_array_equal(found.terms[:, 0], found.middle)
     assert not found.squint_magnitude.any()
+
+
+@pytest.mark.parametrize("swing_rad", [0.05, 0.5, 1.0, 2.0])
+def test_terms_are_the_fewest_that_the_bessel_functions_need(swing_rad: float) -> None:
+    """K terms leave out 4 (J_K + J_K+1 + ...) of an echo of 3: never more than what is said, and what is said is
+    at most a quarter more, or with one term fewer it was over the tolerance.
+    """
+    tail = np.array([3.0 * 4.0 * np.abs(jv(np.arange(terms, 60), swing_rad)).sum() for terms in range(MAX_TERMS + 1)])
+    for tolerance in (1.0, 1e-2, 1e-4):
+        (count,), (left,) = _needed(np.array([3.0]), np.array([swing_rad]), np.array([tolerance]))
+        assert tail[count] <= left <= max(tolerance, 1.25 * tail[count])
+        assert count == 1 or 1.25 * tail[count - 1] > tolerance
+    # what is weaker than the tolerance needs none, and all of it is left out
+    count, left = _needed(np.array([3.0, 3.0]), np.full(2, swing_rad), np.array([3.0, 2.999]))
+    assert (count.tolist()[0], left.tolist()[0], count.tolist()[1] > 0) == (0, 3.0, True)
+
+
+@pytest.mark.parametrize(("steered_ways", "reach_m"), [(2, 0.5 * 7 * 0.02 * (0.6 + 0.2)), (1, 0.5 * 7 * 0.02 * 0.6)])
+def test_half_the_array_reaches_along_both_directions(steered_ways: int, reach_m: float) -> None:
+    """Eight columns 20 mm apart in one row: 70 mm to either side, times the sines out and back."""
+    setup = RadarSetup(array=ArrayParams(columns=8, rows=1, column_spacing_m=0.02, steered_ways=steered_ways))
+    across, up = np.array([[-0.6], [0.2]]), np.array([[0.5], [0.5]])
+    assert _reach_m(setup, across, up, steered_ways == 2)[0] == pytest.approx(reach_m)
