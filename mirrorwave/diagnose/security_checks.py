@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from msgs.values.wording import counted
+
 if TYPE_CHECKING:
     import psutil
 
@@ -141,7 +143,9 @@ def check_graph(folder: Path) -> Iterator[Risk]:
     except psutil.NoSuchProcess:
         return
     listeners = [risk for process in processes for risk in check_listeners(process)]
-    yield from listeners or [Risk("graph", Grade.OK, f"{len(processes)} processes, none listens on the network")]
+    yield from listeners or [
+        Risk("graph", Grade.OK, f"{counted(len(processes), 'process')}, none listens on the network")
+    ]
 
 
 def check_listeners(process: psutil.Process) -> Iterator[Risk]:
