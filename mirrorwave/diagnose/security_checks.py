@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from mirrorwave.diagnose.private_files import open_files
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def all_findings(launch_file: Path | None, domain: str) -> list[Risk]:
     meeting_place = run_dir(domain)
     launch = None if launch_file is None else read_launch_file(launch_file)
     findings = [*check_user(os.geteuid()), *check_zeromq(), *check_run_dir(meeting_place), *check_keys(KEYS)]
+    findings += check_files(Path.cwd())
     for name, entry in launch.nodes.items() if launch is not None else ():
         findings += check_node(name, entry)
     # a key of the launch file may be one of the folder's
@@ -116,6 +118,17 @@ def check_keys(folder: Path) -> Iterator[Risk]:
         yield _check_own(secret)
     for inner in sorted(path for path in folder.iterdir() if path.is_dir()):
         yield _check_allowed(inner)
+
+
+def check_files(folder: Path) -> Iterator[Risk]:
+    """Recordings, results and run folders can be read by nobody else."""
+    opened = open_files(folder)
+    for files in opened:
+        count = counted(files.count, "file")
+        detail = f"others may read {count} where they get to, e.g. {files.example}, mode {files.mode:04o}"
+        yield Risk("files", Grade.WARNING, detail, files.mend)
+    if not opened:
+        yield Risk("files", Grade.OK, f"recordings, results and runs of {folder} are ours alone")
 
 
 def check_node(name: str, entry: NodeEntry) -> Iterator[Risk]:

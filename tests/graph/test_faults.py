@@ -470,6 +470,7 @@ def test_what_a_killed_recorder_wrote_is_recoverable(graph: LiveGraph, note: Not
     before, start = _recorder_file(graph), len(graph.said)
     _await_new(graph, note, graph.fault(signal.SIGKILL, ["recorder"]), start, "was ended by SIGKILL")
     assert len(_recorder_file(graph)) == len(before) + 1
+    assert {stat.S_IMODE(path.stat().st_mode) for path in _recorder_file(graph)} == {0o600}
     with RecordingReader(before[-1]) as reader:
         maps = sum(isinstance(one.message, RangeAzimuthMap) for one in reader.messages(["radar/ra_map"]))
         assert maps > 0
