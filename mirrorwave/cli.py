@@ -21,6 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 from mirrorwave.exit_signals import INTERRUPTED, ended_by_signal, was_interrupted
 from mirrorwave.terminal import READER_LEFT
+from msgs.files.open_files import raise_open_files
 from nodes.process.kernel_cache import use_fallback
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
@@ -146,7 +147,13 @@ def main(argv: list[str] | None = None) -> int:
     where the reader of its output has left.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    code = _run(argv)
+    raise_open_files()
+    # recordings and results show streets and people: what is written is for this user alone (SECURITY.md)
+    before = os.umask(0o077)
+    try:
+        code = _run(argv)
+    finally:
+        os.umask(before)
     try:
         sys.stdout.flush()
     except BrokenPipeError:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 import typer
 
+from msgs.files.open_files import open_files_line
 from msgs.values.wording import duration_text
 
 if TYPE_CHECKING:
@@ -270,6 +271,8 @@ def file_or_sample(file: Path | None, sample: bool, name: str) -> Path:
 
 def error_line(error: BaseException) -> str:
     """An error as one line that names file, field, value and rule, as far as it knows them."""
+    if line := open_files_line(error):
+        return line
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror or type(error).__name__}"
     if isinstance(error, ImportError):

@@ -152,7 +152,7 @@ class GeometryNode(Node):
             return None
         ra_map = self._map_of(peaks)
         if ra_map is None:
-            self.shed.add("objects", "no map")
+            self.shed.add("view", "made without a map")
         return ra_map
 
 

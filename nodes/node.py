@@ -18,6 +18,7 @@ import re
 import select
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -35,6 +36,7 @@ import psutil
 
 from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
 from msgs.bus.topics import topic_facts
+from msgs.files.open_files import open_files_line, require_open_files
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.inputs.publishers import BoundInputs
@@ -379,7 +381,7 @@ def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat, bound: BoundI
 
 def one_line(error: BaseException) -> str:
     """Return an exception as `ValueError: rule`, on one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    return open_files_line(error) or " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def _wait_s(node: Node, bus: Bus) -> float:
@@ -503,7 +505,20 @@ def main(argv: list[str] | None = None) -> int:
     log = BusLogHandler(arguments.name)
     install_handlers([stream, log])
     words = ["nodes.node", *(sys.argv[1:] if argv is None else argv)]
-    return _host(arguments, stop, log, words)
+    return run_process(lambda: _host(arguments, stop, log, words))
+
+
+def run_process(host: Callable[[], int]) -> int:
+    """Run the work of a node's process: its files are its user's alone, and each failure is one line and a code."""
+    os.umask(0o077)
+    threading.excepthook = lambda failed: _LOG.critical("%s", one_line(failed.exc_value or failed.exc_type()))
+    try:
+        require_open_files()
+        return host()
+    except Exception as error:  # noqa: BLE001 - the border of the process
+        # where the machine is at a limit the line says all
+        _LOG.critical("%s", one_line(error), exc_info=None if open_files_line(error) else error)
+        return EXIT_FAILED
 
 
 def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler, words: Sequence[str]) -> int:
@@ -523,9 +538,6 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler, words: 
         run_loop(node, bus, stop, heartbeat, param_server(node, bus, arguments.name))
         if not stop.at_once:
             time.sleep(FLUSH_S)
-    except Exception as error:  # noqa: BLE001 - the border of the process: every failure leaves as one line and a code
-        _LOG.critical("%s", one_line(error), exc_info=error)
-        return EXIT_FAILED
     finally:
         bus.close()
     return EXIT_DONE

@@ -12,6 +12,7 @@ import numpy as np
 
 from models.annotation.registration import import_open3d
 from msgs.files.array_files import load_array
+from msgs.values.wording import counted
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
 MAX_POINTS = 20_000_000
@@ -127,7 +128,7 @@ def _refuse_promises(path: Path) -> None:
         _refuse_large_pcd(path, rows, content[start : start + 8], len(content) - start)
     held = len(content) - start if row_bytes else _lines_of(words, content[start:])
     if held < count * max(row_bytes, 1):
-        raise ValueError(f"{path}: header promises {count} points, the file ends before: it is cut off")
+        raise ValueError(f"{path}: header promises {counted(count, 'point')}, the file ends before: it is cut off")
 
 
 def _lines_of(words: int, text: bytes) -> int:

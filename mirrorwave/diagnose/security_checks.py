@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from mirrorwave.diagnose.private_files import open_files
+from msgs.values.wording import counted
+
 if TYPE_CHECKING:
     import psutil
 
@@ -56,6 +59,7 @@ def all_findings(launch_file: Path | None, domain: str) -> list[Risk]:
     meeting_place = run_dir(domain)
     launch = None if launch_file is None else read_launch_file(launch_file)
     findings = [*check_user(os.geteuid()), *check_zeromq(), *check_run_dir(meeting_place), *check_keys(KEYS)]
+    findings += check_files(Path.cwd())
     for name, entry in launch.nodes.items() if launch is not None else ():
         findings += check_node(name, entry)
     # a key of the launch file may be one of the folder's
@@ -116,6 +120,17 @@ def check_keys(folder: Path) -> Iterator[Risk]:
         yield _check_allowed(inner)
 
 
+def check_files(folder: Path) -> Iterator[Risk]:
+    """Recordings, results and run folders can be read by nobody else."""
+    opened = open_files(folder)
+    for files in opened:
+        count = counted(files.count, "file")
+        detail = f"others may read {count} where they get to, e.g. {files.example}, mode {files.mode:04o}"
+        yield Risk("files", Grade.WARNING, detail, files.mend)
+    if not opened:
+        yield Risk("files", Grade.OK, f"recordings, results and runs of {folder} are ours alone")
+
+
 def check_node(name: str, entry: NodeEntry) -> Iterator[Risk]:
     """List what a node of a launch file opens to others or loads from elsewhere."""
     check = f"node {name}"
@@ -141,7 +156,9 @@ def check_graph(folder: Path) -> Iterator[Risk]:
     except psutil.NoSuchProcess:
         return
     listeners = [risk for process in processes for risk in check_listeners(process)]
-    yield from listeners or [Risk("graph", Grade.OK, f"{len(processes)} processes, none listens on the network")]
+    yield from listeners or [
+        Risk("graph", Grade.OK, f"{counted(len(processes), 'process')}, none listens on the network")
+    ]
 
 
 def check_listeners(process: psutil.Process) -> Iterator[Risk]:

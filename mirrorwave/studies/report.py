@@ -16,6 +16,7 @@ import numpy as np
 from models.evaluation.frame_scores import Estimate
 from models.training.files import json_lines
 from msgs.files.whole_files import write_whole
+from msgs.values.wording import counted
 
 #: Draws of a bootstrap interval.
 DRAWS = 1000
@@ -73,7 +74,7 @@ def quantiles_ms(samples_ms: np.ndarray) -> Times:
 
 def machine() -> str:
     """Return processor, cores and system."""
-    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
+    return f"{platform.processor() or platform.machine()}, {counted(os.cpu_count() or 1, 'core')}, {platform.system()}"
 
 
 def load_per_core() -> float:

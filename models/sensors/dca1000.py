@@ -23,6 +23,7 @@ from msgs.values.arrays import require_array, require_positive
 from msgs.values.known_names import with_known_names
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
+from msgs.values.wording import counted
 
 DeviceName = Literal["xwr14xx", "xwr16xx", "xwr18xx"]
 _RECEIVERS = 4
@@ -448,7 +449,7 @@ class FileFrames(NamedTuple):
     @property
     def loss(self) -> str | None:
         """Description of what is missing; None if the file is complete."""
-        partial = f", {self.left_bytes} bytes of one that is cut are left out" if self.left_bytes else ""
+        partial = f", {counted(self.left_bytes, 'byte')} of one that is cut left out" if self.left_bytes else ""
         lanes = "two of four lanes were not taken, so that only the nearer half of the ranges is unambiguous"
         if self.wanted is not None and self.whole < self.wanted:
             partial = f"whole frames: {self.whole} of {self.wanted}{partial}"

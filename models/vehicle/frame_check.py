@@ -13,6 +13,7 @@ from cantools.database.utils import decode_data
 
 from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step
 from models.vehicle.mapping import MessageRule
+from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -68,7 +69,7 @@ class FrameCheck:
         """Return what is wrong with a frame's length; padding up to the next length of CAN FD is valid."""
         if len(data) in self._lengths:
             return ""
-        return f"wrong length: {len(data)} bytes, expected {self._message.length}"
+        return f"wrong length: {counted(len(data), 'byte')}, expected {self._message.length}"
 
     def check(self, data: bytes, silent: bool = False) -> Checked:
         """Judge a frame; after a silence its counter has no reference."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import resource
 import socket
 import time
 from collections import Counter, deque
@@ -20,6 +19,7 @@ from msgs.bus.codec import Buffer, CodecError, encode, topic_frame
 from msgs.bus.interface import Received
 from msgs.bus.sequencing import latch
 from msgs.bus.topics import Topic, topic_facts
+from msgs.files.open_files import raise_open_files
 from msgs.link.curve import (
     CLOCK,
     ID_BYTES,
@@ -49,8 +49,6 @@ _TAKEN_BYTES = len(TAKEN) + ID_BYTES + NUMBER.size
 _STRANGER_NS = 5 * NANOSECONDS_PER_SECOND // 2
 #: Far more than there are peers; each costs libzmq memory until its connection is given up.
 _MAX_STRANGERS = 256
-#: Space for connections that arrived before any were closed.
-_OPEN_FILES = 4096
 _MAX_JOINED = 64
 #: Limit of one connection; an importer has one a topic and one for the clock. libzmq keeps each: 50 bytes a character.
 _MAX_SUBSCRIPTIONS = 64
@@ -94,7 +92,7 @@ class Exporter:
         #: Key of each connection that has asked for something, by its file descriptor.
         self._keys: dict[int, bytes] = {}
         #: At most half of the descriptors we may open: a process that can open no more ends with its next heartbeat.
-        self._max_strangers = min(_MAX_STRANGERS, _open_files_limit() // 2)
+        self._max_strangers = min(_MAX_STRANGERS, raise_open_files() // 2)
         #: Arrival times of connections that have not identified themselves yet.
         self._strangers: deque[int] = deque()
         self._authenticator = _authenticator(context, self._allowed)
@@ -284,13 +282,3 @@ def _close_connection(descriptor: int, address: str) -> None:
         finally:
             # libzmq closes it
             connection.detach()
-
-
-def _open_files_limit() -> int:
-    """Return the limit of open files of this process, raised to `_OPEN_FILES` if permitted; a connection takes one."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft == resource.RLIM_INFINITY or soft >= _OPEN_FILES:
-        return _OPEN_FILES
-    limit = _OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, _OPEN_FILES)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
-    return limit

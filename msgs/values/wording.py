@@ -4,8 +4,9 @@ from __future__ import annotations
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:
-    """Return a count with its noun in English: "1 scan", "2 scans", "0 scans"; `plural` if an s does not do."""
-    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+    """Return a count with its noun in English: "1 scan", "2 scans", "0 scans"; `plural` if an ending does not do."""
+    ending = "es" if noun.endswith(("s", "x", "ch", "sh")) else "s"
+    return f"{count} {noun if count == 1 else plural or noun + ending}"
 
 
 def duration_text(seconds: float) -> str:

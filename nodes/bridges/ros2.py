@@ -231,7 +231,7 @@ class Ros2Bridge(Node):
         if writer is None or not writer.is_wanted:
             return
         if not writer.write(bytes(self._store.serialize_cdr(build(), writer.topic.kind))):
-            self.shed.add(f"/{writer.topic.name}", "a reader takes nothing")
+            self.shed.add(f"/{writer.topic.name} message", "a reader takes nothing")
 
     def _hear(self, now_ns: int) -> list[Outgoing]:
         self._link.clear()

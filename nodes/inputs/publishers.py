@@ -1,6 +1,6 @@
 """One publisher for each input that is one stream: its messages are taken, those of others are dropped and named.
 
-The first publisher is kept until it has been silent for a while; a restarted one has its name still. A node comes
+The first publisher is kept until it has been away for a while; a restarted one has its name still. A node comes
 before a program that only publishes, as `topic pub`. A set-up is that of the publisher whose measurements the node
 takes, where it takes any, else that of the first publisher until its topic is closed.
 """
@@ -19,8 +19,9 @@ from msgs.values.wording import counted
 
 _LOG = logging.getLogger(__name__)
 
-#: A publisher may be silent for this long, or for some of its own intervals: a restarted node is back earlier.
-SILENT_NS = 3 * NANOSECONDS_PER_SECOND // 2
+#: A publisher may be away for this long, or for some of its own intervals: a restarted node is back earlier. One that
+#: has its topic open may be silent for longer: it may be late, and a supervisor ends what hangs.
+AWAY_NS, SILENT_NS = 3 * NANOSECONDS_PER_SECOND // 2, 5 * NANOSECONDS_PER_SECOND
 _INTERVALS, _LONGEST_SILENCE_NS = 3, 30 * NANOSECONDS_PER_SECOND
 #: Another publisher is named for this long after its last message.
 NAMED_NS = 10 * NANOSECONDS_PER_SECOND
@@ -79,11 +80,24 @@ class BoundInputs:
         if stream.latched:
             latch(stream.kept, publisher, item)
             return True
-        if not stream.publisher or stream.is_silent(now_ns) or self._precedes(publisher, stream.publisher, now_ns):
+        if self._is_over(stream, now_ns) or self._precedes(publisher, stream.publisher, now_ns):
             stream.assign(publisher, now_ns)
             return True
         self._drop(stream, publisher, now_ns)
         return False
+
+    def _is_over(self, stream: _Stream, now_ns: int) -> bool:
+        """Return whether another publisher may take the place of the bound one."""
+        if not stream.publisher or stream.is_silent(now_ns, SILENT_NS):
+            return True
+        return stream.is_silent(now_ns, AWAY_NS) and not self._is_there(stream, now_ns)
+
+    def _is_there(self, stream: _Stream, now_ns: int) -> bool:
+        """Return whether the bound publisher had its topic open lately."""
+        if now_ns - stream.looked_ns >= _LOOK_NS:
+            stream.looked_ns = now_ns
+            stream.is_there = self._bus.has_publisher(stream.topic, stream.publisher)
+        return stream.is_there
 
     def _is_of_another(self, item: Received, now_ns: int) -> bool:
         """Return whether a message of a latched topic is not its publisher's, and count it."""
@@ -99,10 +113,8 @@ class BoundInputs:
 
     def _bind_latched(self, stream: _Stream, now_ns: int) -> bool:
         """Bind a latched topic; return whether to another publisher than before."""
-        if now_ns - stream.looked_ns >= _LOOK_NS:
-            stream.looked_ns = now_ns
-            if stream.publisher and self._bus.has_publisher(stream.topic, stream.publisher):
-                stream.hear(now_ns)
+        if stream.publisher and self._is_there(stream, now_ns):
+            stream.hear(now_ns)
         publisher = self._latched_publisher(stream, now_ns)
         if publisher == stream.publisher:
             return False
@@ -122,7 +134,7 @@ class BoundInputs:
         if _peer(own) and _peer(newest) == _peer(own):
             # whether a publisher behind a link is there is not known here
             return newest
-        if others and stream.is_silent(now_ns):
+        if others and stream.is_silent(now_ns, AWAY_NS):
             present = [name for name in others if self._bus.has_publisher(stream.topic, name)]
             return present[-1] if present else own
         return own
@@ -149,7 +161,8 @@ class _Stream:
         self.publisher = ""
         #: Last message of each publisher of a latched topic.
         self.kept: dict[str, Received] = {}
-        self.looked_ns = -_LOOK_NS
+        #: Whether the publisher had its topic open when the bus was asked.
+        self.is_there, self.looked_ns = False, -_LOOK_NS
         #: When the publisher was heard last, or had its topic open, and its last interval.
         self._heard_ns = self._interval_ns = 0
         #: Messages of other publishers since they came, and when the last one did.
@@ -162,9 +175,9 @@ class _Stream:
         self._interval_ns = 0 if self.latched else now_ns - self._heard_ns or self._interval_ns
         self._heard_ns = now_ns
 
-    def is_silent(self, now_ns: int) -> bool:
-        """Return whether the bound publisher has been silent for so long that another may take its place."""
-        limit_ns = min(max(SILENT_NS, _INTERVALS * self._interval_ns), _LONGEST_SILENCE_NS)
+    def is_silent(self, now_ns: int, patience_ns: int) -> bool:
+        """Return whether the bound publisher has been silent for longer than a time and some of its intervals."""
+        limit_ns = min(max(patience_ns, _INTERVALS * self._interval_ns), _LONGEST_SILENCE_NS)
         return now_ns - self._heard_ns > limit_ns
 
     def assign(self, publisher: str, now_ns: int) -> None:
@@ -174,6 +187,7 @@ class _Stream:
             text = "%s: %s takes the place of %s, not heard for %.1f s"
             _LOG.warning(text, self.topic, publisher, self.publisher, silent_s)
         self.publisher, self._heard_ns, self._interval_ns = publisher, now_ns, 0
+        self.looked_ns = now_ns - _LOOK_NS
         self._others.clear()
 
     def note_other(self, publisher: str, now_ns: int) -> None:

@@ -34,6 +34,7 @@ from nodes.node import (
     open_node,
     param_server,
     run_loop,
+    run_process,
     stop_by_signal,
     wait_to_begin,
 )
@@ -170,7 +171,7 @@ def main(argv: list[str] | None = None) -> int:
     install_handlers([stream])
     members = msgspec.convert(json.loads(arguments.nodes), dict[str, Member])
     words = ["nodes.process.group", *(sys.argv[1:] if argv is None else argv)]
-    return Group(members, arguments.run_dir, stop, words, arguments.wait).run()
+    return run_process(Group(members, arguments.run_dir, stop, words, arguments.wait).run)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,12 @@ from typing import Any, TextIO
 import msgspec
 
 from msgs.bus.interface import Received
+from msgs.files.open_files import require_open_files
 from msgs.files.whole_files import no_link
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
 from msgs.values.node_params import ParamRequest
 from msgs.values.wording import counted
-from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
+from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, one_line, stopping_signals
 from nodes.process.child import PATIENCE_S, Child
 from nodes.process.fork_server import ForkServer
 from nodes.process.launch_file import (
@@ -219,12 +220,13 @@ class Supervisor:
     def run(self) -> int:
         """Run the graph to its end; exit code 0 done, 1 a node failed for good, 2 a node refused its parameters.
 
-        Raises `OSError` if the graph's directory is in use by another graph or not writable, `ValueError` if it is not
-        ours alone. Call it from the thread that lives longest: the kernel kills the nodes when the thread that started
-        them ends.
+        Raises `OSError` if the graph's directory is in use by another graph or not writable, or if too few files may be
+        open, `ValueError` if the directory is not ours alone. Call it from the thread that lives longest: the kernel
+        kills the nodes when the thread that started them ends.
         """
         from msgs.bus.zmq import ZmqBus, make_run_dir
 
+        require_open_files()
         with contextlib.ExitStack() as stack:
             self._have_server(stack)
             make_run_dir(self._run_dir)
@@ -461,7 +463,7 @@ class Supervisor:
             node.start(name, self._run_dir, now_s, self._server)
         except OSError as error:
             # no memory, no file descriptor or no process is left: that may be transient, as a crash may
-            node.reason = f"cannot be started: {error}"
+            node.reason = f"cannot be started: {one_line(error)}"
             self._after_exit(name, node, EXIT_FAILED, now_s)
             return
         assert node.child is not None

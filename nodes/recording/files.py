@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -121,8 +122,15 @@ def _loss(topic: str, first: TopicCount | None, last: TopicCount | None, missed:
     )
 
 
+def _mb(size: int, rounded: Callable[[float], int]) -> str:
+    """Return megabytes with a decimal, if not whole."""
+    return f"{rounded(10 * size / _BYTES_PER_MB) / 10:.1f}".removesuffix(".0")
+
+
 def require_kept_free(path: Path, kept_bytes: int, growth_bytes: int, free: int) -> None:
     """Raise `OSError` where fewer than `kept_bytes` of the `free` ones would be left once a file has grown."""
     if free - growth_bytes < kept_bytes:
-        reason = f"{free // _BYTES_PER_MB} MB free, {-(-kept_bytes // _BYTES_PER_MB)} MB are to stay free"
+        # rounded apart: what is free is less than the sum as printed, too
+        needed = f"{_mb(growth_bytes, math.ceil)} MB are needed to finish the file"
+        reason = f"{_mb(free, math.floor)} MB free, {needed} and {_mb(kept_bytes, math.ceil)} MB are to stay free"
         raise OSError(errno.ENOSPC, reason, str(path))

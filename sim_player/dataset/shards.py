@@ -19,6 +19,7 @@ from msgs.values.environment import PriorWall
 from msgs.values.frames import Pose2
 from msgs.values.radar import speed_codes
 from msgs.values.units import ratio_from_db
+from msgs.values.wording import counted
 from sim_player.dataset.labelled_drive import DriveScan, LabelledDrive
 from sim_player.dataset.labelled_scan import (
     LABELS,
@@ -250,7 +251,7 @@ def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
     except UNREADABLE as error:
         return f"cannot be read: {' '.join(str(error).split())}"
     if scenes != job.count:
-        return "" if scenes < job.count else f"holds {scenes} scenes instead of {job.count}"
+        return "" if scenes < job.count else f"holds {counted(scenes, 'scene')} instead of {job.count}"
     if sha256 not in (None, file_sha256(job.path)):
         return "differs from its checksum in the manifest"
     return None

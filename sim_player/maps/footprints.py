@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from msgs.values.wording import counted
+
 #: Larger files are refused: cut the map to the streets that matter.
 MAX_BYTES = 64 << 20
 #: Points of all outlines of a file together.
@@ -64,7 +66,7 @@ def ring_of(field: str, positions: list[Position], metric: bool) -> tuple[Positi
     for index, (x, y) in enumerate(positions):
         check_position(f"{field}[{index}]", x, y, metric)
     if len(positions) < MIN_CORNERS + 1 or positions[0] != positions[-1]:
-        what = f"{len(positions)} points" if len(positions) < MIN_CORNERS + 1 else "an open line"
+        what = f"{counted(len(positions), 'point')}" if len(positions) < MIN_CORNERS + 1 else "an open line"
         raise ValueError(f"{field}: must be a closed ring of {MIN_CORNERS + 1} points or more, got {what}")
     return tuple(positions[:-1])
 

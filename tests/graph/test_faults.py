@@ -317,9 +317,8 @@ def test_a_second_publisher_changes_nothing_and_is_named(graph: LiveGraph) -> No
     sender.start()
     try:
         graph.await_that("the second publisher to be named", name_it)
-        graph.await_views(5)
-        assert graph.view is not None
-        assert graph.view.objects
+        graph.await_views()
+        graph.await_that("objects while it sends", lambda: graph.view is not None and graph.view.objects)
     finally:
         ends.set()
         sender.join()
@@ -470,6 +469,7 @@ def test_what_a_killed_recorder_wrote_is_recoverable(graph: LiveGraph, note: Not
     before, start = _recorder_file(graph), len(graph.said)
     _await_new(graph, note, graph.fault(signal.SIGKILL, ["recorder"]), start, "was ended by SIGKILL")
     assert len(_recorder_file(graph)) == len(before) + 1
+    assert {stat.S_IMODE(path.stat().st_mode) for path in _recorder_file(graph)} == {0o600}
     with RecordingReader(before[-1]) as reader:
         maps = sum(isinstance(one.message, RangeAzimuthMap) for one in reader.messages(["radar/ra_map"]))
         assert maps > 0

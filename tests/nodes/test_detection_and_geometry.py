@@ -311,7 +311,9 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
     assert objects[0]
     assert objects[1] == objects[2] == objects[0]
     assert objects[3] == geometry.view_stage(geometry.Params()).view(made_up_peaks()).objects != objects[0]
-    assert [(count.what, count.reason, count.count) for count in node.shed.counts()] == [("objects", "no map", 1)]
+    assert [(count.what, count.reason, count.count) for count in node.shed.counts()] == [
+        ("view", "made without a map", 1)
+    ]
 
 
 def test_a_missing_object_network_shows_at_start() -> None:

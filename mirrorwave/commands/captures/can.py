@@ -77,7 +77,7 @@ def _print_report(report: LogReport) -> None:
         shown = report.events[:_SHOWN_EVENTS]
         print_rows(keys, shown)
         if len(report.events) > len(shown):
-            print_line(f"... {len(report.events)} events in all")
+            print_line(f"... {counted(len(report.events), 'event')} in all")
         print_line("")
     facts = report.as_dict()
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in facts["frames_by_verdict"].items())

@@ -11,7 +11,7 @@ import typer
 
 from mirrorwave.commands.sim.effects import For
 from mirrorwave.console import AsJson, Progress, print_json, print_line, print_table, progress_bar
-from msgs.values.wording import duration_text
+from msgs.values.wording import counted, duration_text
 
 if TYPE_CHECKING:
     from sim_player.dataset.shards import ShardDone
@@ -219,17 +219,17 @@ class _Report:
     def line(self) -> str:
         """The same for people."""
         kept = f", {self.scenes['kept']} there already" if self.scenes["kept"] else ""
-        again = f", {len(self.rewritten)} shards made again" if self.rewritten else ""
-        return (
-            f"{self.out}: {self.count} scenes in {duration_text(self.seconds)}, {self.rate:.2f} a second{kept}{again}"
-        )
+        again = f", {counted(len(self.rewritten), 'shard')} made again" if self.rewritten else ""
+        made = f"{counted(self.count, 'scene')} in {duration_text(self.seconds)}, {self.rate:.2f} a second"
+        return f"{self.out}: {made}{kept}{again}"
 
 
 def _print_statistics(statistics: Statistics) -> None:
     """The numbers that fit a terminal."""
     points = ", ".join(f"{number} {name}" for name, number in statistics.points.items())
     print_line(
-        f"{statistics.scenes} scenes, points: {points}; nothing hidden in {100 * statistics.nothing_hidden_share:.1f} %"
+        f"{counted(statistics.scenes, 'scene')}, points: {points}; "
+        f"nothing hidden in {100 * statistics.nothing_hidden_share:.1f} %"
     )
     for title, counts in (
         ("places", statistics.places),

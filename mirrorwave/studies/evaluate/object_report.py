@@ -31,6 +31,7 @@ from models.evaluation.object_metrics import (
     object_report,
 )
 from models.evaluation.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M
+from msgs.values.wording import counted
 
 #: Title, columns, rows.
 Table = tuple[str, Sequence[str], Sequence[Sequence[object]]]
@@ -160,7 +161,7 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         motion += f", shifted ({set_report['shift']})" if set_report["shift"] != "none" else ""
         motion += ", traced by a foreign tracer" if set_report["world"] == "foreign" else ""
         reports: dict[str, ObjectReport] = set_report["profiles"]
-        title = f"{name}: {set_report['places']} places {motion}, seed {set_report['seed']}"
+        title = f"{name}: {counted(set_report['places'], 'place')} {motion}, seed {set_report['seed']}"
         title += f", effects {set_report['effects']}"
         yield f"{title}; scenes {set_report['scenes_sha256'][:16]}...", HEADINGS, [
             _headline(profile, report) for profile, report in reports.items()

@@ -235,7 +235,8 @@ def markdown(report: dict[str, Any]) -> str:
         f"# {counted(report['frames'], 'frame')}, split {report['split']} of {report['data']}",
         "",
         f"Test set {report['test_sha256']}; {report['draws']} bootstrap draws, seed {report['seed']}; "
-        f"{report['threads']} thread(s) a network on {report['cpu_count']} cores; times are medians (90th percentile) "
+        f"{counted(report['threads'], 'thread')} a network on {counted(report['cpu_count'], 'core')}; "
+        "times are medians (90th percentile) "
         "of the same run, methods interleaved frame by frame.",
     ]
     for truth in report["methods"][0]["measures"]:

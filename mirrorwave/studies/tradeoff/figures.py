@@ -14,6 +14,7 @@ from mirrorwave.plots.style import BLACK, VERMILION, handles_of, legend_of_figur
 from mirrorwave.studies.tradeoff.report import Report, Row, point_of
 from mirrorwave.studies.tradeoff.runner import PARTS
 from mirrorwave.studies.tradeoff.settings import PROFILE
+from msgs.values.wording import counted
 
 PART_OF = {"ra_former": "forming", "dense_predictor": "detection", "geometry": "geometry"}
 COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b", "geometry": "#3d9970"}
@@ -46,7 +47,10 @@ def draw_front(report: Report, path: Path) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("from the last beam to the view: median, line to the 99th percentile [ms]")
     axes.set_ylabel("hidden objects found within 1 m, F1, with its 95 % interval")
-    axes.set_title(f"What accuracy costs in time: {len(rows)} settings on the same {report.frames} places", loc="left")
+    axes.set_title(
+        f"What accuracy costs in time: {counted(len(rows), 'setting')} on the same {counted(report.frames, 'place')}",
+        loc="left",
+    )
     axes.grid(alpha=0.25, which="both")
     for part in ("forming", "detection", "geometry"):
         axes.plot([], [], "o", color=COLOURS[part], label=f"changes {part} alone")

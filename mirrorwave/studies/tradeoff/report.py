@@ -30,6 +30,7 @@ from models.evaluation.object_metrics import ObjectScores, object_differences, o
 from models.perception.cards import learned_path
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
+from msgs.values.wording import counted
 from nodes.dense_predictor import model_path
 from nodes.geometry import confidence_paths
 
@@ -283,7 +284,8 @@ def markdown(report: Report) -> str:
     """The report as a page: how it was made, then all rows, fastest first, failed ones last."""
     ordered = sorted(report.rows, key=lambda row: point_of(row) or (math.inf, 0.0))
     lines = [
-        f"`{report.command}`: {report.frames} places of series {report.seed}, each timed {report.repeats} times; "
+        f"`{report.command}`: {counted(report.frames, 'place')} of series {report.seed}, "
+        f"each timed {counted(report.repeats, 'time')}; "
         f"{report.machine}; {report.packages}.",
         "",
         *([f"**The times do not count**: the machine was busy. {report.busy}.", ""] if report.busy else []),

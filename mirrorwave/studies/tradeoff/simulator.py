@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from mirrorwave.studies.report import Provenance, Times, machine, quantiles_ms, table, versions
 from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.simulator_cases import BODIES, GROUPS, SAME_DB, Case, Clock, Value, setting_name
+from msgs.values.wording import counted
 from sim_player.fdtd.smooth import SMOOTH_WALLS
 
 
@@ -255,7 +256,7 @@ ERROR_NAMES = {"worst_cell_db": "worst cell [dB]", "median_cell_db": "median cel
 
 def simulator_markdown(report: SimulatorReport) -> str:
     """The report as a page: how it was made, then a table a group, failed rows in their place."""
-    lines = [f"`{report.command}`: each timed {report.repeats} times; {report.machine}; {report.packages}."]
+    lines = [f"`{report.command}`: each timed {counted(report.repeats, 'time')}; {report.machine}; {report.packages}."]
     for group in report.groups:
         rows = [row for row in report.rows if row.group == group.name]
         sound = report.of(group.name)
@@ -263,7 +264,7 @@ def simulator_markdown(report: SimulatorReport) -> str:
         parts = [part for part in (sound[0].times_ms if sound else {}) if part not in ("wall", "cpu")]
         columns = [group.name, *(f"{ERROR_NAMES[name]}: median, worst case" for name in errors)]
         columns += ["wall p50 [ms]", "p90", "p99", "CPU p50", *(f"{part} p50" for part in parts)]
-        lines += ["", f"## {group.name}", "", f"{group.about} {len(group.cases)} cases.", ""]
+        lines += ["", f"## {group.name}", "", f"{group.about} {counted(len(group.cases), 'case')}.", ""]
         lines += table(columns, (_cells(row, errors, parts, len(columns)) for row in rows))
     return "\n".join(lines) + "\n"
 

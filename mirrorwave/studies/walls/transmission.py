@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mirrorwave.console import Progress, progress_bar
+from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from sim_player.fdtd.experiment import Experiment, Transmission
@@ -136,7 +137,8 @@ def provenance(workers: int) -> dict[str, Any]:
     return {
         "command": "mirrorwave sim reflectance --rebuild",
         "version": _version(),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {workers} processes",
+        "machine": f"{platform.system()} {platform.machine()}, {counted(os.cpu_count() or 1, 'core')}, "
+        f"{counted(workers, 'process')}",
         "date": datetime.now(UTC).date().isoformat(),
     }
 

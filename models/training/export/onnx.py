@@ -36,6 +36,7 @@ from models.training.schedules import SCHEDULES
 from models.training.scoring import DetectionTally
 from models.training.train_dense import RunConfig, load_best, load_summary
 from msgs.values.perception import PathClass
+from msgs.values.wording import counted
 
 OPSET = 17
 #: Largest difference between torch and ONNX Runtime, in probability, that an fp32 export may show.
@@ -190,7 +191,7 @@ def export_run(
         draft = _draft(model, run, encoding, epoch, run_dir, config)
         for path in (reference, file):
             write_card(msgspec.structs.replace(draft, sha256=file_sha256(path)), path)
-        report(f"scoring on {len(scenes.tested)} scenes")
+        report(f"scoring on {counted(len(scenes.tested), 'scene')}")
         paths = (file,) if config.precision == "fp32" else (reference, file)
         tallies = score_files(paths, scenes.test.frames(scenes.tested))
         exact, own = tallies[0], tallies[-1]

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import re
+from collections.abc import Iterator
+
 import pytest
 
+from msgs.files.shipped import CHECKOUT
 from msgs.values.wording import counted
 
 
@@ -14,8 +19,30 @@ from msgs.values.wording import counted
         ((1, "scan"), "1 scan"),
         ((2, "scan"), "2 scans"),
         ((1, "frequency", "frequencies"), "1 frequency"),
+        ((2, "process"), "2 processes"),
         ((3, "frequency", "frequencies"), "3 frequencies"),
     ],
 )
 def test_one_is_singular(words: tuple[int, str], text: str) -> None:
     assert counted(*words) == text
+
+
+#: Position of the noun in calls by the last part of their name.
+_NOUN_AT = {"counted": 1, "shed.add": 0, "shed.note": 0, "_shed": 0}
+
+
+def nouns(tree: ast.AST) -> Iterator[str]:
+    for call in ast.walk(tree):
+        if isinstance(call, ast.Call):
+            at = next((at for name, at in _NOUN_AT.items() if ast.unparse(call.func).endswith(name)), len(call.args))
+            if at < len(call.args) and isinstance(call.args[at], ast.Constant | ast.JoinedStr):
+                yield ast.unparse(call.args[at]).strip("f'\"")
+
+
+def test_what_is_counted_is_named_in_the_singular() -> None:
+    """A plural noun becomes "270 objectss"."""
+    roots = ("mirrorwave", "msgs", "models", "sim_player", "nodes")
+    sources = [path for root in roots for path in (CHECKOUT / root).rglob("*.py")]
+    found = {noun for path in sources for noun in nouns(ast.parse(path.read_text()))}
+    assert {"scan", "beam", "{topic} message"} <= found
+    assert {noun for noun in found if re.search(r"[a-rt-z]s$", noun)} == set()

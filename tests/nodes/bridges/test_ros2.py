@@ -241,7 +241,7 @@ def test_a_reader_that_takes_nothing_is_counted() -> None:
     stand.link.ends["hidden_points"].takes = False
     stand.step(view(0, NOW_NS), view(1, NOW_NS))
     (count,) = stand.node.shed.counts()
-    assert (count.what, count.reason, count.count) == ("/hidden_points", "a reader takes nothing", 2)
+    assert (count.what, count.reason, count.count) == ("/hidden_points message", "a reader takes nothing", 2)
 
 
 @needs_rosbags

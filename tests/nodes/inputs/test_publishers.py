@@ -13,7 +13,7 @@ from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.environment import WallPriors
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
-from nodes.inputs.publishers import NAMED_NS, SILENT_NS
+from nodes.inputs.publishers import AWAY_NS, NAMED_NS, SILENT_NS
 from nodes.node import InProcessGraph, Node
 
 MS = 1_000_000
@@ -100,15 +100,28 @@ def test_a_flood_of_a_second_publisher_is_dropped_counted_and_named(caplog: pyte
 
 
 @pytest.mark.parametrize(
-    ("interval_ms", "silent_ms", "taken"),
-    [(20, 1400, "car"), (20, 1600, "other"), (2000, 5900, "car"), (2000, 6100, "other")],
+    ("interval_ms", "is_dead", "silent_ms", "taken"),
+    [
+        (20, True, 1400, "car"),
+        (20, True, 1600, "other"),
+        (1000, True, 2900, "car"),
+        (1000, True, 3100, "other"),
+        (20, False, 4900, "car"),
+        (20, False, 5100, "other"),
+        (2000, False, 5900, "car"),
+        (2000, False, 6100, "other"),
+    ],
 )
-def test_another_publisher_follows_one_that_died_without_a_word(interval_ms: int, silent_ms: int, taken: str) -> None:
-    """After a second and a half, or three of its intervals where these are longer; then that one is bound."""
+def test_another_publisher_follows_one_that_died_without_a_word(
+    interval_ms: int, is_dead: bool, silent_ms: int, taken: str
+) -> None:
+    """After 1.5 s, 5 s where it is there still, or three of its intervals where these are longer; then it stays."""
     stand = Stand("vehicle/state")
     for _ in range(3):
         stand.send("car", after_ns=interval_ms * MS)
     assert stand.taken == ["car"] * 3
+    if is_dead:
+        stand.end("car")
     stand.send("other", after_ns=silent_ms * MS)
     stand.send("car", after_ns=MS)
     assert stand.taken == [taken]
@@ -166,7 +179,7 @@ def test_the_set_up_is_that_of_the_beams_whichever_came_first() -> None:
     assert stand.beat_signs == [-1, 1]
     # another radar takes over once this one is silent
     stand.send("spare", "radar/setup", after_ns=100 * MS, beat_sign=-1)
-    stand.send("spare", "radar/beam", after_ns=3_000 * MS)
+    stand.send("spare", "radar/beam", after_ns=SILENT_NS)
     assert stand.beat_signs == [-1, 1, -1]
 
 
@@ -178,7 +191,7 @@ def test_a_set_up_without_beams_is_replaced_once_its_publisher_has_closed() -> N
     stand.wait(5_000 * MS)
     assert stand.beat_signs == [-1]
     stand.end("by_hand")
-    stand.wait(SILENT_NS - 500 * MS)
+    stand.wait(AWAY_NS - 500 * MS)
     assert stand.beat_signs == [-1]
     stand.wait(600 * MS)
     assert stand.beat_signs == [-1, 1]

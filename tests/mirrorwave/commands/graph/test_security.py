@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from mirrorwave.diagnose.security_checks import (
     Grade,
     Risk,
     all_findings,
+    check_files,
     check_graph,
     check_keys,
     check_listeners,
@@ -69,6 +71,55 @@ def keys(tmp_path: Path) -> dict[str, Any]:
 
 def link(**params: Any) -> NodeEntry:
     return NodeEntry(module="nodes.link", params=params)
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory without files of others."""
+    folder = tmp_path_factory.mktemp("here")
+    monkeypatch.chdir(folder)
+    return folder
+
+
+# files
+
+
+@pytest.mark.slow
+def test_what_a_command_writes_is_its_users_alone(own_folder: Path) -> None:
+    """Recording, capture and results: files 0600 and folders 0700 under the usual umask, which stays as it was."""
+    before = os.umask(0o022)
+    try:
+        os.mkdir("out", mode=0o700)
+        scene = str(LAUNCH_DIR / "scenes" / "corner.yaml")
+        words = ["--chirps-per-beam", "1", "--effects", "basic", "--out", "out/a.mcap"]
+        assert main(["sim", "run", scene, *words]) == 0
+        assert main(["process", "out/a.mcap", "--profile", "fast", "--out", "results"]) == 0
+        assert main(["bag", "convert", "out/a.mcap", "out/b.sigmf-meta"]) == 0
+        assert os.umask(0o022) == 0o022
+    finally:
+        os.umask(before)
+    paths = [path for folder in ("out", "results") for path in (own_folder / folder).rglob("*")]
+    assert {path.name for path in paths} >= {"a.mcap", "objects.jsonl", "b.sigmf-meta", "b.sigmf-data", "bev.png"}
+    assert {stat.S_IMODE(path.stat().st_mode) for path in paths} == {0o600}
+    assert stat.S_IMODE((own_folder / "results").stat().st_mode) == 0o700
+    assert only(check_files(own_folder)).status is Grade.OK
+
+
+def test_files_that_others_may_read_are_named_with_what_closes_them(own_folder: Path) -> None:
+    for name, mode in {"a.mcap": 0o644, "b.mcap": 0o640, "notes.txt": 0o644, "closed.mcap": 0o600}.items():
+        (own_folder / name).touch()
+        (own_folder / name).chmod(mode)
+    for name, mode in {"open": 0o755, "closed": 0o700}.items():
+        (own_folder / "runs" / name).mkdir(parents=True)
+        (own_folder / "runs" / name / "log.jsonl").touch()
+        (own_folder / "runs" / name / "log.jsonl").chmod(0o644)
+        (own_folder / "runs" / name).chmod(mode)
+    (own_folder / "runs").chmod(0o755)
+    beside, runs = check_files(own_folder)
+    assert (beside.status, beside.mend) == (Grade.WARNING, f"chmod go-rwx {own_folder}/*.mcap")
+    assert beside.detail == f"others may read 2 files where they get to, e.g. {own_folder}/a.mcap, mode 0644"
+    assert (runs.status, runs.mend) == (Grade.WARNING, f"chmod -R go-rwx {own_folder}/runs")
+    assert runs.detail == f"others may read 1 file where they get to, e.g. {own_folder}/runs/open/log.jsonl, mode 0644"
 
 
 # keygen
@@ -303,4 +354,4 @@ def test_all_checks_run_on_a_quiet_domain(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     checks = [risk.check for risk in all_findings(None, "d")]
-    assert checks == ["user", "zeromq", "run directory", "graph"]
+    assert checks == ["user", "zeromq", "run directory", "files", "graph"]
