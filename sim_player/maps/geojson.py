@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import in_words
 from sim_player.maps.footprints import Footprint, FootprintFile, Position, check_count, check_size, ring_of
 
@@ -33,10 +34,10 @@ def read_geojson(path: Path, metric: bool = False) -> FootprintFile:
 
 def _json(raw: bytes) -> Any:
     try:
-        return msgspec.json.decode(raw)
+        return msgspec.json.decode(decode_text(raw))
     except RecursionError:
         raise ValueError("not GeoJSON: nested too deep") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, ValueError) as error:
         raise ValueError(f"not JSON: {error}") from None
 
 

@@ -15,6 +15,7 @@ import msgspec
 import yaml
 
 from models.physics.materials import CONSTRUCTIONS, wall_name
+from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import BoundedLoader, in_words
 
 #: Rules in one file.
@@ -129,7 +130,7 @@ def _rule_file(path: Path) -> list[WallRule]:
         raw = path.read_bytes()
         if len(raw) > MAX_RULE_BYTES:
             raise ValueError(f"must hold at most {MAX_RULE_BYTES} bytes, got {len(raw)}")
-        content = yaml.load(raw.decode("utf-8"), Loader=BoundedLoader)
+        content = yaml.load(decode_text(raw), Loader=BoundedLoader)
         if not isinstance(content, list) or len(content) > MAX_RULES:
             raise ValueError(f"expected a list of {MAX_RULES} rules at most, got {in_words(content)}")
         return [msgspec.convert(rule, WallRule) for rule in content]
