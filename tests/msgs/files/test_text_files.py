@@ -30,6 +30,7 @@ PLY = (
     "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {name}\n" for name in "xyz") + "end_header\n"
 )
 POINTS = "1 2 3\n4 5 6\n7 8 9\n"
+DBC = 'VERSION ""\nBO_ 5 A: 8 X\n SG_ V : 0|8@1+ (1,0) [0|0] "m/s" X\n'
 POLYGON = '{"type":"Polygon","coordinates":[[[11.0,48.0],[11.1,48.0],[11.1,48.1],[11.0,48.0]]]}'
 
 
@@ -55,7 +56,7 @@ def test_bytes_of_no_encoding() -> None:
         ("a.yaml", "a: 1\n", read_yaml_mapping),
         ("a.yaml", "name: x\nradar: {preset: xband}\nobjects: [{class: car, x_m: 5, y_m: 0}]\n", load_scene),
         ("a.yaml", "- {key: building, value: a, material: brick}\n", lambda path: read_rules([str(path)])[0]),
-        ("a.dbc", 'VERSION ""\nBO_ 5 A: 8 X\n SG_ V : 0|8@1+ (1,0) [0|0] "m/s" X\n', lambda p: len(load_dbc(p).messages)),
+        ("a.dbc", DBC, lambda path: len(load_dbc(path).messages)),
         ("a.sigmf-meta", (DATA / "sigmf_alley" / "alley.sigmf-meta"), _load_metadata),
         ("a.cfg", CFG, lambda path: read_config(path, None)),
     ],
