@@ -12,6 +12,7 @@ import numpy as np
 
 from models.annotation.registration import import_open3d
 from msgs.files.array_files import load_array
+from msgs.files.text_files import without_mark
 from msgs.values.wording import counted
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
@@ -50,7 +51,8 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         raise FileNotFoundError(2, "no such cloud", str(path))
     if path.stat().st_size > MAX_CLOUD_BYTES:
         raise ValueError(f"{path}: at most {MAX_CLOUD_BYTES} bytes are read, got {path.stat().st_size}")
-    points = _npy_points(path) if path.suffix.lower() == ".npy" else _open3d_points(path)
+    with without_mark(path) as plain:
+        points = _npy_points(path) if path.suffix.lower() == ".npy" else _open3d_points(plain)
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or points.dtype.kind not in "fiu":
         raise ValueError(
             f"{path}: points must be numbers of shape (N, 3) with N > 0, got {points.dtype} {points.shape}"

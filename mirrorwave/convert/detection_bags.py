@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,10 @@ class DetectionBag:
         #: Why the bag could not be read to its end; empty where it could.
         self.loss = ""
 
-    def scans(self, left_out: Counter[str], advance: Callable[[], None]) -> Iterator[ScanRows]:
-        """Yield a scan for each message; those that cannot be read are counted in `left_out`."""
+    def scans(
+        self, wanted: Collection[str | int], left_out: Counter[str], advance: Callable[[], None]
+    ) -> Iterator[ScanRows]:
+        """Yield a scan for each message; those whose `wanted` columns cannot be read are counted in `left_out`."""
         messages = self._reader.messages(connections=self._connections)
         while True:
             try:
@@ -50,7 +52,7 @@ class DetectionBag:
             advance()
             try:
                 message = self._reader.deserialize(data, connection.msgtype)
-                columns = READERS[self.kind](message)
+                columns = READERS[self.kind](message, wanted)
             except Exception as error:  # noqa: BLE001 - as above
                 left_out[f"message: {_reason(error)}"] += 1
                 continue

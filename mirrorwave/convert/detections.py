@@ -52,7 +52,7 @@ def _import_bag(source: Path, out: Path, given: Path | None, topic: str | None, 
         sink = _Sink(source, mapping)
         provenance = _provenance(source, used) | {"topic": bag.topic, "type": bag.kind}
         with bar("messages", bag.count) as advance, whole_recording(out, provenance) as writer:
-            sink.write(writer, bag.scans(sink.left_out, advance))
+            sink.write(writer, bag.scans(mapping.columns.values(), sink.left_out, advance))
         return sink.summary(bag.loss) | {"topic": bag.topic}
 
 

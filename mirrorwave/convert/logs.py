@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from models.training.files import file_sha256
+from msgs.files.text_files import read_text
 from msgs.recording.mcap import RecordingReader, RecordingWriter, whole_recording
 from msgs.values.units import ns_from_s
 
@@ -140,6 +141,6 @@ def _sigmf_provenance(meta: Path, data: Path) -> dict[str, str]:
         "source": meta.name,
         "source_sha256": file_sha256(meta),
         "data_sha256": file_sha256(data),
-        "sigmf_global": json.dumps(json.loads(meta.read_text(encoding="utf-8"))["global"]),
+        "sigmf_global": json.dumps(json.loads(read_text(meta))["global"]),
         "time_base": "stamps of the capture",
     }

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from models.sensors.dca1000 import Dca1000Config, DeviceName, parse_cfg, parse_json
 from models.sensors.mmwave_studio import parse_lua
+from msgs.files.text_files import AS_CP1252, decode_text
 
 #: Longer files are no configuration.
 MAX_CONFIG_BYTES = 1 << 20
@@ -20,11 +21,11 @@ def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
         content = file.read(MAX_CONFIG_BYTES + 1)
     if len(content) > MAX_CONFIG_BYTES:
         raise ValueError(f"{path}: a configuration holds at most {MAX_CONFIG_BYTES} bytes")
-    if path.suffix.lower() == ".json":
-        return parse_json(content, str(path), device)
     try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: must be UTF-8 text, got byte {content[error.start]:#04x} at {error.start}") from None
+        text = decode_text(content, AS_CP1252)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    if path.suffix.lower() == ".json":
+        return parse_json(text, str(path), device)
     parse = parse_lua if path.suffix.lower() == ".lua" else parse_cfg
     return parse(text, str(path), device)

@@ -341,7 +341,7 @@ _WITHOUT_EFFECT = frozenset(
 _FIXED = {"dfeDataOutputMode": (0, 1, "frames without subframes"), "bpmCfg": (1, 0, "transmitters take turns")}
 
 
-def parse_json(text: bytes, name: str, device: DeviceName | None = None) -> Dca1000Config:
+def parse_json(text: str | bytes, name: str, device: DeviceName | None = None) -> Dca1000Config:
     """Return the configuration of a JSON object; `device` is used if it does not name one.
 
     Raises `ValueError` that begins with `name` as `parse_cfg` does.

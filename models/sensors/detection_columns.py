@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -62,6 +62,8 @@ class TableFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """How lines of a text file become rows."""
 
     delimiter: str = ","
+    #: Before the decimals of a number; nothing else is taken for a part of it.
+    decimal: Literal[".", ","] = "."
     #: Lines that begin with this are passed over; empty: none are.
     comment: str = "#"
     #: Lines before the head, whatever they hold.
@@ -72,6 +74,8 @@ class TableFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def __post_init__(self) -> None:
         if len(self.delimiter) != 1 or self.delimiter in '\r\n"' or not self.delimiter.isascii():
             raise ValueError(f"delimiter must be one character other than a quote or a line end: {self.delimiter!r}")
+        if self.decimal == self.delimiter:
+            raise ValueError(f"decimal must not be the delimiter, got {self.decimal!r} for both")
         if not 0 <= self.skip_lines <= 1_000_000:
             raise ValueError(f"skip_lines must be 0..1000000, got {self.skip_lines!r}")
 

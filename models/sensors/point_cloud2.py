@@ -2,39 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 
-#: Types of `sensor_msgs/PointField`, by number.
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+#: Types of `sensor_msgs/PointField`, by number; 9 to 11 are those of newer drivers.
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8", 9: "i8", 10: "u8", 11: "?"}
 
 
-def cloud_columns(cloud: Any) -> dict[str | int, np.ndarray]:
-    """Return the fields of a cloud as float64 [points], without those of several values a point.
+def cloud_columns(cloud: Any, wanted: Collection[str | int]) -> dict[str | int, np.ndarray]:
+    """Return the fields of a cloud as float64 [points], without padding and those of several values a point.
 
-    Raises `ValueError` for fields that lie outside a point or have an unknown type, and for data that are too short.
+    Raises `ValueError` for wanted fields that lie outside a point, have an unknown type or the name of another, and for
+    data that are too short; such fields are left out where nobody asks for them.
     """
     order = ">" if cloud.is_bigendian else "<"
-    fields = [field for field in cloud.fields if field.count == 1]
+    # writers of PCL leave the count of a single value at 0
+    fields = [field for field in cloud.fields if field.count in (0, 1) and field.name]
+    names = Counter(field.name for field in fields)
+    sound = []
     for field in fields:
-        size = np.dtype(_TYPES[field.datatype]).itemsize if field.datatype in _TYPES else cloud.point_step + 1
-        if field.offset + size > cloud.point_step:
-            raise ValueError(f"field {field.name!r} of type {field.datatype} at {field.offset} does not fit into "
-                             f"points of {cloud.point_step} bytes")  # fmt: skip
-    names = _unique([field.name for field in fields])
-    kinds = [order + _TYPES[field.datatype] for field in fields]
-    offsets = [field.offset for field in fields]
-    dtype = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": cloud.point_step})
-    points = _points(cloud, dtype)
-    return {name: points[name].astype(np.float64) for name in names}
+        if fault := _fault(field, cloud.point_step, names[field.name]):
+            if field.name in wanted:
+                raise ValueError(fault)
+        else:
+            sound.append(field)
+    layout = {
+        "names": [field.name for field in sound],
+        "formats": [order + _TYPES[field.datatype] for field in sound],
+        "offsets": [field.offset for field in sound],
+        "itemsize": cloud.point_step,
+    }
+    points = _points(cloud, np.dtype(layout))
+    return {field.name: points[field.name].astype(np.float64) for field in sound}
 
 
-def _unique(names: Sequence[str]) -> list[str]:
-    if len(set(names)) != len(names) or not all(names):
-        raise ValueError(f"fields must have different names, got {', '.join(map(repr, names))}")
-    return list(names)
+def _fault(field: Any, point_step: int, same_name: int) -> str:
+    """Return why a field cannot be read; empty if it can."""
+    place = f"field {field.name!r} of type {field.datatype} at {field.offset}"
+    if same_name > 1:
+        return f"{place} must have a name of its own, {same_name} have it"
+    if field.datatype not in _TYPES:
+        return f"{place} must be of type {min(_TYPES)}..{max(_TYPES)}"
+    fits = 0 <= field.offset <= point_step - np.dtype(_TYPES[field.datatype]).itemsize
+    return "" if fits else f"{place} does not fit into points of {point_step} bytes"
 
 
 def _points(cloud: Any, dtype: np.dtype) -> np.ndarray:

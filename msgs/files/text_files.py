@@ -6,6 +6,10 @@ Names, comments and paths in such files are written in whatever a maker's tool t
 from __future__ import annotations
 
 import codecs
+import contextlib
+import shutil
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 #: Marks and their encodings; that of UTF-32 begins as that of UTF-16 does.
@@ -50,3 +54,22 @@ def read_text(path: Path, errors: str = "strict") -> str:
         return decode_text(path.read_bytes(), errors)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+@contextlib.contextmanager
+def without_mark(path: Path) -> Iterator[Path]:
+    """Yield a file, or a copy of it without its UTF-8 mark for readers that take the mark for a part of the text.
+
+    A `ValueError` that names the copy names the file instead.
+    """
+    with path.open("rb") as file:
+        if file.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
+            yield path
+            return
+        with tempfile.NamedTemporaryFile(suffix=path.suffix) as copy:
+            shutil.copyfileobj(file, copy)
+            copy.flush()
+            try:
+                yield Path(copy.name)
+            except ValueError as error:
+                raise ValueError(str(error).replace(copy.name, str(path))) from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from io import BytesIO, RawIOBase
+from io import BufferedIOBase, BytesIO, RawIOBase
 from typing import Any, BinaryIO
 
 import lz4.frame
@@ -62,7 +62,7 @@ class Budget:
 class UnpackedFile(RawIOBase):
     """What a compressed file unpacks to, read forward within a `Budget`."""
 
-    def __init__(self, unpacking: BinaryIO, stored: BinaryIO) -> None:
+    def __init__(self, unpacking: BufferedIOBase, stored: BinaryIO) -> None:
         self._unpacking, self._stored = unpacking, stored
         self._budget = Budget()
 
@@ -72,7 +72,8 @@ class UnpackedFile(RawIOBase):
 
     def readinto(self, buffer: Any, /) -> int:
         """Fill a buffer, or part of it; returns the number of bytes, 0 at the end."""
-        data = self._unpacking.read(min(len(buffer), self._budget.FREE_BYTES))
+        # of a file that is cut off all is taken that unpacks
+        data = self._unpacking.read1(min(len(buffer), self._budget.FREE_BYTES))
         self._budget.spend(len(data), self._stored.tell())
         buffer[: len(data)] = data
         return len(data)

@@ -25,6 +25,7 @@ from jsonschema.exceptions import ValidationError  # type: ignore[import-untyped
 from sigmf.validate import validate
 
 from msgs.files.array_files import load_array
+from msgs.files.text_files import decode_text
 from msgs.files.whole_files import whole, write_whole
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import ns_from_s
@@ -382,7 +383,7 @@ def _load_metadata(meta_path: Path) -> dict[str, Any]:
     if meta_path.stat().st_size > _MAX_META_BYTES:
         raise ValueError(f"{meta_path}: {meta_path.stat().st_size} bytes exceed {_MAX_META_BYTES}")
     try:
-        metadata: dict[str, Any] = json.loads(meta_path.read_bytes(), parse_constant=_refuse_constant)
+        metadata: dict[str, Any] = json.loads(decode_text(meta_path.read_bytes()), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{meta_path}: must be JSON: {error}") from error
     _require_valid(metadata, meta_path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ def read_mapping(path: Path) -> DetectionMapping:
     return convert_at(read_yaml_mapping(path), DetectionMapping, f"{path}: ")
 
 
-def return_columns(message: Any) -> dict[str | int, np.ndarray]:
+def return_columns(message: Any, wanted: Collection[str | int] = ()) -> dict[str | int, np.ndarray]:
     """Return the fields of a `RadarScan`, float64 [returns]; an elevation that is 0 throughout was not measured."""
     columns: dict[str | int, np.ndarray] = {
         name: np.array([getattr(each, name) for each in message.returns], np.float64) for name in RETURN_FIELDS
@@ -37,5 +37,8 @@ def return_columns(message: Any) -> dict[str | int, np.ndarray]:
     return columns
 
 
-#: What reads the columns of each message type.
-READERS: dict[str, Callable[[Any], dict[str | int, np.ndarray]]] = {CLOUD: cloud_columns, SCAN: return_columns}
+#: What reads the columns of each message type, and complains of those alone that are wanted.
+READERS: dict[str, Callable[[Any, Collection[str | int]], dict[str | int, np.ndarray]]] = {
+    CLOUD: cloud_columns,
+    SCAN: return_columns,
+}

@@ -28,7 +28,9 @@ class DetectionInput:
 
     def convert(self, message: Any, stamp_ns: int) -> Outgoing:
         """Return a scan's detections, unusable ones counted; `ValueError` for fields that do not fit."""
-        detections, left_out = detections_of(self._read(message), self._mapping, stamp_ns, self._scan_id)
+        detections, left_out = detections_of(
+            self._read(message, self._mapping.columns.values()), self._mapping, stamp_ns, self._scan_id
+        )
         self._scan_id += 1
         for reason, count in left_out.items():
             self._shed.add("detection", reason, count)

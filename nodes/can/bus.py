@@ -16,6 +16,7 @@ from cantools.database import Database
 
 from models.vehicle.can_state import CanDecoder, Judged, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule
+from msgs.files.text_files import AS_CP1252, read_text
 from msgs.values.known_names import refuse_unknown
 from msgs.values.units import NANOSECONDS_PER_SECOND, ns_from_s
 from nodes.process.launch_file import read_yaml_mapping
@@ -238,8 +239,9 @@ def load_dbc(path: Path) -> Database:
 def _load_database(path: Path, strict: bool) -> Database:
     if path.stat().st_size > MAX_DBC_BYTES:
         raise ValueError(f"at most {MAX_DBC_BYTES} bytes are read, got {path.stat().st_size}")
-    _refuse_long_messages(path.read_text(encoding="cp1252", errors="replace"))
-    database = cantools.database.load_file(path, database_format="dbc", strict=strict)
+    dbc = read_text(path, AS_CP1252)
+    _refuse_long_messages(dbc)
+    database = cantools.database.load_string(dbc, database_format="dbc", strict=strict)
     assert isinstance(database, Database)
     return database
 

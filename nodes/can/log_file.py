@@ -79,7 +79,7 @@ def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
 
 
 def _unpacked(stored: BinaryIO) -> BinaryIO:
-    return io.BufferedReader(UnpackedFile(cast("BinaryIO", gzip.open(stored)), stored))
+    return io.BufferedReader(UnpackedFile(gzip.GzipFile(fileobj=stored), stored))
 
 
 def _reader(kind: str, content: BinaryIO) -> Any:

@@ -9,12 +9,13 @@ from typing import Any
 
 import msgspec
 
+from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import in_words
 from sim_player.maps.footprints import Footprint, FootprintFile, Position, check_count, check_size, ring_of
+from sim_player.maps.standing import KEYS, is_building, why_no_wall
 
 #: Names of WGS 84 in the `crs` member of older files; RFC 7946 knows nothing else and has no such member.
 WGS84_NAMES = ("urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "urn:ogc:def:crs:EPSG::4326", "EPSG:4326")
-NO_BUILDING = frozenset({"no", "false", "0"})
 
 
 def read_geojson(path: Path, metric: bool = False) -> FootprintFile:
@@ -33,10 +34,10 @@ def read_geojson(path: Path, metric: bool = False) -> FootprintFile:
 
 def _json(raw: bytes) -> Any:
     try:
-        return msgspec.json.decode(raw)
+        return msgspec.json.decode(decode_text(raw))
     except RecursionError:
         raise ValueError("not GeoJSON: nested too deep") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, ValueError) as error:
         raise ValueError(f"not JSON: {error}") from None
 
 
@@ -70,10 +71,12 @@ class _Reader:
     def read(self, content: dict[str, Any]) -> FootprintFile:
         features = list(self._features(content))
         tags = [_tags(field, feature) for field, feature in features]
-        tagged = any("building" in own for own in tags)
+        tagged = any(key in own for own in tags for key in KEYS)
         for (field, feature), own in zip(features, tags, strict=True):
-            if own.get("building", "no" if tagged else "yes").lower() in NO_BUILDING:
+            if tagged and not is_building(own):
                 self.left_out["features that are no building"] += 1
+            elif reason := why_no_wall(own):
+                self.left_out[reason] += 1
             else:
                 self._geometry(field, feature.get("geometry"), own)
         return FootprintFile(tuple(self.footprints), tuple(self.broken), self.metric, dict(self.left_out))

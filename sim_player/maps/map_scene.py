@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ RADIUS_M = (5.0, 5000.0)
 DEFAULT_RADIUS_M = 165.0
 #: Corners are rounded to this, and points nearer to the last are left out: finer than any map.
 CORNER_M = 1e-3
+#: The same in digits of a map's metres and degrees.
+CORNER_DIGITS, CORNER_DIGITS_DEG = 3, 8
 NEAREST_CORNERS_M = 0.05
 #: Footprints of less area are none.
 SMALLEST_M2 = 0.01
@@ -111,8 +113,11 @@ def map_scene(
     if not RADIUS_M[0] <= radius_m <= RADIUS_M[1]:
         raise ValueError(f"--radius must be {RADIUS_M[0]:g}..{RADIUS_M[1]:g} m, got {radius_m!r}")
     builder = _Builder(pose, radius_m, rules)
-    for footprint in footprints.footprints:
+    once = _once(footprints)
+    for footprint in once:
         builder.add(footprint)
+    if repeated := len(footprints.footprints) - len(once):
+        builder.left_out["buildings given twice"] = repeated
     surfaces, broken = builder.surfaces(), (*footprints.broken, *builder.broken)
     if not surfaces and broken:
         raise ValueError(broken[0])
@@ -140,6 +145,22 @@ def map_scene(
     if (size := len(made.yaml.encode())) > MAX_BYTES:
         raise ValueError(f"--radius: a scene holds at most {MAX_BYTES} bytes, got {size} within {radius_m:g} m")
     return made
+
+
+def _once(file: FootprintFile) -> list[Footprint]:
+    """Return footprints of different outlines, each with the courtyards and the tags that any of the same outline has.
+
+    An outline and its multipolygon are both buildings to some tools.
+    """
+    digits = CORNER_DIGITS if file.metric else CORNER_DIGITS_DEG
+    chosen: dict[frozenset[Point], Footprint] = {}
+    for footprint in file.footprints:
+        outline = frozenset((round(x, digits), round(y, digits)) for x, y in footprint.outer)
+        if (same := chosen.get(outline)) is not None:
+            first, second = sorted((same, footprint), key=lambda each: len(each.holes), reverse=True)
+            footprint = replace(first, tags={**second.tags, **first.tags})
+        chosen[outline] = footprint
+    return list(chosen.values())
 
 
 def _ground(material: str) -> str:
@@ -171,7 +192,6 @@ class _Builder:
     def __init__(self, pose: MapPose, radius_m: float, rules: tuple[WallRule, ...]) -> None:
         self.pose, self.radius_m, self.rules = pose, radius_m, rules
         self.placed: list[_Building] = []
-        self._outlines: set[frozenset[Point]] = set()
         self.broken: list[str] = []
         self.left_out: Counter[str] = Counter()
         self.materials: Counter[str] = Counter()
@@ -227,11 +247,6 @@ class _Builder:
 
     def _place(self, shape: shapely.Polygon, footprint: Footprint) -> None:
         rings = [_corners(np.asarray(ring.coords)[:-1]) for ring in (shape.exterior, *shape.interiors)]
-        outline = frozenset(rings[0])
-        if outline in self._outlines:
-            self.left_out["buildings given twice"] += 1
-            return
-        self._outlines.add(outline)
         height_m = height_of(footprint.tags)
         self.default_heights += height_m is None
         self.placed.append(

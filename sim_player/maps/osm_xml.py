@@ -12,25 +12,32 @@ except ImportError:
     raise ImportError("osmium, which maps of OpenStreetMap need: pip install 'mirrorwave[maps]'") from None
 
 from sim_player.maps.footprints import Footprint, FootprintFile, Position, check_count, check_size, ring_of
-from sim_player.maps.geojson import NO_BUILDING
+from sim_player.maps.osm_elements import plain_osm
+from sim_player.maps.standing import is_building, why_no_wall
 
+#: Tags of a multipolygon that say nothing of what it is.
+_NO_OBJECT = frozenset(("type", "source", "created_by", "note", "fixme"))
 ATTRIBUTION = "map data: OpenStreetMap contributors, Open Database Licence"
 
 
 def read_osm(path: Path) -> FootprintFile:
     """Read the buildings of a file; ValueError without the file's name where it is no OSM XML.
 
-    A way whose nodes are missing and a multipolygon that does not close (maps that were cut) are broken footprints.
+    A way whose nodes are missing and a multipolygon that does not close (maps that were cut) are broken footprints. An
+    outline that is also the outer ring of a multipolygon is read as that, with its courtyards.
     """
     check_size(path)
     reader = _Reader()
     try:
         # said to be XML whatever the name is: no other format is tried
-        for entity in osmium.FileProcessor(osmium.io.File(str(path), "osm")).with_areas():
+        file = osmium.io.FileBuffer(plain_osm(path.read_bytes()), "osm")
+        for entity in osmium.FileProcessor(file, osmium.osm.WAY | osmium.osm.RELATION):
+            reader.note_outline(entity)
+        for entity in osmium.FileProcessor(file).with_areas():
             reader.take(entity)
     except (RuntimeError, osmium.InvalidLocationError) as error:
         raise ValueError(f"not OpenStreetMap XML: {' '.join(str(error).split())}") from None
-    return FootprintFile(tuple(reader.footprints), tuple(reader.broken), False, dict(reader.left_out), ATTRIBUTION)
+    return reader.file()
 
 
 class _Reader:
@@ -38,39 +45,71 @@ class _Reader:
 
     def __init__(self) -> None:
         self.points = 0
-        self.footprints: list[Footprint] = []
-        self.broken: list[str] = []
+        #: Footprints, or why there is none, of each element.
+        self._found: dict[str, list[Footprint | str]] = {}
+        #: Tags of the ways that are buildings.
+        self._tags_of_ways: dict[int, dict[str, str]] = {}
+        #: Outer ways of each multipolygon.
+        self._outlines: dict[int, list[int]] = {}
+        self._in_multipolygons: set[str] = set()
         self.left_out: Counter[str] = Counter()
+
+    def file(self) -> FootprintFile:
+        """Return all footprints; outlines that are those of a multipolygon are not given again."""
+        found = [each for field, items in self._found.items() if field not in self._in_multipolygons for each in items]
+        footprints = tuple(each for each in found if isinstance(each, Footprint))
+        broken = tuple(each for each in found if isinstance(each, str))
+        return FootprintFile(footprints, broken, False, dict(self.left_out), ATTRIBUTION)
+
+    def note_outline(self, entity: Any) -> None:
+        """Note the tags of a way, or the outer ways of a relation: an area may come before both."""
+        if entity.is_relation():
+            self._outlines[entity.id] = [way.ref for way in entity.members if way.type == "w" and way.role != "inner"]
+        elif is_building(tags := {tag.k: tag.v for tag in entity.tags}):
+            self._tags_of_ways[entity.id] = tags
 
     def take(self, entity: Any) -> None:
         """Take a building; areas that come from ways were taken as ways."""
         tags = {tag.k: tag.v for tag in entity.tags}
-        if tags.get("building", "no").lower() in NO_BUILDING:
-            return
-        try:
-            if entity.is_way():
-                self._way(entity, tags)
-            elif entity.is_area() and not entity.from_way():
-                self._relation(entity, tags)
-            elif entity.is_node():
-                self.left_out["buildings without outline"] += 1
-        except ValueError as error:
-            self.broken.append(str(error))
+        if entity.is_way() and is_building(tags):
+            self._take(f"way {entity.id}", tags, [(entity.nodes, ())])
+        elif entity.is_node() and is_building(tags):
+            self.left_out["buildings without outline"] += 1
+        elif entity.is_area() and not entity.from_way():
+            self._multipolygon(entity, tags)
         check_count(self.points)
 
-    def _way(self, closed: Any, tags: dict[str, str]) -> None:
-        self._add(f"way {closed.id}", closed.nodes, (), tags)
+    def _multipolygon(self, area: Any, tags: dict[str, str]) -> None:
+        outlines = self._outlines.get(area.orig_id(), [])
+        of_ways = [self._tags_of_ways.get(way, {}) for way in outlines]
+        if (is_building(tags) or not tags.keys() - _NO_OBJECT) and outlines and all(of_ways):
+            # until 2016 the tags of a multipolygon stood on its outer ways; heights often still do
+            tags = of_ways[0] | tags
+        if not is_building(tags):
+            return
+        rings = [(outer, tuple(area.inner_rings(outer))) for outer in area.outer_rings()]
+        field = f"relation {area.orig_id()}"
+        self._take(field, tags, rings)
+        if not any(isinstance(each, str) for each in self._found[field]):
+            # ways may come after the area that they make
+            self._in_multipolygons.update(f"way {way}" for way in outlines)
 
-    def _relation(self, area: Any, tags: dict[str, str]) -> None:
-        field, outers = f"relation {area.orig_id()}", list(area.outer_rings())
-        if not outers:
-            raise ValueError(f"{field}: must be closed rings that do not cross, got ways that make none")
-        for outer in outers:
-            self._add(field, outer, tuple(area.inner_rings(outer)), tags)
+    def _take(self, field: str, tags: dict[str, str], rings: list[tuple[Any, tuple[Any, ...]]]) -> None:
+        """Note the footprints of one element, or why it has none."""
+        if reason := why_no_wall(tags):
+            self.left_out[reason] += 1
+            self._found[field] = []
+            return
+        try:
+            if not rings:
+                raise ValueError(f"{field}: must be closed rings that do not cross, got ways that make none")
+            self._found[field] = [self._footprint(field, outer, holes, tags) for outer, holes in rings]
+        except ValueError as error:
+            self._found[field] = [str(error)]
 
-    def _add(self, field: str, outer: Any, holes: tuple[Any, ...], tags: dict[str, str]) -> None:
+    def _footprint(self, field: str, outer: Any, holes: tuple[Any, ...], tags: dict[str, str]) -> Footprint:
         rings = [ring_of(field, self._positions(field, ring), False) for ring in (outer, *holes)]
-        self.footprints.append(Footprint(field=field, outer=rings[0], holes=tuple(rings[1:]), tags=tags))
+        return Footprint(field=field, outer=rings[0], holes=tuple(rings[1:]), tags=tags)
 
     def _positions(self, field: str, nodes: Any) -> list[Position]:
         positions = []

@@ -15,6 +15,7 @@ import msgspec
 import yaml
 
 from models.physics.materials import CONSTRUCTIONS, wall_name
+from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import BoundedLoader, in_words
 
 #: Rules in one file.
@@ -80,7 +81,7 @@ DEFAULT_RULES: tuple[WallRule, ...] = (
         "building",
         {
             "house detached semidetached_house terrace residential apartments bungalow school church": ("brick", 1.0),
-            "industrial warehouse hangar garage garages carport container silo storage_tank": ("metal", 0.03),
+            "industrial warehouse hangar garage garages container silo storage_tank": ("metal", 0.03),
             "greenhouse": ("glass", 0.03),
             "cabin shed hut barn farm_auxiliary": ("wood", 0.5),
         },
@@ -129,7 +130,7 @@ def _rule_file(path: Path) -> list[WallRule]:
         raw = path.read_bytes()
         if len(raw) > MAX_RULE_BYTES:
             raise ValueError(f"must hold at most {MAX_RULE_BYTES} bytes, got {len(raw)}")
-        content = yaml.load(raw.decode("utf-8"), Loader=BoundedLoader)
+        content = yaml.load(decode_text(raw), Loader=BoundedLoader)
         if not isinstance(content, list) or len(content) > MAX_RULES:
             raise ValueError(f"expected a list of {MAX_RULES} rules at most, got {in_words(content)}")
         return [msgspec.convert(rule, WallRule) for rule in content]
@@ -142,10 +143,16 @@ def _rule_file(path: Path) -> list[WallRule]:
 def height_of(tags: Mapping[str, str]) -> float | None:
     """Return the height [m] that tags state, by `height` or by storeys; None where they say nothing usable."""
     for key, unit_m in (("height", 1.0), ("building:height", 1.0), ("building:levels", STOREY_M), ("levels", STOREY_M)):
-        met = _HEIGHT.fullmatch(tags.get(key, ""))
-        if met is None:
-            continue
-        height_m = float(met[1].replace(",", ".")) * (FOOT_M if met[2] in ("ft", "'") else unit_m)
-        if math.isfinite(height_m) and HEIGHTS_M[0] <= height_m <= HEIGHTS_M[1]:
+        height_m = length_m(tags.get(key, ""), unit_m)
+        if height_m is not None and HEIGHTS_M[0] <= height_m <= HEIGHTS_M[1]:
             return height_m
     return None
+
+
+def length_m(text: str, unit_m: float = 1.0) -> float | None:
+    """Return the length [m] of a tag, in feet or in units of `unit_m`; None where it is none."""
+    met = _HEIGHT.fullmatch(text)
+    if met is None:
+        return None
+    value_m = float(met[1].replace(",", ".")) * (FOOT_M if met[2] in ("ft", "'") else unit_m)
+    return value_m if math.isfinite(value_m) else None

@@ -23,6 +23,7 @@ from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
 from msgs.files.shipped import shipped_path
+from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
 from msgs.values.known_names import with_known_names
 from msgs.values.lidar import LidarSetup, SpadParams
@@ -252,13 +253,11 @@ def load_scene(path: Path) -> Scene:
         # check before reading: a foreign scene must not exhaust the memory of a graph
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")
-        return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
+        return scene_from_yaml(decode_text(path.read_bytes()), path.parent)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such scene file") from None
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: must be text in UTF-8, its byte {error.start} is none") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

@@ -6,6 +6,7 @@ its box.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+
+from msgs.files.text_files import without_mark
 
 Unit = Literal["m", "mm"]
 UpAxis = Literal["y", "z"]
@@ -229,7 +232,9 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"{path}: size: at most {MAX_BYTES // 2**20} MiB are read, got {size / 2**20:.0f}")
     try:
         _refuse_cut_obj(path)
-        whole = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
+        # glTF is JSON, which has no mark, and names files beside it
+        with contextlib.nullcontext(path) if path.suffix.lower() == ".gltf" else without_mark(path) as plain:
+            whole = trimesh.load_scene(plain, process=False, skip_materials=True).to_mesh()
         return np.array(whole.vertices, np.float64), np.array(whole.faces, np.int64)
     except Exception as error:  # noqa: BLE001  a reader of foreign files may raise anything; all of it means one thing
         raise ValueError(f"{path}: not a readable {path.suffix[1:]} file: {' '.join(str(error).split())}") from None

@@ -376,9 +376,9 @@ def test_files_and_options_are_checked(tmp_path: Path, capsys: pytest.CaptureFix
     (tmp_path / "out" / "mine.txt").write_text("kept")
     assert main(words) == 2
     assert f"{tmp_path / 'out'}: must be a new or an empty folder" in capsys.readouterr().err
-    (tmp_path / "chirps.cfg").write_bytes(b"\xff\xfe")
+    (tmp_path / "chirps.cfg").write_bytes(b"\xff\xfea")
     assert main(words) == 2
-    assert "must be UTF-8 text, got byte 0xff at 0" in capsys.readouterr().err
+    assert "must be UTF-16 text, got byte 0x61 at 2" in capsys.readouterr().err
     (tmp_path / "capture.bin").unlink()
     (tmp_path / "chirps.cfg").write_text(CFG)
     assert main(words) == 2

@@ -50,6 +50,73 @@ def test_a_multipolygon_is_joined_from_its_ways(tmp_path: Path) -> None:
     assert [len(hole) for hole in building.holes] == [3]
 
 
+RING, COURT = (1, 2, 3, 4, 1), (5, 6, 7, 5)
+BOTH = {10: "outer", 11: "inner"}
+
+
+@pytest.mark.parametrize(
+    "entities",
+    [
+        (way(10, RING, HOUSE), way(11, COURT), relation(20, BOTH)),
+        # the tags of the outline count where the relation has none of its own
+        (way(10, RING, HOUSE), way(11, COURT), relation(20, BOTH, "")),
+        (relation(20, BOTH), way(11, COURT), way(10, RING)),
+        (
+            way(-2, (3, 4, 1), HOUSE),
+            way(12, (1, 2, 3), HOUSE),
+            way(11, COURT),
+            relation(20, {12: "outer", -2: "outer", 11: "inner"}),
+        ),
+    ],
+    ids=["tagged twice", "tagged on its way", "before its ways", "of open ways"],
+)  # fmt: skip
+def test_a_multipolygon_keeps_its_courtyard(tmp_path: Path, entities: tuple[str, ...]) -> None:
+    read_file = read(tmp_path, *entities)
+    (building,) = read_file.footprints
+    assert (building.field, len(building.outer), [len(hole) for hole in building.holes]) == ("relation 20", 4, [3])
+    assert building.tags["building"] == "house"
+    assert not read_file.broken
+
+
+def test_a_building_that_bounds_something_else_stays_whole(tmp_path: Path) -> None:
+    """Grounds of a school whose outer way is a building, and a building in a courtyard of another."""
+    school = relation(20, BOTH, '<tag k="amenity" v="school"/>')
+    (building,) = read(tmp_path, way(10, RING, HOUSE), way(11, COURT), school).footprints
+    assert (building.field, building.holes) == ("way 10", ())
+    found = read(tmp_path, way(10, RING, HOUSE), way(11, COURT, HOUSE), relation(20, BOTH)).footprints
+    assert [each.field for each in found] == ["way 11", "relation 20"]
+
+
+@pytest.mark.parametrize(
+    ("before", "entities"),
+    [
+        # ways before their nodes, as "out body; >; out skel qt;" gives them, and every element twice
+        (way(10, RING, HOUSE), (way(10, RING),)),
+        # JOSM keeps what was deleted
+        ("", (way(10, RING, HOUSE), way(11, COURT, HOUSE).replace("<way", "<way action='delete'"))),
+        # a history has every version, the newest anywhere
+        (way(11, COURT, HOUSE).replace("<way", "<way version='12' visible='false'"),
+         (way(10, RING, HOUSE), way(11, COURT, HOUSE).replace("<way", "<way version='9' visible='true'"))),
+        (way(10, RING, HOUSE).replace("<way", "<way version='2'"),
+         (way(10, (1, 2, 3, 1), HOUSE).replace("<way", "<way version='1'"),)),
+    ],
+    ids=["ways first", "josm", "history", "moved"],
+)  # fmt: skip
+def test_the_newest_of_each_element_that_exists(tmp_path: Path, before: str, entities: tuple[str, ...]) -> None:
+    path = tmp_path / "b.osm"
+    read(tmp_path, *entities)
+    path.write_text((tmp_path / "a.osm").read_text().replace("<node", f"{before}<node", 1))
+    (building,) = read_osm(path).footprints
+    assert (building.field, len(building.outer)) == ("way 10", 4)
+
+
+def test_ways_that_bring_their_geometry(tmp_path: Path) -> None:
+    """`out geom;` of Overpass: no node stands alone."""
+    corners = "".join(f'<nd ref="{ref + 100}" lat="{10 + NODES[ref][1]}" lon="{20 + NODES[ref][0]}"/>' for ref in RING)
+    (building,) = read(tmp_path, f'<way id="10"><bounds minlat="1"/>{corners}{HOUSE}</way>').footprints
+    assert building.outer == ((20.0, 10.0), (22.0, 10.0), (22.0, 12.0), (20.0, 12.0))
+
+
 @pytest.mark.parametrize(
     ("entities", "line"),
     [

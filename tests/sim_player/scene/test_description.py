@@ -182,8 +182,8 @@ def test_bad_scenes_are_refused_in_one_line(text: str, complaint: str, tmp_path:
 def test_missing_and_binary_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"none\.yaml: no such scene file"):
         load_scene(tmp_path / "none.yaml")
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match=r"binary\.yaml: must be text in UTF-8, its byte 0 is none$"):
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\x00\xfe")
+    with pytest.raises(ValueError, match=r"binary\.yaml: must be UTF-8 text, got byte 0xff at 0$"):
         load_scene(tmp_path / "binary.yaml")
     with pytest.raises(ValueError, match=r": Is a directory$"):
         load_scene(tmp_path)
