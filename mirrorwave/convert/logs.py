@@ -41,10 +41,10 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
     """
     from mirrorwave.convert.can_log import log_states
     from nodes.can.bus import load_decoder
-    from nodes.can.log_file import read_log
+    from nodes.can.log_file import on_one_clock, read_log
 
     decoder = load_decoder(source.dbc, source.mapping)
-    frames = _Shifted(read_log(source.log, source.channel), source.start_ns)
+    frames = _Shifted(on_one_clock(read_log(source.log, source.channel)), source.start_ns)
     counts = {"states": 0, "valid_states": 0}
     reason = ""
     with whole_recording(out, _can_provenance(source)) as writer:
