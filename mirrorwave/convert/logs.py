@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from models.training.files import file_sha256
+from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingReader, RecordingWriter, whole_recording
 from msgs.values.units import ns_from_s
 
@@ -99,11 +100,12 @@ def import_sigmf(path: Path, out: Path, advance: Callable[[], None]) -> dict[str
     meta, data = capture_paths(path)
     counts = {"beams": 0, "truth": 0}
     with whole_recording(out, _sigmf_provenance(meta, data)) as writer:
-        for beam in capture.beams():
+        # in the order of measurement, whatever the clock did: a reader goes by the time of sending
+        for beam, time_ns in Bridged(capture.beams(), lambda beam: beam.stamp_ns, f"{path}: the clock", noun="beam"):
             if not counts["beams"]:
-                writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=beam.stamp_ns)
+                writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=time_ns)
             # sent when it has been measured, and so after the set-up
-            sent_ns = beam.stamp_ns + ns_from_s(capture.setup.radar.beam_duration_s)
+            sent_ns = time_ns + ns_from_s(capture.setup.radar.beam_duration_s)
             writer.write("radar/beam", beam, publisher="import", sequence=counts["beams"], sent_ns=sent_ns)
             counts["beams"] += 1
             advance()
