@@ -13,6 +13,7 @@ import msgspec
 from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.topics import DETECTIONS_TOPIC, RAW_TOPICS, SENSOR_TOPICS
+from msgs.recording.clock_steps import Bridged
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -291,9 +292,9 @@ def _sigmf_events(path: Path) -> Iterator[Event]:
         for event in _recording_events(truth_beside(path)):
             yield event._replace(offset_ns=0)
     start_ns: int | None = None
-    for beam in capture.beams():
-        start_ns = beam.stamp_ns if start_ns is None else start_ns
-        yield Event(beam.stamp_ns - start_ns + _wait_ns(capture.setup, beam), Outgoing("radar/beam", beam))
+    for beam, time_ns in Bridged(capture.beams(), lambda beam: beam.stamp_ns, f"{path}: the clock", noun="beam"):
+        start_ns = time_ns if start_ns is None else start_ns
+        yield Event(time_ns - start_ns + _wait_ns(capture.setup, beam), Outgoing("radar/beam", beam))
 
 
 def _recording_events(path: Path) -> Iterator[Event]:
@@ -302,15 +303,27 @@ def _recording_events(path: Path) -> Iterator[Event]:
     with RecordingReader(path) as reader:
         start_ns: int | None = None
         setup = next(reader.messages(SETUP_TOPICS), None)
-        for recorded in setup_first(setup, reader.messages(topics=SENSED_TOPICS)):
-            if recorded.topic not in SETUP_TOPICS and start_ns is None:
-                start_ns = recorded.log_time_ns
-            offset_ns = 0 if start_ns is None else recorded.log_time_ns - start_ns
+        for recorded, time_ns in in_time(setup_first(setup, reader.messages(topics=SENSED_TOPICS)), path):
+            start_ns = time_ns if start_ns is None else start_ns
+            offset_ns = 0 if time_ns is None or start_ns is None else time_ns - start_ns
             if setup is not None:
                 offset_ns += _simulated_wait_ns(setup.message, recorded)
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
         if reader.loss:
             _LOG.warning("%s: %s", path, reader.loss)
+
+
+def in_time(messages: Iterator[Recorded], path: Path) -> Iterator[tuple[Recorded, int | None]]:
+    """Yield the messages of a recording with their times: when they were sent, without steps of the clock.
+
+    The set-ups at its start, which may have been sent long before all else, have none.
+    """
+    for recorded in messages:
+        if recorded.topic not in SETUP_TOPICS:
+            sent = itertools.chain([recorded], messages)
+            yield from Bridged(sent, lambda recorded: recorded.log_time_ns, f"{path}: the clock")
+            return
+        yield recorded, None
 
 
 def _simulated_wait_ns(setup: msgspec.Struct, recorded: Recorded) -> int:

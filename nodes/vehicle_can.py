@@ -18,7 +18,7 @@ from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import shipped_path
 from msgs.values.diagnostics import NodeState
-from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import (
     BURST,
@@ -29,7 +29,7 @@ from nodes.can.bus import (
     frame_stamp_ns,
     load_decoder,
 )
-from nodes.can.log_file import read_log
+from nodes.can.log_file import on_one_clock, read_log
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset
 
@@ -37,8 +37,6 @@ _LOG = logging.getLogger(__name__)
 
 #: Interval between reads of a live bus: a quarter of the shortest period that cars use.
 POLL_NS = 5_000_000
-#: Stamps of a log that go back further, or leave out more, mean that its clock was set.
-SET_BACK_NS, SET_AHEAD_NS = 1_000_000_000, 3600 * 1_000_000_000
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -129,12 +127,12 @@ class LiveSource:
 class LogSource:
     """Frames of a log, each when its time has come; an unreadable rest counts as its end.
 
-    If its clock was set, the frame after that follows immediately.
+    Steps of the log's clock are taken out.
     """
 
     def __init__(self, frames: Iterator[LogFrame], rate: float = 1.0, start_ns: int | None = None) -> None:
         # a frame without a time cannot be played
-        self._frames = (frame for frame in frames if frame.stamp_ns >= 0)
+        self._frames = on_one_clock(frame for frame in frames if frame.stamp_ns >= 0)
         self._rate, self._start_ns = rate, start_ns
         self._next = next(self._frames, None)
         self._first_ns = 0 if self._next is None else self._next.stamp_ns
@@ -183,19 +181,12 @@ class LogSource:
         return frame._replace(stamp_ns=start_ns + frame.stamp_ns - self._first_ns)
 
     def _advance(self) -> None:
-        last, self._next = self._next, None
+        self._next = None
         try:
             self._next = next(self._frames, None)
         except (ValueError, OSError) as error:
             self.trouble = str(error)
             _LOG.error("%s", error)
-        if last is not None and self._next is not None:
-            self._follow_clock(self._next.stamp_ns - last.stamp_ns)
-
-    def _follow_clock(self, step_ns: int) -> None:
-        if not -SET_BACK_NS <= step_ns <= SET_AHEAD_NS:
-            self._first_ns += step_ns
-            _LOG.warning("the log's clock was set by %+.0f s; it is played on without that", s_from_ns(step_ns))
 
 
 class VehicleCanNode(Node):

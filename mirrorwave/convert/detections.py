@@ -13,6 +13,7 @@ from mirrorwave.convert.formats import Bar
 from models.sensors.detection_columns import DetectionMapping, detections_of
 from models.training.files import file_sha256
 from msgs.files.shipped import shipped_path
+from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingWriter, whole_recording
 from msgs.values.arrays import MAX_STAMP_NS
 from nodes.bridges.detection_mapping import mapping_path, read_mapping
@@ -66,9 +67,9 @@ class _Sink:
         self.left_out: Counter[str] = Counter()
 
     def write(self, writer: RecordingWriter, scans: Iterator[ScanRows]) -> None:
-        """Write all scans; raises `ValueError` naming the file where none comes out."""
-        for rows in scans:
-            self._take(writer, rows)
+        """Write all scans, without steps of their clock; raises `ValueError` naming the file where none comes out."""
+        for rows, time_ns in Bridged(scans, lambda rows: rows.stamp_ns, f"{self._source}: the clock", noun="scan"):
+            self._take(writer, rows._replace(stamp_ns=time_ns))
         if not self.detections:
             reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
             raise ValueError(f"{self._source}: gives no detection" + (f"; left out: {reasons}" if reasons else ""))

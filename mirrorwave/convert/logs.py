@@ -15,6 +15,7 @@ import msgspec
 
 from models.training.files import file_sha256
 from msgs.files.text_files import read_text
+from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingReader, RecordingWriter, whole_recording
 from msgs.values.units import ns_from_s
 
@@ -42,10 +43,10 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
     """
     from mirrorwave.convert.can_log import log_states
     from nodes.can.bus import load_decoder
-    from nodes.can.log_file import read_log
+    from nodes.can.log_file import on_one_clock, read_log
 
     decoder = load_decoder(source.dbc, source.mapping)
-    frames = _Shifted(read_log(source.log, source.channel), source.start_ns)
+    frames = _Shifted(on_one_clock(read_log(source.log, source.channel)), source.start_ns)
     counts = {"states": 0, "valid_states": 0}
     reason = ""
     with whole_recording(out, _can_provenance(source)) as writer:
@@ -100,11 +101,12 @@ def import_sigmf(path: Path, out: Path, advance: Callable[[], None]) -> dict[str
     meta, data = capture_paths(path)
     counts = {"beams": 0, "truth": 0}
     with whole_recording(out, _sigmf_provenance(meta, data)) as writer:
-        for beam in capture.beams():
+        # in the order of measurement, whatever the clock did: a reader goes by the time of sending
+        for beam, time_ns in Bridged(capture.beams(), lambda beam: beam.stamp_ns, f"{path}: the clock", noun="beam"):
             if not counts["beams"]:
-                writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=beam.stamp_ns)
+                writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=time_ns)
             # sent when it has been measured, and so after the set-up
-            sent_ns = beam.stamp_ns + ns_from_s(capture.setup.radar.beam_duration_s)
+            sent_ns = time_ns + ns_from_s(capture.setup.radar.beam_duration_s)
             writer.write("radar/beam", beam, publisher="import", sequence=counts["beams"], sent_ns=sent_ns)
             counts["beams"] += 1
             advance()

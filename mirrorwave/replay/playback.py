@@ -45,6 +45,7 @@ class Playback:
         self.commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
         log = read_log(reader, board.series)
         self._scans = log.moments
+        self._times_ns = log.times_ns
         if not self._scans:
             raise ValueError(f"{reader.path}: holds no {VIEW_TOPIC} to show; {_source_of_views(reader)}")
         self._index = -1
@@ -144,7 +145,7 @@ class Playback:
             return 0.0
         if self._index + 1 >= self.count:
             return LAST_SCAN_S if self._loops else 0.0
-        return s_from_ns(self._scans[self._index + 1].sent_ns - self._scans[self._index].sent_ns) / self._speed
+        return s_from_ns(self._times_ns[self._index + 1] - self._times_ns[self._index]) / self._speed
 
     def _advance(self, now_s: float) -> None:
         """The next scan; after the last one play ends, or begins anew."""
@@ -160,13 +161,13 @@ class Playback:
         self._due_s = max(self._due_s + self._gap_s(), now_s)
 
     def _post_timeline(self) -> None:
-        start_ns = self._scans[0].sent_ns
+        start_ns = self._times_ns[0]
         timeline = {
             "type": "timeline",
             "index": self._index,
             "count": self.count,
-            "time_s": round(s_from_ns(self._scans[self._index].sent_ns - start_ns), 3),
-            "duration_s": round(s_from_ns(self._scans[-1].sent_ns - start_ns), 3),
+            "time_s": round(s_from_ns(self._times_ns[self._index] - start_ns), 3),
+            "duration_s": round(s_from_ns(self._times_ns[-1] - start_ns), 3),
             "playing": self.playing,
             "speed": self._speed,
             "loop": self._loops,

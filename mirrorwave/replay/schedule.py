@@ -1,5 +1,7 @@
 """A recording played into a graph: when each message goes, what it waits for, where it goes on.
 
+Steps of the clock that the recording was stamped with are not waited for.
+
 The graph is waited for, unless asked to keep time: the first message of a scan goes when the last scan but one has been
 answered and what must be known before it (set-up, vehicle states) was sent. Holding back, pausing, seeking and steps
 happen between scans only: the RA former gives a scan up whose next beam does not come.
@@ -25,7 +27,7 @@ from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.radar import RadarBeam
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.node import SETTLE_S, Stop
-from nodes.player import moved, setup_first
+from nodes.player import in_time, moved, setup_first
 
 if TYPE_CHECKING:
     from msgs.bus.zmq import ZmqBus
@@ -173,7 +175,9 @@ class Replay:
         self._typed: list[Key] = []
         #: Something that all must have before the next scan was sent.
         self._unconfirmed = False
-        #: Log time of the last message, None at the start of a pass.
+        #: Time of the message to be sent: its log time, without steps of the clock.
+        self._time_ns = 0
+        #: Time of the last message, None at the start of a pass.
         self._at_ns: int | None = None
         self._played_ns = 0
         #: When the first scan went, and how long nothing was to be played since.
@@ -192,7 +196,8 @@ class Replay:
     def _pass(self, start_ns: int) -> int | None:
         """Play from a log time; gives where to go on, None at the end."""
         self._open(start_ns)
-        for recorded in self._messages(start_ns):
+        for recorded, time_ns in in_time(self._messages(start_ns), self._reader.path):
+            self._time_ns = recorded.log_time_ns if time_ns is None else time_ns
             if self._graph.begins_scan(recorded) and self._between_scans(recorded):
                 self._finish_scans()
                 return self._jump_ns
@@ -245,7 +250,7 @@ class Replay:
             self._schedule.restart()
         self._steps = max(0, self._steps - 1)
         if not self._params.keeps_time:
-            self._schedule.forgive(recorded.log_time_ns, self._bus.now_ns())
+            self._schedule.forgive(self._time_ns, self._bus.now_ns())
         self._tell(recorded.log_time_ns)
         return self._jump_ns is not None
 
@@ -271,7 +276,7 @@ class Replay:
         """The bus is served meanwhile, for those who join late."""
         if TOPICS[recorded.topic].latched:
             return self._bus.now_ns()
-        due_ns = self._schedule.due_ns(recorded.log_time_ns, self._bus.now_ns())
+        due_ns = self._schedule.due_ns(self._time_ns, self._bus.now_ns())
         while not self._stop.requested and (wait_ns := due_ns - self._bus.now_ns()) > 0:
             self._graph.serve(min(s_from_ns(wait_ns), _TURN_S))
             self._listen()
@@ -294,9 +299,8 @@ class Replay:
     def _note_played(self, recorded: Recorded) -> None:
         """Add the time since the message before."""
         if not TOPICS[recorded.topic].latched:
-            before_ns = recorded.log_time_ns if self._at_ns is None else self._at_ns
-            self._played_ns += max(0, recorded.log_time_ns - before_ns)
-            self._at_ns = recorded.log_time_ns
+            self._played_ns += 0 if self._at_ns is None else max(0, self._time_ns - self._at_ns)
+            self._at_ns = self._time_ns
 
     def _finish_scans(self) -> None:
         """Let the graph answer what is on its way: what comes next may begin elsewhere."""
@@ -322,18 +326,18 @@ class Replay:
                 case Key.FORWARD:
                     self._seek(recorded.log_time_ns + SEEK_NS)
                 case Key.FASTER:
-                    self._change_rate(2.0, recorded)
+                    self._change_rate(2.0)
                 case Key.SLOWER:
-                    self._change_rate(0.5, recorded)
+                    self._change_rate(0.5)
 
     def _seek(self, log_ns: int) -> None:
         """Go on from a time within the span that is played; past its end play ends."""
         self._jump_ns = max(log_ns, self._params.start_ns)
 
-    def _change_rate(self, factor: float, recorded: Recorded) -> None:
+    def _change_rate(self, factor: float) -> None:
         if not self._params.on_clock and self._schedule.rate > 0.0:
             rate = min(max(self._schedule.rate * factor, SLOWEST), FASTEST)
-            self._schedule.change_rate(rate, recorded.log_time_ns, self._bus.now_ns())
+            self._schedule.change_rate(rate, self._time_ns, self._bus.now_ns())
 
     def _tell(self, log_ns: int) -> None:
         time_s = s_from_ns(log_ns - self._params.start_ns)

@@ -6,9 +6,11 @@ scan shows the same however it is reached.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingReader
 from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
@@ -57,6 +59,8 @@ class ViewLog(NamedTuple):
     marks: list[Mark]
     #: Set-up of the sensor, the last that was told; None where none was.
     sensor: Setup | None
+    #: Time of each scan on the timeline: when it was sent, without steps of the clock.
+    times_ns: list[int]
 
 
 def read_log(reader: RecordingReader, series: SeriesStore | None = None) -> ViewLog:
@@ -81,7 +85,9 @@ def read_log(reader: RecordingReader, series: SeriesStore | None = None) -> View
             marks.add(moments[-1].warnings, now_ns)
     if moments:
         series.set_zero(moments[0].sent_ns)
-    return ViewLog(moments, marks.closed(), None if watch is None else watch.sensor)
+    timed = Bridged(moments, lambda moment: moment.sent_ns, f"{reader.path}: the clock", noun="scan")
+    times_ns = [time_ns for _, time_ns in timed]
+    return ViewLog(moments, marks.closed(), None if watch is None else watch.sensor, times_ns)
 
 
 def _moment(frame: BevFrame, watch: Watch, now_ns: int) -> Moment:
@@ -123,21 +129,28 @@ class _Marks:
 
 def overview_json(log: ViewLog) -> dict[str, Any]:
     """The whole recording for the strip above the slider; times in seconds from the first scan."""
-    start_ns = log.moments[0].sent_ns
+    sent_ns = [moment.sent_ns for moment in log.moments]
+
+    def time_s(at_ns: int) -> float:
+        before = max(0, bisect_right(sent_ns, at_ns) - 1)
+        # as long after a scan as it was, and not after the next one: the clock may have been set in between
+        time_ns = min([log.times_ns[before] + at_ns - sent_ns[before], *log.times_ns[before + 1 : before + 2]])
+        return round(s_from_ns(time_ns - log.times_ns[0]), 2)
+
     return {
         "type": "overview",
-        "times_s": [round(s_from_ns(moment.sent_ns - start_ns), 2) for moment in log.moments],
+        "times_s": [time_s(at_ns) for at_ns in sent_ns],
         "seen": [max(moment.objects, moment.tracks) for moment in log.moments],
         "marks": [
             {
                 "key": moment.key,
-                "from_s": round(s_from_ns(moment.start_ns - start_ns), 2),
-                "to_s": round(s_from_ns(moment.end_ns - start_ns), 2),
+                "from_s": time_s(moment.start_ns),
+                "to_s": time_s(moment.end_ns),
                 "level": moment.level.name.lower(),
                 "title": moment.title,
             }
             for moment in log.marks
             # what was over before the first scan is not seen at any
-            if moment.end_ns >= start_ns
+            if moment.end_ns >= sent_ns[0]
         ],
     }

@@ -30,6 +30,8 @@ AGE_PERIODS = 10
 INVALID_INTERVAL_NS = 100_000_000
 #: Stamps that go back further than this are a new start, not a late frame.
 RESTART_NS = 1_000_000_000
+#: Frames of one bus are delayed by no more than this more than others, but for those that waited to be read.
+_DELAYS_DIFFER_NS = 100_000_000
 #: A state must fit its topic's byte limit whatever a DBC calls its signals.
 _REASON_LIMIT = 500
 #: So many frames without one that is looked for are no chance.
@@ -328,19 +330,30 @@ class StampMapper:
     """Map of stamps of another clock onto the bus clock: the fastest of the last seconds' frames took no time.
 
     Delays only add, so the least difference between arrival and stamp is the offset between the clocks. It is taken
-    over one to two windows: clocks that drift or are set are followed within two seconds.
+    over one to two windows: clocks that drift or are set are followed within two seconds. One stamp alone that is far
+    off sets no clock: its frame is taken to be new.
     """
 
     def __init__(self, window_ns: int = 1_000_000_000) -> None:
         self._window_ns = window_ns
+        self._was_off = False
         self._least_ns: deque[int] = deque(maxlen=2)
         self._window_end_ns: int | None = None
 
     def map(self, stamp_ns: int, arrival_ns: int) -> int:
         """Return the stamp on the clock of `arrival_ns`, never later than that."""
         difference_ns = arrival_ns - stamp_ns
+        self._was_off = not self._was_off and self._is_off(difference_ns)
+        if self._was_off:
+            return arrival_ns
         if self._window_end_ns is None or arrival_ns >= self._window_end_ns:
             self._window_end_ns = arrival_ns + self._window_ns
             self._least_ns.append(difference_ns)
         self._least_ns[-1] = min(self._least_ns[-1], difference_ns)
         return stamp_ns + min(self._least_ns)
+
+    def _is_off(self, difference_ns: int) -> bool:
+        """Return whether a stamp is further ahead than delays differ, or older than any queue makes it."""
+        if not self._least_ns:
+            return False
+        return not -_DELAYS_DIFFER_NS <= difference_ns - min(self._least_ns) <= RESTART_NS

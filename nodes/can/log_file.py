@@ -13,8 +13,10 @@ from typing import Any, BinaryIO, cast
 
 import can
 
+from models.vehicle.can_state import RESTART_NS
 from msgs.files.text_files import AS_CP1252, text_encoding
 from msgs.files.unpacking import Budget, UnpackedFile, unpack
+from msgs.recording.clock_steps import Bridged
 from msgs.values.units import ns_from_s
 from msgs.values.wording import counted
 from nodes.can.asc_header import plain_asc
@@ -28,6 +30,8 @@ MAX_LINE = 1 << 16
 MAX_OBJECT_BYTES, MAX_CONTAINER_BYTES = 1 << 20, 1 << 22
 #: Channels that a refusal lists.
 _MAX_LISTED = 16
+#: Frames in a row whose stamps are off, at most: seconds of a slow bus.
+_LOOK_AHEAD = 256
 
 _KINDS = {
     ".log": can.CanutilsLogReader,
@@ -97,6 +101,20 @@ def _log_stamp_ns(reader: Any, frame: can.Message, last_ns: int) -> int:
         return frame_stamp_ns(frame)
     start_ns = ns_from_s(reader.start_time)
     return (last_ns or start_ns) + frame_stamp_ns(frame) - start_ns
+
+
+def on_one_clock(frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
+    """Yield the frames of a log without steps of the logger's clock; those without a time as they are."""
+    timed = Bridged(frames, _stamp_of, "the log's clock", noun="frame", late_ns=RESTART_NS, look_ahead=_LOOK_AHEAD)
+    try:
+        for frame, time_ns in timed:
+            yield frame if frame.stamp_ns < 0 else frame._replace(stamp_ns=time_ns)
+    finally:
+        timed.close()
+
+
+def _stamp_of(frame: LogFrame) -> int | None:
+    return frame.stamp_ns if frame.stamp_ns >= 0 else None
 
 
 class _BoundedLines(io.TextIOWrapper):

@@ -921,8 +921,8 @@ def test_a_vehicle_clock_that_is_set_costs_the_motion_until_it_is_right(jump_s: 
 
 @pytest.mark.parametrize("jump_s", [1e6, -100.0])
 def test_a_log_whose_clock_was_set_plays_on(jump_s: float, caplog: pytest.LogCaptureFixture) -> None:
-    """A CAN log whose stamps jump after a second, as where its logger found the time of day: the frames behind come
-    right after those before, in their own distances, and the jump is said."""
+    """A CAN log whose stamps jump after a second, as where its logger found the time of day: the frames behind go on
+    in the pace of those before, and the jump is said."""
     stamps_ns = [at * SECOND_NS // 50 + (int(jump_s * SECOND_NS) if at >= 50 else 0) for at in range(100)]
     source = LogSource(LogFrame(can.Message(), START_NS + stamp_ns) for stamp_ns in stamps_ns)
     played, now_ns = [], 0
@@ -930,9 +930,7 @@ def test_a_log_whose_clock_was_set_plays_on(jump_s: float, caplog: pytest.LogCap
         played += [frame.stamp_ns for frame in source.frames(now_ns)]
         now_ns = source.due_ns(now_ns, 10 * SECOND_NS)
     assert len(played) == 100
-    steps_ns = np.diff(played)
-    assert list(np.flatnonzero(steps_ns != SECOND_NS // 50)) == [49]
-    assert steps_ns[49] == 0
+    assert set(np.diff(played)) == {SECOND_NS // 50}
     assert f"the log's clock was set by {jump_s + 0.02:+.0f} s" in caplog.text
 
 

@@ -177,6 +177,30 @@ def test_a_capture_begins_at_once_whatever_clock_its_stamps_are_of(tmp_path: Pat
     assert [event.offset_ns for event in events] == [0, 12_000_000, 24_000_000]
 
 
+@pytest.mark.parametrize(("name", "step_s"), [("a.mcap", 1.7e9), ("a.sigmf-meta", 1.7e9), ("a.sigmf-meta", -5.0)])
+def test_a_clock_that_was_set_is_played_over(
+    tmp_path: Path, name: str, step_s: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As of a board that boots in 1970 and learns the time of day within a scan: pace, order and stamps stay."""
+    source, path = scene_player(params()), tmp_path / name
+    beams = [source.beam(0, index) for index in range(25)]
+    start_ns = [10**18 + (round(step_s * 1e9) if index >= 12 else 0) for index in range(25)]
+    beams = [
+        msgspec.structs.replace(beam, stamp_ns=beam.stamp_ns + at) for beam, at in zip(beams, start_ns, strict=True)
+    ]
+    if path.suffix == ".mcap":
+        with RecordingWriter(path, {}) as writer:
+            writer.write("radar/setup", source.setup, publisher="radar", sequence=0, sent_ns=0)
+            for index, beam in enumerate(beams):
+                writer.write("radar/beam", beam, publisher="radar", sequence=index, sent_ns=beam.stamp_ns)
+    else:
+        write_capture(path, source.setup, iter(beams))
+    played = [event for event in capture_events(path) if event.outgoing.topic == "radar/beam"]
+    assert [event.offset_ns for event in played] == [12_000_000 * index for index in range(25)]
+    assert [event.outgoing.message.stamp_ns for event in played] == [beam.stamp_ns for beam in beams]
+    assert f"{path}: the clock was set by {step_s:+.{0 if step_s > 10 else 1}f} s" in caplog.text
+
+
 def test_the_graphs_own_work_in_a_recording_is_left_out(tmp_path: Path) -> None:
     """A recording may hold maps and views of an earlier run: they must not meet those of this one."""
     events = [event.outgoing for event in scene_events(scene_player(params()), 1)]

@@ -49,13 +49,13 @@ def decode(
     from mirrorwave.diagnose.can_log import LogReport
     from msgs.files.shipped import shipped_path
     from nodes.can.bus import load_decoder
-    from nodes.can.log_file import read_log
+    from nodes.can.log_file import on_one_clock, read_log
 
     if signals:
         _decode_signals(log, dbc, channel, every, as_json)
         return
     report = LogReport(load_decoder(shipped_path(dbc), shipped_path(mapping)), every)
-    report.read(read_log(log, channel))
+    report.read(on_one_clock(read_log(log, channel)))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames")
     if as_json:
@@ -96,10 +96,10 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     from mirrorwave.diagnose.can_signals import SignalReport
     from msgs.files.shipped import shipped_path
     from nodes.can.bus import load_dbc
-    from nodes.can.log_file import read_log
+    from nodes.can.log_file import on_one_clock, read_log
 
     report = SignalReport(load_dbc(shipped_path(dbc)), every_s)
-    report.read(until_error(read_log(log, channel), report))
+    report.read(until_error(on_one_clock(read_log(log, channel)), report))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames")
     if as_json:

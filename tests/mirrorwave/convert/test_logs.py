@@ -54,6 +54,35 @@ def test_every_format_gives_the_same_states(suffix: str, tmp_path: Path, capsys:
     assert info(out).loss is None
 
 
+@pytest.mark.parametrize("at", [1, 150, 299])
+@pytest.mark.parametrize(
+    "step_s", [-1e9, -100.0, 3600.0, 1e6], ids=["-32 years", "-100 s", "an hour", "11 days"]
+)  # fmt: skip
+def test_a_clock_that_was_set_costs_no_time(
+    step_s: float, at: int, tmp_path: Path, caplog: pytest.LogCaptureFixture, drive: Path
+) -> None:
+    """The states have the stamps that they would have with a clock that was right, as in the live node's replay."""
+    lines = drive.read_text().splitlines()
+    stepped = tmp_path / "stepped.log"
+    stepped.write_text("\n".join([*lines[:at], *(later(line, step_s) for line in lines[at:])]) + "\n")
+    off = tmp_path / "off.log"
+    off.write_text("\n".join([*lines[:at], later(lines[at], step_s), *lines[at + 1 :]]) + "\n")
+    stamps_ns = []
+    for log in (drive, stepped, off):
+        out = tmp_path / f"{log.stem}.mcap"
+        assert main(["import", "can", str(log), "--out", str(out), "--start-ns", "0"]) == 0
+        stamps_ns.append(np.array([state.stamp_ns for state in states_of(out)]))
+    assert caplog.text.count("the log's clock was") >= 2
+    for stamps in stamps_ns[1:]:
+        # two messages, 10 ms apart: what is a usual interval is known to one of them
+        assert abs(stamps - stamps_ns[0]).max() <= 20_000_000
+
+
+def later(line: str, by_s: float) -> str:
+    stamp, rest = line.split(") ", 1)
+    return f"({float(stamp[1:]) + by_s:.6f}) {rest}"
+
+
 def test_provenance_and_time_base(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     out = tmp_path / "drive.mcap"
     assert run(capsys, "can", drive, "--out", out, "--start-ns", 5_000_000_000)[0] == 0

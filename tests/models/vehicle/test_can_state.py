@@ -535,6 +535,15 @@ def test_a_clock_that_is_set_is_followed_within_two_seconds(step_s: int) -> None
     assert {error for now_ns, error in errors_ns if not 3_000_000_000 <= now_ns < 5_000_000_000} == {0}
 
 
+@pytest.mark.parametrize("off_s", [-3600, -6, 6, 10**9])
+def test_one_stamp_that_is_off_moves_no_other(off_s: int) -> None:
+    """As interfaces have stamped a received frame six seconds ahead of those around it."""
+    mapper = StampMapper()
+    for now_ns in range(0, 6_000_000_000, 10_000_000):
+        off_ns = off_s * 1_000_000_000 if now_ns == 3_000_000_000 else 0
+        assert mapper.map(10**18 + now_ns + off_ns, now_ns) == now_ns
+
+
 @pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(

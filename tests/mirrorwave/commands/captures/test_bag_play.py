@@ -140,13 +140,14 @@ def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder)
 
 
-def record(path: Path, scans: int = 4, first_beam: int = 0) -> Path:
+def record(path: Path, scans: int = 4, first_beam: int = 0, set_ns: int = 0) -> Path:
+    """Scans, from the second on with a clock that was set."""
     with RecordingWriter(path, {}) as writer:
         writer.write("radar/setup", RadarSetup(), publisher="radar", sequence=0, sent_ns=0)
         for number in range(first_beam, scans * BEAMS):
             message = beam(number // BEAMS, number % BEAMS)
             state = VehicleState(stamp_ns=message.stamp_ns, speed_mps=float(number))
-            sent_ns = message.stamp_ns + 12 * MS
+            sent_ns = message.stamp_ns + 12 * MS + set_ns * (number >= BEAMS)
             writer.write("radar/beam", message, publisher="radar", sequence=number, sent_ns=sent_ns)
             writer.write("vehicle/state", state, publisher="can", sequence=number, sent_ns=sent_ns - MS)
     return path
@@ -268,6 +269,19 @@ def test_states_from_before_the_start_are_no_time_played(drive: Path, tmp_path: 
     found = play(drive, FakeBus(), tmp_path, start_s=0.3)
     # 0.299 s: a state, then the last scan, whose last beam comes 75 ms after its first
     assert found.played_s == pytest.approx(0.075, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"rate": 2.0}, {"keeps_time": True}, {"paused": True, "keys": {40: Key.PAUSE}}]
+)
+def test_a_clock_that_was_set_is_played_over(options: dict[str, Any], tmp_path: Path) -> None:
+    """At the pace of the recording, whatever that is; time played is what passed."""
+    right, stepped = FakeBus(), FakeBus()
+    found = play(record(tmp_path / "right.mcap"), right, tmp_path, **options)
+    over = play(record(tmp_path / "set.mcap", set_ns=17 * 10**17), stepped, tmp_path, **options)
+    assert stepped.beams() == right.beams()
+    np.testing.assert_allclose(stepped.times_ms("radar/beam"), right.times_ms("radar/beam"), atol=25.0)
+    assert over.played_s == pytest.approx(found.played_s, abs=0.025)
 
 
 def test_stamps_on_the_clock_of_now_keep_their_age(drive: Path, tmp_path: Path) -> None:

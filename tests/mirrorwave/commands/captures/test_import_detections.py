@@ -150,6 +150,21 @@ def test_the_points_of_a_real_radar_come_in(tmp_path: Path, capsys: pytest.Captu
         assert np.array_equal(scan.snr_db, level_db)
 
 
+@pytest.mark.parametrize("set_s", [-5.0, 1e6, 1.7e9])
+@pytest.mark.parametrize("lasts", [True, False])
+def test_a_clock_that_was_set_leaves_nothing_out(
+    set_s: float, lasts: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Set back, all that follows came before what was there; set ahead, years would pass."""
+    stamps_s = [100.0 + 0.1 * at + set_s * (at >= 7 if lasts else at == 7) for at in range(20)]
+    rows = "".join(f"{stamp_s:.3f},{10 + at},0,0,0\n" for at, stamp_s in enumerate(stamps_s))
+    assert call(put(tmp_path, HEAD + rows), tmp_path / "a.mcap", "--mapping", TABLE) == 0
+    scans = imported(tmp_path / "a.mcap")
+    assert [float(scan.range_m[0]) for scan in scans] == [10.0 + at for at in range(20)]
+    assert [scan.stamp_ns for scan in scans] == [100_000_000_000 + at * 100_000_000 for at in range(20)]
+    assert "a.csv: the clock was" in caplog.text
+
+
 def test_what_is_left_out_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = "1,nan,0,0,0\n1,5000,0,0,0\n1,5,0,0,0\n1,5\nsoon,5,0,0,0\n-1,5,0,0,0\n0.5,5,0,0,0\n0.5,5,0,0,0\n"
     assert call(put(tmp_path, HEAD + rows), tmp_path / "a.mcap", "--mapping", TABLE) == 3

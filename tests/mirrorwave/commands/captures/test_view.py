@@ -30,12 +30,15 @@ PERIOD_NS = 300_000_000
 START_NS = 50_000_000_000
 
 
-def write_recording(path: Path, views: bool = True) -> Path:
-    """A run of the graph: each scan's map, truth and view, the truth of odd scans a little after the view."""
+def write_recording(path: Path, views: bool = True, set_ns: int = 0) -> Path:
+    """A run of the graph: each scan's map, truth and view, the truth of odd scans a little after the view.
+
+    From the eighth scan on with a clock that was set.
+    """
     empty, grid = np.zeros((0, 3), np.float32), RangeAzimuthGrid(range_bins=8, azimuth_bins=4)
     with RecordingWriter(path, {}) as writer:
         for scan in range(SCANS):
-            at_ns = START_NS + scan * PERIOD_NS
+            at_ns = START_NS + scan * PERIOD_NS + set_ns * (scan >= 8)
             messages: list[tuple[str, Any, int]] = [
                 ("vehicle/state", VehicleState(stamp_ns=at_ns, speed_mps=float(scan)), 0),
                 ("diagnostics/node", NodeStatus(stamp_ns=at_ns, node="geometry", pid=1, state=NodeState.READY), 1),
@@ -91,6 +94,19 @@ def test_it_opens_at_the_first_scan(playback: Playback) -> None:
         "speed": 0.0, "loop": False, "loss": None,
     }  # fmt: skip
     assert told["view"]["scan_id"] == told["map"]["scan_id"] == 100
+
+
+def test_a_clock_that_was_set_is_no_time_on_the_timeline(playback: Playback, tmp_path: Path) -> None:
+    """Not 53 years of nothing, in which the page would wait."""
+    with RecordingReader(write_recording(tmp_path / "set.mcap", set_ns=17 * 10**17)) as reader:
+        stepped = Playback(reader, Board())
+        for item in (playback, stepped):
+            item.show(7)
+            item.obey([Play(1.0, False)], 0.0)
+        right, over = shown(playback), shown(stepped)
+    assert over["timeline"] == right["timeline"]
+    assert over["overview"]["times_s"] == right["overview"]["times_s"]
+    assert stepped._due_s == playback._due_s == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("path", [[7], [7, 8], [19, 3], [8, 7], [4, 5, 6, 7], [1, 1]])
