@@ -82,6 +82,9 @@ class Perception:
         self._scans = 0
         self.setup = setup or RadarSetup()
         self.feed(self.setup)
+        if self._pipeline.chain.forming.former is None:
+            # refused: once more, for the error
+            self._pipeline.chain.forming.set_up(self.setup)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[View]:
         """Fold a beam; the last one of a scan brings its view. Raises `ValueError` where the beam does not fit."""

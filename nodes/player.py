@@ -194,7 +194,15 @@ def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
 
 
 def scene_events(player: ScenePlayer | LidarPlayer, scans: int | None) -> Iterator[Event]:
-    """Return what the sensor of a scene sends, vehicle states and truth, scan after scan, stamped from zero."""
+    """Return what the sensor of a scene sends, vehicle states and truth, scan after scan, stamped from zero.
+
+    Without `scans` they end before the sensor drives into a wall.
+    """
+    from sim_player.scene.clear_path import ego_meeting, meeting_text
+
+    if scans is None and (meeting := ego_meeting(player.scene)) is not None:
+        scans = int(meeting[0] / s_from_ns(player.stamp_ns(1) - player.stamp_ns(0)))
+        _LOG.warning("%s: its play ends with scan %d", meeting_text(meeting), scans - 1)
     return _lidar_events(player, scans) if _is_lidar(player) else _radar_events(player, scans)
 
 
@@ -372,7 +380,11 @@ def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
 
 
 def scene_of(params: Params) -> Scene:
-    """Return the scene named by `params`, with the speeds it overrides."""
+    """Return the scene named by `params`, with the speeds it overrides.
+
+    Raises `ValueError` naming file and field, also where the sensor would drive into a wall within `params.scans`.
+    """
+    from sim_player.scene.clear_path import require_clear_path
     from sim_player.scene.description import check_scene, load_scene
 
     scene = load_scene(Path(params.scene or ""))
@@ -384,7 +396,14 @@ def scene_of(params: Params) -> Scene:
     if params.ego_speed_mps is not None:
         ego = msgspec.structs.replace(scene.ego, speed_mps=params.ego_speed_mps)
         scene = msgspec.structs.replace(scene, ego=ego)
-    check_scene(scene)
+    try:
+        check_scene(scene)
+        if params.scans is not None:
+            is_lidar = scene.radar.preset == "spad"
+            period_s = scene.lidar.period_s if is_lidar else scene.setup.radar.scan_period_s
+            require_clear_path(scene, params.scans * period_s)
+    except ValueError as error:
+        raise ValueError(f"{params.scene}: {error}") from None
     return scene
 
 

@@ -19,7 +19,7 @@ from models.perception.forming.stage import FormingStage
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState
-from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.radar import WIRING_FAULTS, RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
 from nodes.inputs.beam_queue import BeamQueue
@@ -76,6 +76,8 @@ class RaFormerNode(Node):
         #: Why scans were left out lately; empty once two successive ones came through.
         self._behind = ""
         self._published_scan: int | None = None
+        #: What is wrong with the receiver's wiring according to the last map.
+        self._wiring = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Fold one beam; the last of a scan brings its map, a long silence that of an unfinished one."""
@@ -107,8 +109,8 @@ class RaFormerNode(Node):
         return self._give_up_ns
 
     def health(self) -> tuple[NodeState, str]:
-        """Report DEGRADED while beams are refused, no set-up has come or scans are left out."""
-        reason = self._refusals.reason or self._behind
+        """Report DEGRADED while beams are refused, no set-up has come, scans are left out or the wiring is wrong."""
+        reason = self._refusals.reason or self._behind or self._wiring
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
     def change_params(self, params: Params) -> None:
@@ -169,6 +171,10 @@ class RaFormerNode(Node):
         if self._published_scan is not None and ra_map.scan_id == self._published_scan + 1:
             self._behind = ""
         self._published_scan = ra_map.scan_id
+        wiring = " and ".join(text for name, text in WIRING_FAULTS.items() if name in ra_map.faults)
+        if wiring and not self._wiring:
+            _LOG.warning("scan %d: %s", ra_map.scan_id, wiring)
+        self._wiring = wiring
         return True
 
     def _close_scan(self) -> list[RangeAzimuthMap]:

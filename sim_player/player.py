@@ -13,6 +13,7 @@ from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.planner.purposes import purpose_of
+from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
@@ -31,7 +32,7 @@ class ScenePlayer:
     `setup` replaces the scene's preset; `chirps_per_beam` shortens the beams; `phase_jitter_rad` turns each beam by
     a random phase of this standard deviation (a radar that loses coherence between beams). Scans count from
     `start_ns`, beams are spread evenly over the scan period, those of a digital array are of one time. Raises
-    ValueError for a scene that cannot be simulated.
+    ValueError for a scene that cannot be simulated, and once its radar has driven into a wall.
 
     `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
     (the effects that the scene needs for a `purpose` under `budget_db`, planned once), "all", or names with commas
@@ -62,6 +63,7 @@ class ScenePlayer:
             raise ValueError(f"phase_jitter_rad must be finite and not negative, got {phase_jitter_rad!r}")
         self.scene = scene
         self.setup = msgspec.structs.replace(setup, stamp_ns=start_ns)
+        self._meeting = ego_meeting(scene)
         self._seed = seed
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
@@ -132,7 +134,11 @@ class ScenePlayer:
         return self._track[1]
 
     def _elapsed_s(self, stamp_ns: int) -> float:
-        return s_from_ns(stamp_ns - self.setup.stamp_ns)
+        """Return the time since the start; ValueError once the radar has met a wall."""
+        time_s = s_from_ns(stamp_ns - self.setup.stamp_ns)
+        if self._meeting is not None and time_s > self._meeting[0]:
+            raise ValueError(f"scene {self.scene.name!r}: {meeting_text(self._meeting)}, asked for {time_s:.2f} s")
+        return time_s
 
     def signal(self, scan: int) -> SignalEffects:
         """Return the antenna, waveform and receiver of a scan."""

@@ -15,8 +15,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import pytest
 
+from tests.home import move_in
 from tests.scheduling import FromBothEnds, in_order
 
+# before a test imports what looks for a home
+move_in()
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # tests in the background of a shell: what they start would not hear the Ctrl-C that ends it
     signal.signal(signal.SIGINT, signal.default_int_handler)

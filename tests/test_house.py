@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import ast
 import functools
+import os
+import pwd
+import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
 from msgs.files.shipped import CHECKOUT
+from tests.home import FOLDERS, VARIABLE
 
 ROOT = CHECKOUT
 FLOORS = {"msgs": 1, "models": 2, "sim_player": 3, "nodes": 4, "mirrorwave": 5}
@@ -423,3 +428,42 @@ def test_kernels_are_compiled_by_one_decorator() -> None:
     names = [module_name(path) for path in SOURCES if "njit" in path.read_text()]
     assert "models.compiled" in names
     assert [name for name in names if not name.startswith(known)] == []
+
+
+def test_no_test_has_the_home_of_its_user() -> None:
+    """All that programs keep of a user lies in the run's own home: here, and in what a test starts."""
+    from mirrorwave.studies.tradeoff.latency_budget import cache_path
+    from msgs.bus.zmq import run_dir
+
+    home, users = Path(os.environ[VARIABLE]), Path(pwd.getpwuid(os.getuid()).pw_dir)
+    assert home.resolve() != users.resolve()
+    assert {name: Path(os.environ[name]) for name in FOLDERS} == {name: home / path for name, path in FOLDERS.items()}
+    assert all(path.is_relative_to(home) for path in (Path.home(), cache_path(), run_dir("default")))
+    started = subprocess.run(
+        [sys.executable, "-c", "import pathlib; print(pathlib.Path.home())"], capture_output=True, text=True, check=True
+    )
+    assert Path(started.stdout.strip()) == home
+
+
+def test_nothing_finds_a_home_but_by_the_environment() -> None:
+    """Neither by the user's number nor, in a process without variables, by its lack of a HOME."""
+    assert [module_name(path) for path in SOURCES if "pwd" in imported_modules(path.read_text())] == []
+    tests = {path: path.read_text() for path in (ROOT / "tests").rglob("*.py")}
+    assert [str(path) for path, source in tests.items() if "env={" in source and bare_environments(source)] == []
+    assert bare_environments("subprocess.run(words, env={'PATH': path})") == [1]
+    assert bare_environments("subprocess.run(words, env={**os.environ, 'PATH': path})") == []
+
+
+def bare_environments(source: str) -> list[int]:
+    """Lines of calls that start a process with variables of their own alone."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr in ("run", "Popen", "check_output", "check_call", "call")
+        and any(
+            keyword.arg == "env" and isinstance(keyword.value, ast.Dict) and None not in keyword.value.keys
+            for keyword in node.keywords
+        )
+    ]

@@ -33,7 +33,7 @@ def limited(case: str, budget_ms: float, scans: int) -> dict[str, Any]:
     except ValueError as error:
         return {"picked": f"none ({error})"}
     else:
-        latencies_ms = run_live(tried[-1].profile, scans)
+        latencies_ms = run_live(tried[-1].profile, scans).latencies_ms
     finally:
         if quota is not None:
             quota.release()

@@ -200,12 +200,12 @@ def vegetation_db(frequency_hz: float, depth_m: np.ndarray) -> np.ndarray:
     P.833 measured gamma and Am for woods at up to 2 GHz only. Here gamma is Weissberger's law for short paths
     (0.23..95 GHz: 0.87 dB/m at 10 GHz, 1.5 dB/m at 77 GHz), and Am (38 dB, 69 dB) is chosen to follow his law of long
     paths, within 15 %. One hedge or tree differs from the next by several dB: an engineering value.
-    Raises ValueError outside 0.23..95 GHz and 0..100 m.
+    Raises ValueError outside 0.23..95 GHz and for a depth that is negative or no number.
     """
     frequency_ghz = _within("frequency_hz", frequency_hz, 0.23e9, 95e9) / 1e9
     depth_m = np.asarray(depth_m, np.float64)
-    if not np.all((depth_m >= 0.0) & (depth_m <= 100.0)):
-        raise ValueError(f"depth_m must lie in 0..100, got {depth_m!r}")
+    if not np.all(depth_m >= 0.0):
+        raise ValueError(f"depth_m must not be negative, got {np.min(depth_m)!r}")
     scale = frequency_ghz**FOLIAGE_EXPONENT
     return -FOLIAGE_MAX_DB * scale * np.expm1(-depth_m * FOLIAGE_DB_PER_M / FOLIAGE_MAX_DB)
 

@@ -23,7 +23,7 @@ from models.vehicle.end_to_end import (
 from models.vehicle.mapping import MessageRule, period_ns
 from msgs.values.frames import wrap_angle
 from msgs.values.perception import BevFrame, HiddenObject, Visibility
-from msgs.values.radar import MAP_FAULTS
+from msgs.values.radar import MAP_FAULTS, WIRING_FAULTS
 
 if TYPE_CHECKING:
     from cantools.database import Database
@@ -33,12 +33,12 @@ STATUS_MESSAGE = "MW_OBJECT_LIST"
 POSITION_MESSAGE, SHAPE_MESSAGE = "MW_OBJECT_{:02d}_POSITION", "MW_OBJECT_{:02d}_SHAPE"
 #: Attributes of a message: the data id of its checksum, and its delay after the status of its list [ms].
 DATA_ID, START_DELAY = "E2EDataID", "GenMsgStartDelayTime"
-#: Signal of each flag of a view that has a bit of its own.
+#: Signal of each flag of a view that has a bit of its own; those of the wiring share `OTHER_FAULT`.
 FAULT_SIGNALS = {
     "incoherent": "FAULT_INCOHERENT",
     "missing_beams": "FAULT_MISSING_BEAMS",
     "saturated": "FAULT_SATURATED_INPUT",
-    **{name: f"FAULT_{name.upper()}" for name in MAP_FAULTS},
+    **{name: f"FAULT_{name.upper()}" for name in MAP_FAULTS if name not in WIRING_FAULTS},
 }
 OTHER_FAULT = "FAULT_OTHER"
 

@@ -86,6 +86,10 @@ FLAG_WORDS = {
     "drowned_beams": ("Another transmitter disturbs a beam", "it was left out; nothing is seen in its direction"),
     "spurs": ("The radar disturbs itself", "echoes may appear where nothing is"),
     "array_error": ("The antenna is not as calibrated", "bearings may be wrong; calibrate the radar"),
+    "i_stuck": ("The radar's I channel is dead", "half of what is shown is not there; check the wiring"),
+    "q_stuck": ("The radar's Q channel is dead", "half of what is shown is not there; check the wiring"),
+    "i_equals_q": ("The radar's channels carry one signal", "half of what is shown is not there; check the wiring"),
+    "iq_exchanged": ("The radar's channels are exchanged", "nothing is seen; check the wiring or beat_sign"),
 }
 #: Maximum number of tracks considered: the nearest.
 MAX_TRACKS = 100

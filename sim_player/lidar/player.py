@@ -12,6 +12,7 @@ from msgs.values.perception import SceneTruth
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, optical_paths, spad_histograms
+from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
 from sim_player.trace.ray_tracing import trace
@@ -35,6 +36,7 @@ class LidarPlayer:
         self.scene = scene
         self.options = options
         self.setup: LidarSetup = msgspec.structs.replace(scene.lidar, stamp_ns=start_ns)
+        self._meeting = ego_meeting(scene)
         self._seed = seed
         self._world = prepare(scene, seed)
         self._still = None if scene.moves else optical_paths(self._world, self.setup, 0.0, options)
@@ -89,4 +91,8 @@ class LidarPlayer:
         return self.setup.stamp_ns + scan * ns_from_s(self.setup.period_s)
 
     def _elapsed_s(self, stamp_ns: int) -> float:
-        return s_from_ns(stamp_ns - self.setup.stamp_ns)
+        """Return the time since the start; ValueError once the sensor has met a wall."""
+        time_s = s_from_ns(stamp_ns - self.setup.stamp_ns)
+        if self._meeting is not None and time_s > self._meeting[0]:
+            raise ValueError(f"scene {self.scene.name!r}: {meeting_text(self._meeting)}, asked for {time_s:.2f} s")
+        return time_s

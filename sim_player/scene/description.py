@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 
 from models.physics.curved_mirror import arc_points
-from models.physics.materials import is_volume, permittivity, wall_layers
+from models.physics.materials import is_volume, permittivity, wall_layers, wall_name
 from models.physics.mirror import SHORTEST_WALL_M, crosses
 from msgs.files.shipped import shipped_path
 from msgs.files.text_files import decode_text
@@ -50,6 +50,14 @@ WEATHER_RANGES: dict[str, tuple[float, float]] = {
 
 #: Largest coordinate or size in a scene: a larger number is an input error.
 FARTHEST_M = 1e4
+#: Greatest thickness of foliage and of a wall.
+DEEPEST_FOLIAGE_MM, THICKEST_WALL_MM = 1e6, 1e4
+#: Greatest speed of the radar and of objects, and yaw rate: faster ones belong to no road.
+MAX_SPEED_MPS, MAX_YAW_RATE_DPS = 100.0, 720.0
+#: Objects may touch each other: their boxes overlap by no more than this.
+TOUCH_M = 0.05
+#: They reflect nothing.
+_NO_MATTER = frozenset({"vacuum"})
 
 Point = tuple[float, float]
 ObjectClass = Literal["car", "van", "truck", "bus", "bicycle", "pedestrian"]
@@ -335,10 +343,13 @@ def check_scene(scene: Scene) -> None:
     for field, value in _numbers(msgspec.to_builtins(scene), ""):
         if not math.isfinite(value):
             raise ValueError(f"{field}: must be finite, got {value!r}")
-        # frequencies and powers have ranges of their own
-        if abs(value) > FARTHEST_M and field.split(".")[0].split("[")[0] in ("surfaces", "objects"):
+        # frequencies, powers and thicknesses have ranges of their own
+        is_length = not field.endswith(".thickness_mm")
+        if is_length and abs(value) > FARTHEST_M and field.split(".")[0].split("[")[0] in ("surfaces", "objects"):
             raise ValueError(f"{field}: must lie within {FARTHEST_M:g} of 0, got {value!r}")
     _check_radar(scene.radar)
+    _require_speed("ego.speed_mps", scene.ego.speed_mps, MAX_SPEED_MPS)
+    _require_speed("ego.yaw_rate_dps", scene.ego.yaw_rate_dps, MAX_YAW_RATE_DPS)
     try:
         _ = scene.lidar
     except ValueError as error:
@@ -352,6 +363,12 @@ def check_scene(scene: Scene) -> None:
         _check_surface(f"surfaces[{index}]", surface, scene.setup.radar.carrier_hz)
     for index, scene_object in enumerate(scene.objects):
         _check_object(f"objects[{index}]", scene_object, scene)
+    _check_overlaps(scene.objects)
+
+
+def _require_speed(field: str, value: float, limit: float) -> None:
+    if not abs(value) <= limit:
+        raise ValueError(f"{field}: must lie in {-limit:g}..{limit:g}, got {value!r}")
 
 
 def _check_radar(radar: SceneRadar) -> None:
@@ -401,15 +418,25 @@ def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
 
 
 def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
-    """Check that the build is known at the carrier, and that foliage is no ground."""
+    """Check that the build is known at the carrier and not too thick, and that foliage is no ground."""
     thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
     try:
         if not is_volume(surface.material):
+            _require_matter(surface.material)
             wall_layers(surface.material, thickness_m, carrier_hz)
         elif surface.role == "ground":
             raise ValueError(f"a ground must be a surface, got {surface.material!r}")
     except ValueError as error:
         raise ValueError(f"{field}.material: {error}") from None
+    limit_mm = DEEPEST_FOLIAGE_MM if is_volume(surface.material) else THICKEST_WALL_MM
+    if surface.thickness_mm is not None and surface.thickness_mm > limit_mm:
+        raise ValueError(f"{field}.thickness_mm: must be at most {limit_mm:g}, got {surface.thickness_mm!r}")
+
+
+def _require_matter(material: str) -> None:
+    """Raise ValueError for a known material of which nothing comes back."""
+    if wall_name(material) in _NO_MATTER:
+        raise ValueError(f"must reflect, got {material!r}")
 
 
 def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point) -> None:
@@ -433,6 +460,7 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
 def _check_object(field: str, scene_object: SceneObject, scene: Scene) -> None:
     """Check that an object has one form, a loadable mesh, the radar outside it, and no wall through it."""
     _check_form(field, scene_object, scene.setup.radar.carrier_hz)
+    _require_speed(f"{field}.speed_mps", scene_object.speed_mps, MAX_SPEED_MPS)
     if scene_object.contains(np.zeros((1, 2)))[0]:
         raise ValueError(
             f"{field}.x_m: the radar at (0, 0) must stand outside, got a {scene_object.object_class} around it"
@@ -463,6 +491,7 @@ def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> Non
         return
     try:
         permittivity(scene_object.material, carrier_hz)
+        _require_matter(scene_object.material)
     except ValueError as error:
         raise ValueError(f"{field}.material: {error}") from None
     try:
@@ -473,14 +502,67 @@ def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> Non
 
 def wall_inside(scene_object: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
     """Return the index of the first surface that runs through an object's box, None for none."""
-    pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
-    if not pieces:
+    owner, a, b = wall_pieces(surfaces)
+    if not len(owner):
         return None
-    owner, a, b = (np.array(column) for column in zip(*pieces, strict=True))
     corners = scene_object.corners_m()
     crossed = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
     inside = crossed | scene_object.contains(a) | scene_object.contains(b)
     return int(owner[inside][0]) if inside.any() else None
+
+
+def wall_pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the straight pieces of all walls: the number of the surface of each [N], and its ends [N, 2], [N, 2]."""
+    pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
+    owner = np.array([index for index, _, _ in pieces], np.int64)
+    a, b = (np.array([piece[end] for piece in pieces], np.float64).reshape(-1, 2) for end in (1, 2))
+    return owner, a, b
+
+
+def _check_overlaps(objects: tuple[SceneObject, ...]) -> None:
+    """Raise ValueError, field first, for two objects in one place at start."""
+    if len(objects) < 2:
+        return
+    centre = np.array([(each.x_m, each.y_m) for each in objects])
+    reach = np.array([0.5 * math.hypot(each.kind.length_m, each.kind.width_m) for each in objects])
+    for first in range(len(objects) - 1):
+        distance = np.hypot(*(centre[first + 1 :] - centre[first]).T)
+        for second in first + 1 + np.flatnonzero(distance < reach[first + 1 :] + reach[first]):
+            if _overlap(objects[first], objects[second]):
+                one, other = objects[first], objects[second]
+                raise ValueError(
+                    f"objects[{second}].x_m: must stand clear of objects[{first}], "
+                    f"got a {other.object_class} at ({other.x_m:g}, {other.y_m:g}) in "
+                    f"a {one.object_class} at ({one.x_m:g}, {one.y_m:g})"
+                )
+
+
+def _overlap(one: SceneObject, other: SceneObject) -> bool:
+    """Return whether two objects are in one place; of a mesh, which may have a yard, whether their centres meet."""
+    if one.z_m >= other.kind.height_m or other.z_m >= one.kind.height_m:
+        return False
+    if one.mesh or other.mesh:
+        return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) < TOUCH_M
+    first, second = _outline(one), _outline(other)
+    for outline in (first, second):
+        sides = np.roll(outline, -1, axis=0) - outline
+        normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1) / np.hypot(*sides.T)[:, None]
+        ours, theirs = first @ normals.T, second @ normals.T
+        depth = np.minimum(ours.max(axis=0), theirs.max(axis=0)) - np.maximum(ours.min(axis=0), theirs.min(axis=0))
+        # thin ones touch by their whole thickness
+        thinnest = np.minimum(np.ptp(ours, axis=0), np.ptp(theirs, axis=0))
+        if (depth <= np.minimum(TOUCH_M, 0.5 * thinnest)).any():
+            return False
+    return True
+
+
+def _outline(scene_object: SceneObject) -> np.ndarray:
+    """Return the outline of an object in plan: its box, or a polygon of 16 corners where it is round; [N, 2]."""
+    if scene_object.primitive not in ("cylinder", "sphere"):
+        return scene_object.corners_m()
+    angle = np.arange(16) * (np.pi / 8.0)
+    radius = 0.5 * scene_object.kind.length_m
+    return scene_object.place(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def _segments(surface: Surface) -> list[tuple[Point, Point]]:

@@ -87,8 +87,6 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
     # the network of one short epoch finds nothing to learn from
     (r"^(mirrorwave train residual .*) --model net.onnx$", r"\1 --epochs 1 --model models/weights/compact_unet.onnx"),
-    # whether a budget can be held is a matter of the machine
-    (r"--latency-budget-ms \d+", "--latency-budget-ms 5000"),
     (r" --full$| --full ", " "),
     (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --frames 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),

@@ -119,3 +119,18 @@ def test_a_setup_that_cannot_be_used_changes_nothing_and_is_said(node: RaFormerN
     (out,) = steps(node, *[beam(index) for index in range(1, 25)])
     assert out.message.missing_beams == ()
     assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [("setup", "refused", 1)]
+
+
+def test_a_stuck_channel_is_named_in_the_map_and_in_the_state(node: RaFormerNode) -> None:
+    """Until a scan comes in which it works."""
+    steps(node, setup())
+    for scan, faults, health in (
+        (0, ("q_stuck",), (NodeState.DEGRADED, "Q does not change")),
+        (1, (), (NodeState.READY, "")),
+    ):
+        beams = [beam(index, scan=scan) for index in range(25)]
+        for each in beams if faults else ():
+            each.message.samples[..., 1] = 3  # type: ignore[attr-defined]
+        (out,) = steps(node, *beams)
+        assert out.message.faults == faults
+        assert node.health() == health

@@ -50,7 +50,9 @@ def launch(
         float | None,
         typer.Option(metavar="N", help="The most accurate profile whose views come N ms after the last beam."),
     ] = None,
-    measure: Annotated[bool, typer.Option("--measure", help="Time the profiles anew, whatever is remembered.")] = False,
+    remeasure: Annotated[
+        bool, typer.Option("--remeasure", "--measure", help="Time the profiles again, whatever is remembered.")
+    ] = False,
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Stop S seconds after all nodes are ready.")
     ] = None,
@@ -78,7 +80,7 @@ def launch(
     if profile is not None and latency_budget_ms is not None:
         raise ValueError("--profile and --latency-budget-ms must not be given together: a budget picks the profile")
     if latency_budget_ms is not None:
-        profile = _profile_within(latency_budget_ms, measure)
+        profile = _profile_within(latency_budget_ms, remeasure)
     graph = over_default(graph) if profile is None else with_profile(graph, profile)
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
@@ -92,11 +94,11 @@ def launch(
     raise typer.Exit(run_graph(graph, domain, duration, record, options, headless=headless, runs_dir=runs_dir))
 
 
-def _profile_within(budget_ms: float, measure: bool) -> str:
+def _profile_within(budget_ms: float, remeasure: bool) -> str:
     """The profile that a budget picks here; says which and why."""
     from mirrorwave.studies.tradeoff.latency_budget import pick, reason
 
-    timed = pick(budget_ms, measure, print_line)
+    timed = pick(budget_ms, remeasure, print_line)
     print_line(reason(budget_ms, timed))
     return timed[-1].profile
 

@@ -93,8 +93,14 @@ class _Inverse:
     share: np.ndarray
 
 
-def require_tractable(setup: RadarSetup) -> None:
-    """Raise `ValueError` for a set-up whose maps would take too long to form."""
+def require_formable(setup: RadarSetup) -> None:
+    """Raise `ValueError` for a set-up that cannot tell directions apart, or whose maps would take too long to form."""
+    if setup.array.columns < 2:
+        raise ValueError(f"array.columns must be at least 2 to tell directions apart, got {setup.array.columns}")
+    if len(set(setup.beams.azimuth_deg)) < 2:
+        raise ValueError(
+            f"beams.azimuth_deg must name at least 2 directions to tell echoes apart, got {setup.beams.azimuth_deg}"
+        )
     beams, coefficients = len(setup.beams), 2 * setup.array.columns - 1
     if beams * coefficients > MAX_TERMS:
         raise ValueError(

@@ -5,7 +5,11 @@ Severities at which each check reports, and false alarms over clean scenes: docs
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
+import scipy.fft
 
 from msgs.values.units import ratio_from_db
 
@@ -23,6 +27,13 @@ _INTERFERED_DB = 6.0
 _SPUR_DB, _SPUR_SPREAD_DB = 15.0, 8.0
 #: Ranges whose echoes count for the array check, and how many it needs.
 _HEARD_DB, _LEAST_RANGES = 20.0, 8
+#: Bins of a spectrum about zero that leakage fills on both sides, whatever the window.
+_LEAKAGE_BINS = 32
+#: Share of the power in which both sides of a spectrum depend on each other, from which there is one channel alone.
+_ONE_CHANNEL = 0.9
+#: Of the ranges this far over the noise so many must be, and this share of them be louder by the second on the wrong
+#: side, for I and Q to be exchanged.
+_SIDE_DB, _SIDE_BINS, _SIDE_SHARE, _WRONG_SIDE_DB = 13.0, 8, 0.9, 6.0
 #: Deviation of the array from which the map says so; 99 of 100 random places without fault stay under it.
 ARRAY_LIMIT = 0.12
 
@@ -33,6 +44,53 @@ def lost_chirps(samples: np.ndarray) -> int:
     """
     step = max(samples.shape[1] // _LOOKED_AT, 1)
     return int(np.count_nonzero(~samples[:, ::step].any(axis=(1, 2))))
+
+
+class ChannelTerms(NamedTuple):
+    """What the spectrum Y of a beam's mean chirp says of its channels, beyond `_LEAKAGE_BINS`.
+
+    With one channel alone Y(-f) follows from Y(f): the sum of Y(f) Y(-f) is the whole power, turned by 0 where Q is
+    stuck, by pi where I is, by +-pi/2 where they are equal or opposite. Of echoes on one side alone it is nothing.
+    """
+
+    #: Of ranges beyond the leakage, where their echoes belong and at the opposite frequencies; float32 [2, range].
+    sides: np.ndarray
+    #: Mean power of both sides, and sum of Y(f) Y(-f).
+    power: float
+    product: complex
+
+
+def channel_terms(sums: np.ndarray, beat_sign: int, range_bins: int) -> ChannelTerms:
+    """Return the terms of slow-time sums, int32 I/Q [groups, samples, 2], of a map with so many range bins."""
+    chirp = sums.sum(axis=0, dtype=np.float32).view(np.complex64)[:, 0]
+    spectrum = scipy.fft.fft((chirp - chirp.mean()) * _hann(len(chirp)), overwrite_x=True)
+    first, middle = min(_LEAKAGE_BINS, len(chirp) // 16), (len(chirp) + 1) // 2
+    above, below = spectrum[first:middle], spectrum[len(chirp) - first : len(chirp) - middle : -1]
+    power, product = float(np.vdot(above, above).real + np.vdot(below, below).real), complex(np.dot(above, below))
+    sides = np.abs(np.stack([above, below][::beat_sign])[:, : range_bins - first])
+    return ChannelTerms(np.square(sides), 0.5 * power, product)
+
+
+@lru_cache(maxsize=4)
+def _hann(length: int) -> np.ndarray:
+    return np.hanning(length).astype(np.float32)
+
+
+def wiring_faults(sides: np.ndarray, power: float, product: complex) -> tuple[str, ...]:
+    """Return the faults of the two channels that a scan shows, names in `MAP_FAULTS`.
+
+    `sides` [2, range], `power` and `product` are sums of the `ChannelTerms` of its beams.
+    """
+    if not power > 0.0:
+        return ("i_stuck", "q_stuck")
+    if abs(product) > _ONE_CHANNEL * power:
+        quarter_turns = round(float(np.angle(product)) / (0.5 * np.pi))
+        return (("q_stuck",), ("i_equals_q",), ("i_stuck",))[abs(quarter_turns)]
+    right, wrong = sides
+    loud = np.maximum(right, wrong) > ratio_from_db(_SIDE_DB) * np.median(np.minimum(right, wrong))
+    is_wrong = loud & (wrong > ratio_from_db(_WRONG_SIDE_DB) * right)
+    few = max(_SIDE_BINS, _SIDE_SHARE * np.count_nonzero(loud))
+    return ("iq_exchanged",) if np.count_nonzero(is_wrong) >= few else ()
 
 
 def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:

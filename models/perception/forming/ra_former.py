@@ -9,7 +9,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from models.perception.forming.coarray import AzimuthInterpolator, require_tractable
+from models.perception.forming.coarray import AzimuthInterpolator, require_formable
 from models.perception.forming.ra_forming import BeamFolder, FormingParams, ScanProfiles, check_beam, form_map
 from models.perception.forming.slow_time_sums import fold_chirps
 from models.perception.forming.sweep import Sweep
@@ -34,7 +34,7 @@ class RaFormer:
         self, setup: RadarSetup, params: FormingParams | None = None, grid: RangeAzimuthGrid | None = None
     ) -> None:
         params = params or FormingParams()
-        require_tractable(setup)
+        require_formable(setup)
         self.interpolator = AzimuthInterpolator(setup, grid, params.coherence)
         self.folder = BeamFolder(setup, params, self.interpolator.grid)
         self.repeated_beams = 0

@@ -19,7 +19,9 @@ from scipy.special import gammaincinv
 from models.perception.forming.coarray import SEEN_SPACINGS, AzimuthInterpolator, CoherenceTest
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
+    ChannelTerms,
     array_deviation,
+    channel_terms,
 )
 from models.perception.forming.radial_speed import HEARD, MIN_GROUPS, beam_speeds, cell_speeds
 from models.perception.forming.slow_time_sums import fold_chirps, group_edges
@@ -220,6 +222,7 @@ class FoldedBeam(NamedTuple):
     saturated: int
     #: float32 [range], NaN in noise; None: slow time is not resolved.
     radial_speed_mps: np.ndarray | None
+    channels: ChannelTerms
 
 
 class BeamFolder:
@@ -261,6 +264,7 @@ class BeamFolder:
     def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> FoldedBeam:
         """Return a beam folded over slow time."""
         sums, saturated = fold_chirps(beam.samples[: self.chirps], self.groups)
+        channels = channel_terms(sums, self.setup.beat_sign, self.grid.range_bins)
         series = self._beats(sums, beam.beam_index)
         if ego is not None:
             series *= ego.sample_phase
@@ -277,7 +281,8 @@ class BeamFolder:
             profile, speed_mps = self.resolved(profiles, noise_power_mw, ego)
         if self.params.decimation > 1:
             profile = profile * self._undrooped
-        return FoldedBeam(profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated, speed_mps)
+        profile = profile if ego is None else profile * ego.bin_phase
+        return FoldedBeam(profile, noise_power_mw, saturated, speed_mps, channels)
 
     @property
     def _middle_wavelength_m(self) -> float:

@@ -37,6 +37,8 @@ class FormingStage:
         self._params, self._ego_compensation = params or FormingParams(), ego_compensation
         self._background, self._timed = background, timed
         self._states = StateHistory()
+        #: Why the last set-up was refused.
+        self._refused = ""
         #: Number and stamp of the scan under way, as its first beam has them.
         self._scan_begun: tuple[int, int] | None = None
 
@@ -44,7 +46,11 @@ class FormingStage:
         """Form by another set-up; `ValueError` for one that cannot be used, which changes nothing."""
         if self._background is not None:
             setup = msgspec.structs.replace(setup, background=self._background)
-        self.former = RaFormer(setup, self._params)
+        try:
+            self.former = RaFormer(setup, self._params)
+        except ValueError as error:
+            self._refused = str(error)
+            raise
 
     @property
     def is_between_scans(self) -> bool:
@@ -67,7 +73,7 @@ class FormingStage:
         Raises `ValueError` for a beam of another set-up, of another clock, or before any set-up.
         """
         if self.former is None:
-            raise ValueError(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
+            raise ValueError(self._refused or f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
         if jump_s := self._clock_jump_s(beam):
             raise ValueError(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
         with self._timed("last beam" if beam.beam_index == beam.beam_count - 1 else "beam"):

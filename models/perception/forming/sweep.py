@@ -7,7 +7,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from models.perception.forming.map_quality import has_spurs, interfered_beams, lost_chirps, silent_beams
+from models.perception.forming.map_quality import (
+    has_spurs,
+    interfered_beams,
+    lost_chirps,
+    silent_beams,
+    wiring_faults,
+)
 from models.perception.forming.ra_forming import (
     BeamFolder,
     EgoCorrection,
@@ -43,6 +49,10 @@ class FoldedBeams:
     #: Number of samples at full scale, and of chirps lost; int64 [beams].
     saturated: np.ndarray
     lost_chirps: np.ndarray
+    #: `ChannelTerms` [beams, 2, range], [beams] and complex [beams]; the ranges beyond the leakage are the first.
+    sides: np.ndarray
+    channel_power: np.ndarray
+    channel_product: np.ndarray
 
     @classmethod
     def none_of(cls, folder: BeamFolder, stamp_ns: int) -> FoldedBeams:
@@ -58,6 +68,9 @@ class FoldedBeams:
             stamp_ns=stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64),
             saturated=np.zeros(beams, np.int64),
             lost_chirps=np.zeros(beams, np.int64),
+            sides=np.zeros((beams, 2, folder.grid.range_bins)),
+            channel_power=np.zeros(beams),
+            channel_product=np.zeros(beams, np.complex128),
         )
 
     @property
@@ -118,6 +131,9 @@ class Sweep:
         beams.stamp_ns[index] = beam.stamp_ns
         beams.saturated[index] = folded.saturated
         beams.lost_chirps[index] = lost_chirps(beam.samples[: self._folder.chirps])
+        channels = folded.channels
+        beams.sides[index, :, : channels.sides.shape[1]] = channels.sides
+        beams.channel_power[index], beams.channel_product[index] = channels.power, channels.product
         self._states[index] = _if_valid(state)
         return True
 
@@ -188,7 +204,10 @@ class Sweep:
             missing_beams=_indices(self._used & ~usable),
             unused_beams=_indices(~self._used),
             saturated_share=int(beams.saturated.sum()) / samples,
-            faults=tuple(name for name, holds in faults.items() if holds),
+            faults=(
+                *(name for name, holds in faults.items() if holds),
+                *wiring_faults(beams.sides.sum(axis=0), beams.channel_power.sum(), beams.channel_product.sum()),
+            ),
             look_azimuth_rad=None if state is None else beams.look_azimuth_rad,
             radial_speed_mps=beams.radial_speed_mps if folder.measures_speed else None,
             radial_speed_unit_std_mps=unit_std_mps(radar.wavelength_m, folder.duration_s),

@@ -61,7 +61,7 @@ def facts(now_s: float, view: BevFrame | None, **changes: Any) -> Facts:
     """All well at a time: a view of this moment, a vehicle state of this moment."""
     now_ns = round(now_s * S)
     # of another clock, so that a track's times count from now
-    view = None if view is None else msgspec.structs.replace(view, stamp_ns=now_ns - 1000 * S)
+    view = None if view is None else msgspec.structs.replace(view, stamp_ns=now_ns + 1000 * S)
     return Facts(now_ns, 0, view, now_ns, now_ns, STATE, now_ns)._replace(**changes)
 
 

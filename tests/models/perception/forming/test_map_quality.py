@@ -23,7 +23,16 @@ from models.perception.forming.ra_forming import ScanProfiles, form_map
 from models.perception.geometry.stage import condition_flags
 from models.physics.antenna import coarray_weights, setup_weights
 from msgs.bus.codec import decode_inline, encode_inline
-from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import (
+    WIRING_FAULTS,
+    ArrayParams,
+    BeamGrid,
+    RadarBeam,
+    RadarParams,
+    RadarSetup,
+    RangeAzimuthGrid,
+    RangeAzimuthMap,
+)
 
 SETUP = RadarSetup()
 BEAMS, RANGES = 25, 96
@@ -223,3 +232,78 @@ def test_a_tone_of_the_electronics_is_told() -> None:
         return rng.normal(0.0, 20.0, (8, 2048, 2)) + tone
 
     assert _folded(samples).faults == ("spurs",)
+
+
+def _echoing(seed: int, chirps: int = 4, level: float = 60.0, noise: float = 8.0) -> np.ndarray:
+    """Samples int16 [beams, chirps, samples, 2] of twenty echoes at positive frequencies, leakage, an offset, noise."""
+    rng = np.random.default_rng(seed)
+    turns = np.arange(1024) / 1024.0
+    bins, phases = rng.uniform(20.0, 250.0, 20), rng.uniform(0.0, 1.0, (6, 20))
+    beats = np.exp(2j * np.pi * (np.multiply.outer(turns, bins) + phases[:, None, :])).sum(axis=2)
+    leakage = 40.0 * np.exp(2j * np.pi * (1.3 * turns + 0.1))
+    mean = level * (beats + leakage) + 100.0 - 50.0j
+    samples = mean[:, None] + noise * (rng.standard_normal((6, chirps, 1024, 2)) @ (1.0, 1.0j))
+    return np.rint(np.stack([samples.real, samples.imag], axis=-1)).clip(-32768, 32767).astype(np.int16)
+
+
+def _wired(samples: np.ndarray, beat_sign: int = 1) -> tuple[str, ...]:
+    """Return the faults of the wiring in a map of such samples."""
+    setup = RadarSetup(
+        radar=RadarParams(chirps_per_beam=samples.shape[1], samples_per_chirp=1024),
+        beams=BeamGrid(azimuth_deg=(-50.0, -30.0, -10.0, 10.0, 30.0, 50.0)),
+        array=ArrayParams(columns=2),
+        beat_sign=beat_sign,
+    )
+    former, maps = RaFormer(setup), []
+    for index, codes in enumerate(samples):
+        azimuth_rad = float(setup.beams.azimuth_rad[index])
+        maps += former.add(
+            RadarBeam(
+                stamp_ns=index, scan_id=0, beam_index=index, beam_count=6, azimuth_rad=azimuth_rad, samples=codes,
+                full_scale_dbm=-20.0,
+            )
+        )  # fmt: skip
+    (ra_map,) = maps
+    return tuple(name for name in ra_map.faults if name in WIRING_FAULTS)
+
+
+def _q(value: object) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda samples: np.stack([samples[..., 0], np.broadcast_to(value, samples[..., 0].shape)], -1)  # type: ignore[call-overload]
+
+
+_SPOILED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], tuple[str, ...]]] = {
+    "exchanged": (lambda samples: samples[..., ::-1], ("iq_exchanged",)),
+    "Q at zero": (_q(0), ("q_stuck",)),
+    "Q at one code": (_q(-731), ("q_stuck",)),
+    "Q with noise of its own": (_q(np.random.default_rng(0).integers(-1, 2, 1024)), ("q_stuck",)),
+    "I at zero": (lambda samples: _q(0)(samples)[..., ::-1], ("i_stuck",)),
+    "I = Q": (lambda samples: samples[..., [0, 0]], ("i_equals_q",)),
+    "I = -Q": (lambda samples: samples[..., [0, 0]] * np.array([1, -1], np.int16), ("i_equals_q",)),
+    "both at zero": (np.zeros_like, ("i_stuck", "q_stuck")),
+    "both at one code": (lambda samples: np.full_like(samples, 5), ("i_stuck", "q_stuck")),
+}
+
+
+@pytest.mark.parametrize("kind", _SPOILED)
+def test_wrong_wiring_is_named(kind: str) -> None:
+    spoil, faults = _SPOILED[kind]
+    assert _wired(np.ascontiguousarray(spoil(_echoing(0)), dtype=np.int16)) == faults
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        _echoing(1),
+        _echoing(2, level=0.0),
+        _echoing(3, level=0.0, noise=0.6),
+        # clipped hard: the harmonics of I and of Q stand on both sides
+        _echoing(4, level=8000.0),
+        # Q at half of I's gain, 20 degrees off: an image 9 dB down
+        (_echoing(5) @ np.array([[1.0, 0.17], [0.0, 0.47]])).astype(np.int16),
+    ],
+    ids=["echoes", "noise alone", "noise of a code", "saturated", "unbalanced"],
+)
+def test_a_sound_receiver_is_wired_well(samples: np.ndarray) -> None:
+    assert _wired(samples) == ()
+    # hardware whose beats have the other sign, and a set-up that says so
+    assert _wired(np.ascontiguousarray(samples[..., ::-1]), beat_sign=-1) == ()

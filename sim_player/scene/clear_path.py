@@ -1,0 +1,62 @@
+"""First meeting of a moving radar with a wall: beyond it no map of the scene means anything."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from msgs.values.vehicle import ego_motion
+from sim_player.scene.description import FARTHEST_M, Scene, wall_pieces
+
+#: Chords of the circle of a radar that turns: each deviates from it by under 1e-5 of its radius.
+_CHORDS = 720
+
+
+def first_meeting(scene: Scene, time_s: np.ndarray, position_m: np.ndarray) -> tuple[float, int] | None:
+    """Return the time at which a path meets the first wall, and the number of its surface; None where it meets none.
+
+    The path has straight lines between the positions [N, 2] at the times [N].
+    """
+    owner, a, b = wall_pieces(scene.surfaces)
+    if not len(owner) or len(time_s) < 2:
+        return None
+    start, step, wall = position_m[:-1, None], np.diff(position_m, axis=0)[:, None], b - a
+    turn = step[..., 0] * wall[:, 1] - step[..., 1] * wall[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along_step = ((a - start)[..., 0] * wall[:, 1] - (a - start)[..., 1] * wall[:, 0]) / turn
+        along_wall = ((a - start)[..., 0] * step[..., 1] - (a - start)[..., 1] * step[..., 0]) / turn
+        meets = (along_step >= 0.0) & (along_step <= 1.0) & (along_wall >= 0.0) & (along_wall <= 1.0)
+        met_s = np.where(meets, time_s[:-1, None] + along_step * np.diff(time_s)[:, None], math.inf)
+    first = np.unravel_index(int(np.argmin(met_s)), met_s.shape)
+    return (float(met_s[first]), int(owner[first[1]])) if math.isfinite(met_s[first]) else None
+
+
+def ego_meeting(scene: Scene) -> tuple[float, int] | None:
+    """Return when the radar of a scene that drives on as it does meets the first wall, and the number of its surface;
+    None where it never does.
+    """
+    speed_mps, yaw_rate_rps = scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)
+    if not speed_mps:
+        return None
+    straight_s = 4.0 * FARTHEST_M / abs(speed_mps)
+    # after a whole circle it drives where it drove
+    period_s = 2.0 * math.pi / abs(yaw_rate_rps) if yaw_rate_rps else math.inf
+    time_s = np.linspace(0.0, min(period_s, straight_s), _CHORDS + 1 if period_s < straight_s else 2)
+    poses = [ego_motion(speed_mps, yaw_rate_rps, float(at_s)) for at_s in time_s]
+    return first_meeting(scene, time_s, np.array([(pose.x_m, pose.y_m) for pose in poses]))
+
+
+def meeting_text(meeting: tuple[float, int]) -> str:
+    """Return in words when and where a radar meets a wall."""
+    return f"the radar drives into the wall surfaces[{meeting[1]}] after {meeting[0]:.2f} s"
+
+
+def require_clear_path(scene: Scene, duration_s: float) -> None:
+    """Raise `ValueError`, field first, where the radar of a scene meets a wall within a duration."""
+    meeting = ego_meeting(scene)
+    if meeting is not None and meeting[0] <= duration_s:
+        raise ValueError(
+            f"ego.speed_mps: {meeting_text(meeting)}, within the {duration_s:g} s of the recording, "
+            f"got {scene.ego.speed_mps!r}"
+        )
