@@ -15,7 +15,7 @@ from nodes.inputs.view_latency import Setup, on_one_clock
 from nodes.viewer.driver_warnings import DriverWarning, warnings_json
 from nodes.viewer.newest import Board, WireMessage, json_text
 from nodes.viewer.trails import Past
-from nodes.viewer.view_model import map_json, map_tile, mask_tile, sensor_json, view_json
+from nodes.viewer.view_model import age_limits_ms, age_ms, map_json, map_tile, mask_tile, sensor_json, view_json
 from nodes.viewer.watch import Watch
 
 #: Message types that the assembly accepts.
@@ -53,37 +53,46 @@ class ScanAssembly:
         self._past: tuple[Past, ...] = ()
         #: Number of views so far: a page that misses some can count them, however often each was posted.
         self._number = 0
-        self._latency_ms: float | None = None
+        #: Of the newest view: latency on arrival, and the limits of its age.
+        self._facts: dict[str, Any] = {}
         #: Waits for the view of its scan, so that both change together.
-        self._map: tuple[RangeAzimuthMap, float | None] | None = None
+        self._map: RangeAzimuthMap | None = None
         self._peaks: Peaks | None = None
         self._truths: dict[int, SceneTruth] = {}
         self._vehicle: VehicleState | None = None
 
-    def take(self, message: msgspec.Struct, now_ns: int, past: tuple[Past, ...] = (), is_late: bool = False) -> None:
+    def take(
+        self,
+        message: msgspec.Struct,
+        now_ns: int,
+        past: tuple[Past, ...] = (),
+        is_late: bool = False,
+        sensor: Setup | None = None,
+    ) -> None:
         """Process one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view."""
         match message:
             case BevFrame():
                 self._number += 1
                 self._frame, self._past, self._is_late = message, past, is_late
-                self._latency_ms = _age_ms(message.stamp_ns, now_ns)
-                self._post_view()
+                latency_ms = age_ms(message.stamp_ns, now_ns) if on_one_clock(message.stamp_ns, now_ns) else None
+                self._facts = {"latency_ms": latency_ms, **age_limits_ms(sensor, is_late)}
+                self._post_view(now_ns)
                 self._post_map(now_ns)
             case RangeAzimuthMap():
                 # no view came for the map before: better shown alone than not at all
                 self._post_map(now_ns)
-                self._map = message, _age_ms(message.stamp_ns, now_ns)
+                self._map = message
             case Peaks():
                 self._peaks = message
             case SceneTruth():
-                self._keep_truth(message)
+                self._keep_truth(message, now_ns)
             case VehicleState():
                 self._vehicle = message
 
-    def _post_view(self) -> None:
+    def _post_view(self, now_ns: int) -> None:
         assert self._frame is not None
         truth = self._truths.get(self._frame.scan_id)
-        facts = {"number": self._number, "latency_ms": self._latency_ms}
+        facts = {"number": self._number, "age_ms": age_ms(self._frame.stamp_ns, now_ns), **self._facts}
         self._board.post("view", partial(_view_messages, self._frame, truth, self._vehicle, self._past, facts))
 
     def _post_map(self, now_ns: int) -> None:
@@ -92,7 +101,8 @@ class ScanAssembly:
         if self._is_map_shed(now_ns):
             self.maps_shed += 1
         else:
-            self._board.post("map", partial(_map_messages, *self._map, self._peaks))
+            age = {"age_ms": age_ms(self._map.stamp_ns, now_ns)}
+            self._board.post("map", partial(_map_messages, self._map, self._peaks, age))
             self._map_posted_ns = now_ns
         self._map = None
 
@@ -101,13 +111,13 @@ class ScanAssembly:
             return False
         return now_ns - self._map_posted_ns < LATE_MAP_PERIOD_NS
 
-    def _keep_truth(self, truth: SceneTruth) -> None:
+    def _keep_truth(self, truth: SceneTruth, now_ns: int) -> None:
         self._truths.pop(truth.scan_id, None)
         self._truths[truth.scan_id] = truth
         while len(self._truths) > _KEPT_TRUTHS:
             del self._truths[next(iter(self._truths))]
         if self._frame is not None and self._frame.scan_id == truth.scan_id:
-            self._post_view()
+            self._post_view(now_ns)
 
 
 class Assembly:
@@ -130,7 +140,7 @@ class Assembly:
         """Process one message of `TOPICS_SHOWN`; post what it completes."""
         watch = self._watching(now_ns)
         watch.take(message, now_ns)
-        self._scans.take(message, now_ns, watch.past, watch.is_late)
+        self._scans.take(message, now_ns, watch.past, watch.is_late, watch.sensor)
         if isinstance(message, BevFrame):
             self._post_warnings(now_ns)
         elif message is watch.sensor:
@@ -185,10 +195,7 @@ def _view_messages(
     return json_text({**view_json(frame, truth, vehicle, past), **facts}), mask_tile(frame)
 
 
-def _map_messages(ra_map: RangeAzimuthMap, latency_ms: float | None, peaks: Peaks | None) -> tuple[WireMessage, ...]:
-    return json_text({**map_json(ra_map, peaks), "latency_ms": latency_ms}), map_tile(ra_map)
-
-
-def _age_ms(stamp_ns: int, now_ns: int) -> float | None:
-    """Return the time since the first beam, None if stamp and clock are of different clocks."""
-    return round(1e-6 * (now_ns - stamp_ns), 1) if on_one_clock(stamp_ns, now_ns) else None
+def _map_messages(
+    ra_map: RangeAzimuthMap, peaks: Peaks | None, age: dict[str, float | None]
+) -> tuple[WireMessage, ...]:
+    return json_text({**map_json(ra_map, peaks), **age}), map_tile(ra_map)

@@ -17,6 +17,7 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 import msgspec
@@ -116,9 +117,7 @@ class ViewerServer(LoopbackServer):
         token_file: TokenFile | None = None,
     ) -> None:
         self._board, self._commands = board, commands
-        self._hello = json_text(
-            {"type": "hello", "protocol": 1, "title": title, "recording": commands is not None, "colours": COLOURS}
-        )
+        self._hello = {"protocol": 1, "title": title, "recording": commands is not None, "colours": COLOURS}
         super().__init__(port=port, max_clients=max_clients, token_file=token_file)
         self.start()
         board.on_post = self._wake
@@ -173,7 +172,11 @@ class _Client:
     """One websocket: sends an update, waits until it is acknowledged, sends the newest."""
 
     def __init__(
-        self, websocket: WebSocket, board: Board, commands: Callable[[Command], None] | None, hello: str = ""
+        self,
+        websocket: WebSocket,
+        board: Board,
+        commands: Callable[[Command], None] | None,
+        hello: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
         self._websocket, self._board, self._commands, self._hello = websocket, board, commands, hello
         self.news = asyncio.Event()
@@ -189,7 +192,7 @@ class _Client:
         return await converse(self._send(), self._listen())
 
     async def _send(self) -> None:
-        await self._websocket.send_text(self._hello)
+        await self._websocket.send_text(json_text({"type": "hello", "now_ms": _ms(time.monotonic_ns()), **self._hello}))
         while True:
             self.news.clear()
             newer = self._board.newer(self._seen)
@@ -220,17 +223,18 @@ class _Client:
         return self._board.messages(kind, posted)
 
     def _announcement(self, newer: dict[str, Posted], messages: int) -> dict[str, object]:
-        """Return the head of an update: its number of messages, and each kind's version, skipped posts and age."""
+        """Return the head of an update: its number of messages, this clock, each kind's version, skipped posts, age."""
         now_ns = time.monotonic_ns()
         kinds = {
             kind: {
                 "version": posted.version,
                 "skipped": posted.version - self._seen[kind] - 1 if kind in self._seen else 0,
-                "held_ms": round(1e-6 * (now_ns - posted.at_ns), 1),
+                "held_ms": _ms(now_ns - posted.at_ns),
             }
             for kind, posted in newer.items()
         }
-        return {"type": "update", "number": self._number, "messages": messages, "kinds": kinds}
+        head = {"type": "update", "number": self._number, "messages": messages}
+        return {**head, "now_ms": _ms(now_ns), "kinds": kinds}
 
     async def _listen(self) -> None:
         while True:
@@ -263,6 +267,10 @@ class _Client:
             raise ProtocolError("acknowledges what was not sent")
         else:
             self._acknowledged.set()
+
+
+def _ms(time_ns: int) -> float:
+    return round(1e-6 * time_ns, 1)
 
 
 def _is_of_this_page(headers: Mapping[str, str]) -> bool:

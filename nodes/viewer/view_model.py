@@ -20,7 +20,7 @@ from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
-from nodes.inputs.view_latency import Setup, last_beam_ns, scan_period_s
+from nodes.inputs.view_latency import DEADLINE_S, Setup, last_beam_ns, scan_period_s
 from nodes.viewer.trails import Past, trail_m
 
 #: Magic, version, kind, scan id, rows, columns, level of code 0 [0.01 dB], step per code [0.001 dB]; little-endian.
@@ -34,6 +34,8 @@ STEP_DB = 0.4
 SPAN_DB = 255 * STEP_DB
 #: Unit of the levels over the noise, for the modes of a map with another one.
 _NOISE_UNITS = {"photons": "dB over ambient σ"}
+#: A picture is old after this time, or once the next one is overdue where the sensor is slower.
+OLD_S = 1.0
 #: Maximum number of tracks on a page.
 MAX_TRACKS = 100
 #: Fields of a true object that are no measures.
@@ -99,6 +101,22 @@ def sensor_json(setup: Setup) -> dict[str, Any]:
         "scan_period_s": scan_period_s(setup),
         "scan_s": s_from_ns(last_beam_ns(setup)),
     }
+
+
+def age_ms(stamp_ns: int, now_ns: int) -> float | None:
+    """Return the time since a measurement began, however long; None for a stamp that this clock has yet to reach."""
+    return round(1e-6 * (now_ns - stamp_ns), 1) if stamp_ns <= now_ns else None
+
+
+def age_limits_ms(setup: Setup | None, was_late: bool) -> dict[str, float]:
+    """Return the ages of a picture, from its first beam, above which it is late and above which it is old.
+
+    One that came in time is live until the next one is overdue, one that came late (`was_late`) never is. A page
+    compares the age, whatever arrives: `late_ms < age <= old_ms` is late. `setup` None: the default radar.
+    """
+    setup = setup or RadarSetup()
+    overdue_ms = 1e3 * (s_from_ns(last_beam_ns(setup)) + DEADLINE_S + scan_period_s(setup))
+    return {"late_ms": 0.0 if was_late else round(overdue_ms, 1), "old_ms": round(max(1e3 * OLD_S, overdue_ms), 1)}
 
 
 def sensor_text(setup: Setup) -> str:

@@ -484,6 +484,26 @@ def test_age_is_only_known_on_one_clock(board: Board) -> None:
         assert json.loads(text)["latency_ms"] == latency_ms
 
 
+@pytest.mark.parametrize("age_ms", [0.0, 300.0, 43_800.0, 61_000.0, 2e12])
+def test_the_age_of_a_picture_is_that_of_its_measurement(board: Board, age_ms: float) -> None:
+    """However old it is on arrival, and of a view that is posted again with its truth a minute later."""
+    assembly, now_ns = Assembly(board), round(1e6 * age_ms)
+    for message, at_ns, later_ms in ((frame(0), now_ns, 0.0), (truth(0), now_ns + 60 * 10**9, 60_000.0)):
+        assembly.take(message, at_ns)
+        told = json.loads(board.messages("view", board.newer({})["view"])[0])
+        assert told["age_ms"] == pytest.approx(age_ms + later_ms)
+    # a map waits for its view
+    assembly.take(ra_map(1), now_ns)
+    assembly.take(frame(1), now_ns + 500_000_000)
+    told = json.loads(board.messages("map", board.newer({})["map"])[0])
+    assert told["age_ms"] == pytest.approx(age_ms + 500.0)
+
+
+def test_a_stamp_that_the_clock_has_yet_to_reach_has_no_age(board: Board) -> None:
+    Assembly(board).take(msgspec.structs.replace(frame(0), stamp_ns=1), 0)
+    assert json.loads(board.messages("view", board.newer({})["view"])[0])["age_ms"] is None
+
+
 def test_numbers_that_json_lacks_are_null() -> None:
     assert json_text({"a": float("nan"), "b": float("inf")}) == '{"a":null,"b":null}'
 

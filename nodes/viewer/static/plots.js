@@ -5,13 +5,14 @@ const MAX_PLOTS = 6;
 const PLOT_HEIGHT = 110;
 const PLOT_COLOURS = ["wall", "object", "truth", "image", "track", "los-edge"];
 const FIRST_CHOICE = ["perception/hidden_objects", "latency_ms"];
+const FIRST_PLOTS = [FIRST_CHOICE, ["perception/hidden_objects", "objects.count"]];
 
 // fields: [number, group, field] as the viewer lists them; shown: one entry a plot, kept by name over restarts
 const plots = { fields: [], shown: [], now: 0, data: new Map() };
 
 function startPlots() {
   try {
-    const kept = JSON.parse(recall("plots") || "[]");
+    const kept = JSON.parse(recall("plots")) || FIRST_PLOTS;
     for (const [group, field] of kept) if (typeof group === "string" && typeof field === "string") addPlot(group, field);
   } catch {
     // what was kept is not ours

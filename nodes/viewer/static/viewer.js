@@ -6,8 +6,8 @@ const TILE_HEADER_BYTES = 16;
 const TILE_MAP = 1;
 const TILE_MASK = 2;
 const DYNAMIC_RANGE_DB = 55;
+const NOISE_TOP_DB = 10;
 const LEAST_TOP_DB = 40;
-const STALE_MS = 2000;
 const ANNOUNCE_MS = 4000;
 const WARNINGS_STALE_MS = 3000;
 const LABELLED_TRACKS = 20;
@@ -17,7 +17,7 @@ const RECONNECT_MS = [500, 1000, 2000, 4000, 8000];
 const PROOF_MS = 5000;
 
 const LAYERS = [
-  { key: "mask", name: "observable", on: true, swatch: drawMaskSwatch, hint: "blue: in direct sight; sand: in a mirror; bare: unknown" },
+  { key: "mask", name: "observable directly", on: true, swatch: (c) => drawMaskSwatch(c, 1), more: ["in a mirror", (c) => drawMaskSwatch(c, 2)] },
   { key: "walls", name: "walls", on: true, swatch: drawWallSwatch },
   { key: "los", name: "direct returns", on: true, swatch: (c) => drawDot(c, 11, 8, 3.5) },
   { key: "images", name: "mirror images", on: true, swatch: (c) => drawDiamond(c, 11, 8, 5) },
@@ -29,7 +29,7 @@ const LAYERS = [
 ];
 
 const COLOUR_NAMES = [
-  "text", "unknown", "direct", "mirrored", "grid", "axis", "wall", "los", "los-edge", "image", "place", "object", "object-fill",
+  "text", "unknown", "direct", "mirrored", "hatch", "grid", "axis", "wall", "los", "los-edge", "image", "place", "object", "object-fill",
   "sigma", "truth", "truth-seen", "surface", "ego", "label", "track", "urgent", "caution", "notice",
 ];
 
@@ -38,7 +38,7 @@ const state = {
   paused: false, missed: 0, number: null, updates: 0, announced: "",
   // what is shown, and what came while paused
   sensor: null, view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
-  held: { view: null, map: null },
+  held: { view: null, map: null }, labels: [],
   warnings: [], warningsAt: null, overview: null, sound: false, loop: false,
   layers: Object.fromEntries(LAYERS.map((layer) => [layer.key, layer.on])),
   form: "cartesian", reach: 50, theme: null,
@@ -50,6 +50,17 @@ let ramp = null;
 let dirty = { bev: true, map: true };
 // CSS pixels of the map's canvas, from range and azimuth, in the form that is drawn
 let mapToCanvas = null;
+
+// The viewer's clock: by the least delay an update had so far, which may grow by 0.2 ms a second as clocks drift apart.
+// So an update that took long to come, or waited in this page, is as old as it is, and the browser's own time is not asked.
+const clock = { behind: Infinity, at: 0 };
+const viewerNow = () => performance.now() - clock.behind;
+
+function hearClock(now) {
+  const at = performance.now();
+  clock.behind = Math.min(at - now, clock.behind + 2e-4 * (at - clock.at));
+  clock.at = at;
+}
 
 // --- the websocket ---------------------------------------------------------------------------------------------------
 
@@ -64,7 +75,7 @@ function connect() {
   socket.binaryType = "arraybuffer";
   socket.onmessage = (event) => receive(event.data);
   socket.onclose = (event) => {
-    setConnection(event.code === 1013 ? "full" : "lost");
+    setConnection({ 1013: "full", 1012: state.recording ? "lost" : "ended" }[event.code] || "lost");
     tryLater();
   };
 }
@@ -83,7 +94,8 @@ async function reconnect() {
     // nobody answers
   }
   if (proven) return connect();
-  setConnection(proven === null ? "lost" : "other");
+  if (proven !== null) setConnection("other");
+  else if (state.connection !== "ended") setConnection("lost");
   return tryLater();
 }
 
@@ -108,6 +120,7 @@ function receive(data) {
     const message = JSON.parse(data);
     if (message.type === "hello") return greet(message);
     update = { ...message, got: [] };
+    hearClock(message.now_ms);
   } else {
     update.got.push(data);
   }
@@ -124,11 +137,13 @@ function receive(data) {
 function greet(message) {
   attempts = 0;
   update = null;
+  clock.behind = Infinity;
+  hearClock(message.now_ms);
   Object.assign(state, { title: message.title, recording: message.recording, colours: message.colours });
   ramp = colourRamp(message.colours);
   byId("title").textContent = message.title;
   document.title = `mirrorwave ${message.title}`;
-  Object.assign(state, { sensor: null, overview: null, warnings: [], warningsAt: performance.now() });
+  Object.assign(state, { sensor: null, overview: null, warnings: [], warningsAt: message.now_ms });
   byId("timeline").hidden = !message.recording;
   byId("sensor").hidden = true;
   document.body.toggleAttribute("data-recording", message.recording);
@@ -138,21 +153,21 @@ function greet(message) {
   for (const layer of LAYERS) drawSwatch(layer);
 }
 
-function take({ kinds, got }) {
+function take({ kinds, got, now_ms: now }) {
   state.updates += 1;
   for (let at = 0; at < got.length; at += 1) {
     const message = JSON.parse(got[at]);
     const tile = got[at + 1] instanceof ArrayBuffer ? readTile(got[(at += 1)]) : null;
-    const news = kinds[message.type];
-    if (message.type === "view") takeView({ message, mask: tile, at: performance.now() - news.held_ms });
-    else if (message.type === "map") takeMap({ message, tile });
+    const posted = now - kinds[message.type].held_ms;
+    if (message.type === "view") takeView({ message, mask: tile, at: posted });
+    else if (message.type === "map") takeMap({ message, tile, at: posted });
     else if (message.type === "nodes") { state.nodes = message.nodes; state.graph = message.graph; showNodes(); }
     else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
     else if (message.type === "sensor") showSensor(message);
     else if (message.type === "fields") takeFields(message);
     else if (message.type === "series") takeSeries(message);
     else if (message.type === "overview") { state.overview = message; drawStrip(); }
-    else if (message.type === "warnings") { state.warnings = message.warnings; state.warningsAt = performance.now(); showWarnings(); }
+    else if (message.type === "warnings") { state.warnings = message.warnings; state.warningsAt = posted; showWarnings(); }
   }
 }
 
@@ -223,8 +238,8 @@ function showView({ message, mask, at }) {
   showFigures();
 }
 
-function showMap({ message, tile }) {
-  Object.assign(state, { map: message, tile, planeImage: null, polarImage: null });
+function showMap({ message, tile, at }) {
+  Object.assign(state, { map: message, tile, mapAt: at, planeImage: null, polarImage: null });
   const conditions = [
     ["coherent", "photons"].includes(message.mode) ? "" : `${message.mode} mode`,
     message.incoherent_share > 0 ? `${(100 * message.incoherent_share).toFixed(0)} % of ranges incoherent` : "",
@@ -251,48 +266,72 @@ function announce(view) {
   byId("announce").textContent = view.summary;
 }
 
+// Of a picture by its age: live, late or old. The viewer says the limits (`age_limits_ms`); of no known age is old.
+function freshness(age, { late_ms: late, old_ms: old }) {
+  if (age === null || age > old) return "old";
+  return age > late ? "late" : "live";
+}
+
+// Since the measurement of what is shown, whatever comes meanwhile; null where its stamp is of another clock.
+const ageOf = (message, at) => (message && message.age_ms !== null ? message.age_ms + viewerNow() - at : null);
+
 function showFigures() {
-  const now = performance.now();
   // the last one stays: how long it is ago is told
-  while (arrivals.length > 1 && arrivals[0] < now - 5000) arrivals.shift();
-  const { view, timeline } = state;
-  const quiet = arrivals.length ? now - arrivals[arrivals.length - 1] : Infinity;
-  const [name, text] = linkState(quiet);
+  while (arrivals.length > 1 && arrivals[0] < viewerNow() - 5000) arrivals.shift();
+  const { view } = state;
+  const age = state.recording ? null : ageOf(view, state.viewAt);
+  const [name, text] = linkState(age);
   byId("link").dataset.state = name;
   if (byId("link").textContent !== text) byId("link").textContent = text;
   byId("scan").textContent = view ? view.scan_id : "–";
   const span = arrivals.length > 1 ? (arrivals[arrivals.length - 1] - arrivals[0]) / 1000 : 0;
   byId("rate").textContent = span > 0 ? `${((arrivals.length - 1) / span).toFixed(1)} Hz` : "–";
-  const age = view && !timeline ? (view.latency_ms || 0) + now - state.viewAt : null;
-  showOldPicture(age, quiet);
-  byId("age").textContent = age === null ? "–" : `${(age / 1000).toFixed(1)} s`;
-  byId("latency").textContent = view && view.latency_ms !== null ? `${view.latency_ms.toFixed(0)} ms` : "–";
+  showOldPicture(age, name === "old");
+  byId("age").textContent = age === null ? "–" : ageText(age / 1000);
+  byId("latency").textContent = view && view.latency_ms !== null ? latencyText(view.latency_ms) : "–";
   byId("missed").textContent = state.missed;
+  const mapAge = state.recording ? null : ageOf(state.map, state.mapAt);
+  const isMapOld = mapAge !== null && view && freshness(mapAge, view) === "old";
+  byId("map-age").textContent = isMapOld ? ` · ${ageText(mapAge / 1000)} old` : "";
 }
 
-function linkState(quiet) {
-  if (state.connection === "full") return ["lost", "too many pages look at once"];
-  if (state.connection === "other") return ["lost", "another graph runs here: open the address it printed"];
-  if (state.connection === "lost") return ["lost", "no connection: has the graph ended?"];
-  if (state.connection === "waiting") return ["waiting", "connecting"];
-  if (state.recording) return ["live", "recording"];
-  if (state.paused) return ["waiting", "paused"];
-  if (!state.view) return ["waiting", "waiting for the first view"];
-  return isQuiet(quiet) ? ["waiting", `no new view for ${(quiet / 1000).toFixed(0)} s`] : ["live", "live"];
+const latencyText = (latency) => (latency < 10000 ? `${latency.toFixed(0)} ms` : ageText(latency / 1000));
+
+// Why nothing that is shown can be of now.
+const CUTS = {
+  full: "too many pages look at once", other: "another graph runs here: open the address it printed",
+  ended: "the graph has ended", lost: "no connection: has the graph ended?",
+};
+
+// Colour and words: the colour follows the age of what is shown alone.
+function linkState(age) {
+  if (state.connection in CUTS) return ["old", CUTS[state.connection]];
+  if (state.connection === "waiting") return ["late", "connecting"];
+  if (state.recording) return ["recording", "recording"];
+  if (!state.view) return ["late", "waiting for the first view"];
+  const level = freshness(age, state.view);
+  if (state.paused) return [level === "old" ? "old" : "late", "paused"];
+  return [level, level === "old" ? "not live" : level];
 }
 
-const isQuiet = (quiet) => quiet > Math.max(STALE_MS, state.sensor ? 3000 * state.sensor.scan_period_s : 0);
+function whyOld(age) {
+  if (state.connection in CUTS) return CUTS[state.connection];
+  const gone = state.nodes.find((node) => node.state === "stopping");
+  if (isQuiet()) return gone ? `${gone.node} has ended` : "no new view comes";
+  return age === null ? "stamped by another clock" : "views come late, or are played back";
+}
+
+const isQuiet = () => viewerNow() - arrivals[arrivals.length - 1] > state.view.old_ms;
 
 // What is drawn stays when nothing new comes; it must not pass for the present.
-function showOldPicture(age, quiet) {
-  const isCut = !["live", "waiting"].includes(state.connection);
-  const isOld = Boolean(state.view) && (isCut || (!state.recording && !state.paused && isQuiet(quiet)));
-  const note = byId("old-picture");
-  note.hidden = !isOld;
-  document.body.toggleAttribute("data-old", isOld);
-  if (!isOld) return;
-  const why = isCut ? linkState(quiet)[1] : "no new view comes";
-  note.textContent = state.recording ? `Not connected: ${why}` : `Old picture, ${ageText(age / 1000)} ago: ${why}`;
+function showOldPicture(age, isOld) {
+  const isCut = state.connection in CUTS;
+  const isShown = Boolean(state.view) && isOld && (isCut || !state.paused);
+  byId("old-picture").hidden = !isShown;
+  document.body.toggleAttribute("data-old", isShown && (isCut || isQuiet()));
+  if (!isShown) return;
+  const what = state.recording ? "Not connected" : age === null ? "Old picture" : `Old picture, ${ageText(age / 1000)} ago`;
+  byId("old-picture").textContent = `${what}: ${whyOld(age)}`;
 }
 
 function cell(text, className) {
@@ -342,7 +381,7 @@ let alarmed = new Set();
 
 // Warnings that nobody renews are worth nothing, and neither is their absence.
 function currentWarnings() {
-  const stale = !state.recording && state.warningsAt !== null && performance.now() - state.warningsAt > WARNINGS_STALE_MS;
+  const stale = !state.recording && state.warningsAt !== null && viewerNow() - state.warningsAt > WARNINGS_STALE_MS;
   if (state.connection === "live" && !stale) return state.warnings;
   if (state.warningsAt === null) return [];
   return [{ key: "page", level: "caution", title: "Warnings are out of date", detail: "the page hears nothing from the graph", left_s: null, age_s: null, tracks: [], ended: false }];
@@ -452,7 +491,10 @@ function showTracks() {
 const trackName = ({ id, class: kind, existence }) =>
   [`T${id}`, kind, existence === null ? "" : `${(100 * existence).toFixed(0)} %`].filter(Boolean).join(" ");
 const sightText = ({ appears_s: appears }) => (appears > 0 ? `in ${appears.toFixed(1)} s` : "now");
-const ageText = (age) => (age < 120 ? `${age.toFixed(1)} s` : `${Math.round(age / 60)} min`);
+function ageText(age) {
+  if (age < 120) return `${age.toFixed(1)} s`;
+  return age < 30 * 86400 ? `${Math.round(age / 60)} min` : `${Math.round(age / 86400)} days`;
+}
 
 function speedText(one) {
   const speed = speedOf(one);
@@ -476,8 +518,8 @@ function showNodes() {
     stateCell.append(badge);
     const lost = node.lost + node.rejected;
     rows.push(row(
-      cell(node.node), stateCell, lines(node.rates.map((rate) => `${rate.topic.split("/").pop()} ${rate.hz.toFixed(1)} Hz`)),
-      lines(node.stages.map((stage) => `${stage.name}: ${ms(stage.mean_ms)}, ${ms(stage.max_ms)}`)),
+      breakable(node.node), stateCell, parts(node.rates.map((rate) => `${rate.topic.split("/").pop()} ${rate.hz.toFixed(1)} Hz`)),
+      parts(node.stages.map((stage) => `${stage.name}: ${ms(stage.mean_ms)}, ${ms(stage.max_ms)}`)),
       cell(lost, lost ? "lossy" : ""), cell(`${(100 * node.cpu).toFixed(0)}%`), cell(node.memory_mib),
     ));
     const notes = [node.reason, node.shed.length ? `left out so far: ${node.shed.join(", ")}` : ""].filter(Boolean);
@@ -496,9 +538,17 @@ function showNodes() {
 
 const ms = (value) => (value < 10 ? value.toFixed(1) : value.toFixed(0));
 
-function lines(texts) {
+// Parts that stay whole where the cell wraps.
+function parts(texts) {
   const td = cell("");
-  texts.forEach((text) => { const div = document.createElement("div"); div.textContent = text; td.append(div); });
+  texts.forEach((textContent, i) => td.append(i ? " · " : "", Object.assign(document.createElement("span"), { textContent })));
+  return td;
+}
+
+// A name may break behind its underscores and dots, not within its words.
+function breakable(name) {
+  const td = cell("");
+  for (const part of name.split(/(?<=[_.])/)) td.append(part, document.createElement("wbr"));
   return td;
 }
 
@@ -724,9 +774,9 @@ function paintBev(c) {
     if (layers.walls) view.walls.forEach(({ ends }) => stroke(c, ends, colours.wall, 4));
     if (layers.images) drawImages(c, view.points);
     if (layers.los) for (let i = 0; i < view.los.length; i += 2) drawDot(c, ...toCanvas(view.los[i], view.los[i + 1]), 3);
-    const placed = [];
-    if (layers.tracks) drawTracks(c, view, placed);
-    if (layers.objects) drawObjects(c, view, placed);
+    if (layers.tracks) drawTracks(c, view);
+    if (layers.objects) drawObjects(c, view);
+    drawLabels(c, view);
   }
   drawEgo(c, view && view.vehicle);
   drawScaleBar(c);
@@ -741,8 +791,12 @@ function maskImage({ rows, columns, cells }) {
   const image = new OffscreenCanvas(columns, rows);
   const context = image.getContext("2d");
   const pixels = context.createImageData(columns, rows);
-  const shades = [[0, 0, 0, 0], rgba(colours.direct), rgba(colours.mirrored), [0, 0, 0, 0]];
-  for (let i = 0; i < cells.length; i += 1) pixels.data.set(shades[cells[i]], 4 * i);
+  const shades = [[0, 0, 0, 0], rgba(colours.direct), rgba(colours.mirrored), rgba(colours.hatch)];
+  // seen in a mirror is hatched: told from direct sight without colours
+  for (let i = 0; i < cells.length; i += 1) {
+    const hatched = cells[i] === 2 && (i % columns + Math.floor(i / columns)) % 4 === 0;
+    pixels.data.set(shades[cells[i] + hatched], 4 * i);
+  }
   context.putImageData(pixels, 0, 0);
   return image;
 }
@@ -811,13 +865,17 @@ function stroke(c, flat, colour, width, dash = []) {
   c.setLineDash([]);
 }
 
-function box(c, { at, size, yaw }) {
+function cornersOf({ at, size, yaw }) {
   const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
-  c.beginPath();
-  for (const [u, v] of [[1, 1], [-1, 1], [-1, -1], [1, -1]]) {
+  return [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([u, v]) => {
     const [dx, dy] = [(u * size[0]) / 2, (v * size[1]) / 2];
-    c.lineTo(...toCanvas(at[0] + cos * dx - sin * dy, at[1] + sin * dx + cos * dy));
-  }
+    return [at[0] + cos * dx - sin * dy, at[1] + sin * dx + cos * dy];
+  });
+}
+
+function box(c, one) {
+  c.beginPath();
+  for (const corner of cornersOf(one)) c.lineTo(...toCanvas(...corner));
   c.closePath();
 }
 
@@ -852,7 +910,7 @@ function drawImages(c, points) {
   }
 }
 
-function drawObjects(c, view, placed) {
+function drawObjects(c, view) {
   for (const one of view.objects) {
     box(c, one);
     Object.assign(c, { fillStyle: colours["object-fill"], strokeStyle: colours.object, lineWidth: 2.4 });
@@ -860,10 +918,9 @@ function drawObjects(c, view, placed) {
     c.stroke();
     drawEllipse(c, one.at, one.ellipse, colours.sigma);
   }
-  for (const one of view.objects) drawLabel(c, one.at, 0.5 * Math.hypot(...one.size), `${objectName(one)}  ${one.score.toFixed(2)}`, colours.object, placed);
 }
 
-function drawTracks(c, view, placed) {
+function drawTracks(c, view) {
   const warned = new Set(currentWarnings().filter((one) => one.level === "urgent").flatMap((one) => one.tracks));
   for (const one of view.tracks) {
     // what may not be there any more fades; recordings of before say how often it was missed instead
@@ -873,11 +930,6 @@ function drawTracks(c, view, placed) {
     drawEllipse(c, one.at, one.ellipse, colours.track);
     drawTrackDot(c, one, warned.has(one.id));
     c.globalAlpha = 1;
-  }
-  for (const one of view.tracks.slice(0, LABELLED_TRACKS)) {
-    const [end, text] = [wayEnd(one), `T${one.id}  ${(3.6 * speedOf(one)).toFixed(0)} km/h`];
-    if (end) drawLabel(c, end, 0.6, sightText(one), colours.track, placed);
-    drawLabel(c, one.at, 1, end || one.appears_s === null ? text : `${text}, in sight ${sightText(one)}`, colours.track, placed);
   }
 }
 
@@ -957,23 +1009,50 @@ function drawEllipse(c, at, [major, minor, angle], colour, width = 1.2, dash = [
   stroke(c, points, colour, width, dash);
 }
 
-function drawLabel(c, at, reach_m, text, colour, placed) {
-  const width = c.measureText(text).width + 12;
-  const [px, py] = toCanvas(...at);
-  if (px < 0 || py < 0 || px > bev.clientWidth || py > bev.clientHeight) return;
-  const reach = camera.scale * reach_m;
-  const spots = [[0.7, -0.7], [0.7, 0.7], [-0.7, -0.7], [-0.7, 0.7], [1.6, -1.2]].map(([u, v]) => ({
-    x: px + u * reach + (u > 0 ? 8 : -8 - width), y: py + v * reach + (v > 0 ? 4 : -24), width, height: 20,
-  }));
-  const spot = spots.find((a) => placed.every((b) => a.x > b.x + b.width || b.x > a.x + a.width || a.y > b.y + b.height || b.y > a.y + a.height)) || spots[0];
-  placed.push(spot);
+// Beside the box that it names, where neither another box nor a label stands; if need be further off, with a line to it.
+function drawLabel(c, box, text, colour, taken) {
+  const [left, top, right, bottom] = box;
+  const [x, y, width, height] = [(left + right) / 2, (top + bottom) / 2, c.measureText(text).width + 12, 20];
+  if (x < 0 || y < 0 || x > bev.clientWidth || y > bev.clientHeight) return;
+  const spots = [3, 27, 51].flatMap((gap) => [
+    [x - width / 2, top - gap - height], [x - width / 2, bottom + gap], [right + gap, y - height / 2], [left - gap - width, y - height / 2],
+  ]).map(([u, v]) => [u, v, u + width, v + height]);
+  const isFree = (spot) => spot[0] > 0 && spot[1] > 0 && spot[2] < bev.clientWidth && spot[3] < bev.clientHeight && !taken.some((other) => overlap(spot, other));
+  const spot = spots.find(isFree) || spots[0];
+  taken.push(spot);
+  state.labels.push({ text, box, spot });
   c.beginPath();
-  c.roundRect(spot.x, spot.y, spot.width, spot.height, 4);
+  if (spots.indexOf(spot) > 3) {
+    c.moveTo(Math.min(Math.max(x, spot[0]), spot[2]), Math.min(Math.max(y, spot[1]), spot[3]));
+    c.lineTo(Math.min(Math.max(x, left), right), Math.min(Math.max(y, top), bottom));
+  }
+  c.roundRect(spot[0], spot[1], width, height, 4);
   Object.assign(c, { fillStyle: colours.label, strokeStyle: colour, lineWidth: 1, textAlign: "left" });
   c.fill();
   c.stroke();
   c.fillStyle = colours.text;
-  c.fillText(text, spot.x + 6, spot.y + 14);
+  c.fillText(text, spot[0] + 6, spot[1] + 14);
+}
+
+const overlap = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+
+// What a box in the plane, or a dot, takes of the canvas.
+function boundsOf(corners, margin = 2) {
+  const points = corners.map((corner) => toCanvas(...corner));
+  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+  return [Math.min(...xs) - margin, Math.min(...ys) - margin, Math.max(...xs) + margin, Math.max(...ys) + margin];
+}
+
+function drawLabels(c, { objects, tracks }) {
+  const [boxes, dots] = [state.layers.objects ? objects : [], state.layers.tracks ? tracks.slice(0, LABELLED_TRACKS) : []];
+  const taken = boxes.map((one) => boundsOf(cornersOf(one)));
+  state.labels = [];
+  for (const one of boxes) drawLabel(c, boundsOf(cornersOf(one)), `${objectName(one)}  ${one.score.toFixed(2)}`, colours.object, taken);
+  for (const one of dots) {
+    const [end, text] = [wayEnd(one), `T${one.id}  ${(3.6 * speedOf(one)).toFixed(0)} km/h`];
+    if (end) drawLabel(c, boundsOf([end], 9), sightText(one), colours.track, taken);
+    drawLabel(c, boundsOf([one.at], 8), end || one.appears_s === null ? text : `${text}, in sight ${sightText(one)}`, colours.track, taken);
+  }
 }
 
 function drawTruth(c, truth) {
@@ -1041,21 +1120,25 @@ function rgba(hex) {
   return [0, 2, 4, 6].map((at) => (at < digits.length ? parseInt(digits.slice(at, at + 2), 16) : 255));
 }
 
-// Levels from the lowest to the highest colour. Noise alone must look like noise: dark.
+// Levels from the lowest to the highest colour. Noise alone must look like noise: dark. An echo must not, however bright
+// a wall at hand is: of photons, which have few levels, all are shown.
 function levelWindow() {
   if (state.map.reference !== "noise") return [-DYNAMIC_RANGE_DB, 0];
   const top = Math.max(Math.ceil(state.map.peak_db / 5) * 5, LEAST_TOP_DB);
-  // a wall at hand outshines its own mirror image by more than beams do: of photons all levels are shown
-  return [state.map.mode === "photons" ? 0 : Math.max(top - DYNAMIC_RANGE_DB, 0), top];
+  return [state.map.mode === "photons" ? 0 : NOISE_TOP_DB, top];
+}
+
+// Share of the colour scale at a level: weak levels get more of it than strong ones.
+function shareAt(level, [low, high]) {
+  return Math.min(Math.max((level - low) / (high - low), 0), 1) ** 0.5;
 }
 
 // Colour of each code of a tile within the window of levels.
 function codeColours({ floor, step }) {
-  const [low, high] = levelWindow();
+  const levels = levelWindow();
   const table = new Uint8ClampedArray(4 * 256);
   for (let code = 0; code < 256; code += 1) {
-    const share = Math.min(Math.max((floor + step * code - low) / (high - low), 0), 1);
-    const at = 4 * Math.round(255 * share);
+    const at = 4 * Math.round(255 * shareAt(floor + step * code, levels));
     table.set(ramp.subarray(at, at + 4), 4 * code);
   }
   return table;
@@ -1215,8 +1298,12 @@ function drawColourBar(c, x, y, width, height) {
   }
   c.fillStyle = colours.axis;
   c.textAlign = "left";
+  let above = Infinity;
   for (let level = Math.ceil(low / 10) * 10; level <= high; level += 10) {
-    c.fillText(`${level}`, x + width + 5, Math.min(Math.max(y + height * (1 - (level - low) / (high - low)), y + 6), y + height - 2) + 4);
+    const at = Math.min(Math.max(y + height * (1 - shareAt(level, [low, high])), y + 6), y + height - 2);
+    if (above - at < 12) continue;
+    above = at;
+    c.fillText(`${level}`, x + width + 5, at + 4);
   }
   c.save();
   c.translate(x + width + 38, y + height / 2);
@@ -1228,14 +1315,14 @@ function drawColourBar(c, x, y, width, height) {
 
 // --- swatches --------------------------------------------------------------------------------------------------------
 
-function drawSwatch(layer) {
-  const canvas = byId(`swatch-${layer.key}`);
-  canvas.width = 44;
-  canvas.height = 32;
-  const c = canvas.getContext("2d");
-  c.setTransform(2, 0, 0, 2, 0, 0);
-  c.clearRect(0, 0, 22, 16);
-  layer.swatch(c);
+function drawSwatch({ key, swatch, more = [] }) {
+  const canvases = byId(`layer-${key}`).parentElement.querySelectorAll("canvas");
+  [swatch, more[1]].slice(0, canvases.length).forEach((draw, i) => {
+    Object.assign(canvases[i], { width: 44, height: 32 });
+    const c = canvases[i].getContext("2d");
+    c.setTransform(2, 0, 0, 2, 0, 0);
+    draw(c);
+  });
 }
 
 function plain(c, colour, width, points) {
@@ -1245,11 +1332,9 @@ function plain(c, colour, width, points) {
   c.stroke();
 }
 
-function drawMaskSwatch(c) {
-  c.fillStyle = colours.direct;
-  c.fillRect(1, 2, 10, 12);
-  c.fillStyle = colours.mirrored;
-  c.fillRect(11, 2, 10, 12);
+function drawMaskSwatch(c, kind) {
+  const image = maskImage({ rows: 12, columns: 20, cells: new Uint8Array(240).fill(kind) });
+  c.drawImage(image, 1, 2);
   Object.assign(c, { strokeStyle: colours.surface, lineWidth: 0.75 });
   c.strokeRect(1, 2, 20, 12);
 }
@@ -1428,11 +1513,10 @@ function buildLayers() {
     if (typeof kept[layer.key] === "boolean") state.layers[layer.key] = kept[layer.key];
     const label = document.createElement("label");
     const input = Object.assign(document.createElement("input"), { type: "checkbox", id: `layer-${layer.key}`, checked: state.layers[layer.key] });
-    const swatch = Object.assign(document.createElement("canvas"), { id: `swatch-${layer.key}` });
-    swatch.setAttribute("aria-hidden", "true");
+    const swatch = () => document.createElement("canvas");
     const kbd = Object.assign(document.createElement("kbd"), { textContent: index + 1 });
     label.title = layer.hint || "";
-    label.append(input, kbd, swatch, layer.name);
+    label.append(input, kbd, swatch(), layer.name, ...(layer.more ? [swatch(), layer.more[0]] : []));
     input.addEventListener("change", () => setLayer(layer.key, input.checked));
     byId("layers").append(label);
   });
@@ -1494,6 +1578,6 @@ function start() {
 }
 
 // For tests and for whoever opens the console: what is shown, and the canvas's own scale.
-window.mirrorwave = { state, plots, camera, toCanvas, toWorld, mapToCanvas: (range, azimuth) => mapToCanvas(range, azimuth), setPaused, setLayer, setForm, setTheme, fit };
+window.mirrorwave = { state, plots, camera, freshness, toCanvas, toWorld, mapToCanvas: (range, azimuth) => mapToCanvas(range, azimuth), setPaused, setLayer, setForm, setTheme, fit };
 
 start();

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
@@ -87,6 +88,7 @@ CUT = """() => [...document.querySelectorAll('header *, .warnings *, main *, foo
 def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, width: int) -> None:
     with ViewerServer(busy_board(), title="a title of some length") as server:
         page = open_page(server, scheme, width)
+        test_page.until(page, "mirrorwave.plots.shown.every((one) => one.data)")
         test_page.until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
         test_page.until(page, "mirrorwave.state.warnings.length >= 2")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -100,6 +102,83 @@ def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, w
         assert box["x"] + box["width"] <= width
         fits = "document.getElementById('help').scrollWidth <= document.getElementById('help').clientWidth"
         assert page.evaluate(fits)
+
+
+#: Words that stand in more than one line: parts of it have boxes at different heights.
+BROKEN = """() => [...document.querySelectorAll('#nodes, #tracks, #objects')].flatMap((table) => {
+  const walker = document.createTreeWalker(table, NodeFilter.SHOW_TEXT);
+  const words = [];
+  while (walker.nextNode()) for (const match of walker.currentNode.data.matchAll(/[\\w.]+/g)) {
+    const range = document.createRange();
+    range.setStart(walker.currentNode, match.index);
+    range.setEnd(walker.currentNode, match.index + match[0].length);
+    if (new Set([...range.getClientRects()].map((box) => Math.round(box.top))).size > 1) words.push(match[0]);
+  }
+  return words;
+})"""
+
+
+@pytest.mark.parametrize("width", [PHONE, DESK])
+def test_no_word_of_a_table_is_broken(open_page: Open, width: int) -> None:
+    with ViewerServer(busy_board(), title="words") as server:
+        page = open_page(server, "light", width)
+        test_page.until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
+        assert page.evaluate(BROKEN) == []
+        # the measure itself
+        narrow = "max-width: 40px; word-break: break-all; white-space: normal"
+        page.evaluate(f"document.querySelector('#nodes td').style.cssText = '{narrow}'")
+        assert page.evaluate(BROKEN) != []
+
+
+def test_what_stays_in_place_leaves_a_phone_its_picture(tmp_path: Path, open_page: Open) -> None:
+    """Two thirds of the screen are free between warnings and timeline; its last row is reached at the page's end."""
+    from tests.mirrorwave.commands.captures.test_view import write_drive
+
+    with test_page.played(write_drive(tmp_path / "drive.mcap")) as server:
+        page = open_page(server, "light", PHONE)
+        test_page.until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
+        page.keyboard.press("End")
+        test_page.until(page, "mirrorwave.state.warnings.some((one) => one.level === 'urgent')")
+        page.evaluate("window.scrollTo(0, 400)")
+        height = page.viewport_size["height"]
+        warnings, timeline = (page.locator(one).bounding_box() for one in ("#warnings", "#timeline"))
+        assert warnings["y"] == pytest.approx(0.0, abs=0.5)
+        assert timeline["y"] - warnings["height"] > 0.66 * height
+        for button in ("#back", "#play", "#forward", "#clock"):
+            box = page.locator(button).bounding_box()
+            assert box["y"] + box["height"] <= height
+        page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+        last = page.locator("#loop").bounding_box()
+        assert last["y"] + last["height"] <= height
+        page.goto("about:blank")
+
+
+def test_nodes_stand_above_the_fold_of_a_desk(open_page: Open) -> None:
+    with ViewerServer(busy_board(), title="desk") as server:
+        page = open_page(server, "light", 1400)
+        test_page.until(page, "mirrorwave.state.nodes.length === 3")
+        box = page.locator("#nodes tbody tr:not(.reason)").last.bounding_box()
+        assert box["y"] + box["height"] <= page.viewport_size["height"]
+
+
+def test_labels_stand_at_their_boxes_and_cover_none(open_page: Open) -> None:
+    """Of two objects, one under a track: each label is the nearest free place to what it names."""
+    board = Board()
+    view = test_page.frame(0, (11.6, 8.5), (22.0, -7.0))
+    track = test_page.road_user(3, 22.0, -7.0, time_to_appear_s=None)
+    Assembly(board).take(msgspec.structs.replace(view, tracks=(track,)), 0)
+    with ViewerServer(board, title="labels") as server:
+        page = open_page(server, "light", DESK)
+        test_page.until(page, "mirrorwave.state.labels.length === 3")
+        labels = page.evaluate("mirrorwave.state.labels")
+        boxes = [label["box"] for label in labels[:2]]
+        assert [label["text"].split()[0] for label in labels] == ["#0", "#1", "T3"]
+        for (left, top, right, bottom), (x, y, x_end, y_end) in ((one["box"], one["spot"]) for one in labels[:2]):
+            assert max(left - x_end, x - right, top - y_end, y - bottom) == pytest.approx(3.0)
+        spots = [label["spot"] for label in labels]
+        for index, (left, top, right, bottom) in enumerate(spots):
+            for x, y, x_end, y_end in [*boxes, *spots[index + 1 :]]:
+                assert right <= x or x_end <= left or bottom <= y or y_end <= top
 
 
 #: Pixels of the strip's upper lane left of its first scan, 66 px from the left, in the colour of objects.

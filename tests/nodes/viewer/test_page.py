@@ -18,7 +18,7 @@ import pytest
 from models.evaluation.object_error import object_distances
 from msgs.values.lidar import LidarSetup
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
-from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import last_beam_ns
 from nodes.viewer.assembly import Assembly
@@ -378,11 +378,93 @@ def test_the_vehicle_and_nodes_are_shown(server: ViewerServer, board: Board, ope
     assert page.evaluate("mirrorwave.state.view.vehicle.speed_mps") == 5.0
 
 
+LINK = "document.getElementById('link')"
+BANNER = "document.getElementById('old-picture')"
+
+
+def aged(board: Board, scan_id: int, age_s: float) -> None:
+    """A view that is so old when it comes, of a slow radar: its pictures stay live for 39 s."""
+    assembly = board.__dict__.setdefault("assembly", Assembly(board))
+    if scan_id == 0:
+        assembly.take(RadarSetup(radar=RadarParams(scan_period_s=20.0)), 0)
+    now_ns = (1000 + 20 * scan_id) * 10**9
+    assembly.take(msgspec.structs.replace(frame(scan_id), stamp_ns=now_ns - round(1e9 * age_s)), now_ns)
+
+
+@pytest.mark.parametrize(
+    ("age_s", "state", "words", "banner"),
+    [
+        (0.0, "live", "live", ""),
+        (19.7, "late", "late", ""),
+        (59.0, "old", "not live", "Old picture, "),
+        (61.0, "old", "not live", "Old picture, "),
+        (3.2e8, "old", "not live", "Old picture, 3704 days ago: views come late, or are played back"),
+        (-5.0, "old", "not live", "Old picture: stamped by another clock"),
+    ],
+)
+def test_only_a_picture_of_now_is_called_live(
+    server: ViewerServer, board: Board, open_page: Open, age_s: float, state: str, words: str, banner: str
+) -> None:
+    """The colour, the words and the note in the picture follow the age of the measurement, whatever has just come."""
+    aged(board, 0, 0.0)
+    aged(board, 1, age_s)
+    page = open_page(server)
+    until(page, "mirrorwave.state.view.scan_id === 1")
+    assert (page.evaluate(f"{LINK}.dataset.state"), page.evaluate(f"{LINK}.textContent")) == (state, words)
+    assert page.evaluate(f"!{BANNER}.hidden") == bool(banner)
+    assert page.evaluate(f"{BANNER}.textContent").startswith(banner)
+    assert (page.evaluate("ageOf(mirrorwave.state.view, mirrorwave.state.viewAt)") or -5e3) >= 1e3 * age_s
+
+
+def test_the_rule_of_the_page_at_its_limits(server: ViewerServer, open_page: Open) -> None:
+    page = open_page(server)
+    limits = "{ late_ms: 888.7, old_ms: 1000 }"
+    cases = {
+        "0": "live",
+        "888.7": "live",
+        "888.8": "late",
+        "1000": "late",
+        "1000.1": "old",
+        "1e12": "old",
+        "null": "old",
+    }
+    for age_ms, state in cases.items():
+        assert page.evaluate(f"mirrorwave.freshness({age_ms}, {limits})") == state, age_ms
+    assert page.evaluate("mirrorwave.freshness(0.1, { late_ms: 0, old_ms: 1000 })") == "late"
+
+
+def test_what_took_long_to_come_is_as_old_as_it_is(server: ViewerServer, open_page: Open) -> None:
+    """An update that left the viewer 5 s ago; and one on a clock that fell behind is not held back for ever."""
+    page = open_page(server)
+    late_ms = "(() => { const sent = viewerNow() - 5000; hearClock(sent); return viewerNow() - sent; })()"
+    assert page.evaluate(late_ms) == pytest.approx(5000.0, abs=50.0)
+    early_ms = "(() => { const sent = viewerNow() + 5000; hearClock(sent); return viewerNow() - sent; })()"
+    assert page.evaluate(early_ms) == pytest.approx(0.0, abs=50.0)
+
+
+def test_age_counts_on_when_nothing_comes(server: ViewerServer, board: Board, open_page: Open) -> None:
+    """The label turns by itself, the note says which node has ended, and a paused page does not call itself live."""
+    from msgs.values.diagnostics import NodeState, NodeStatus
+
+    board_scan(board, 0)
+    page = open_page(server)
+    until(page, f"{LINK}.textContent === 'not live'")
+    until(page, f"{BANNER}.textContent.endsWith('no new view comes')")
+    before = page.evaluate("parseFloat(document.getElementById('age').textContent)")
+    until(page, f"parseFloat(document.getElementById('age').textContent) > {before}")
+    assembly: Assembly = board.__dict__["assembly"]
+    assembly.take(NodeStatus(stamp_ns=0, node="player", pid=1, state=NodeState.STOPPING), 0)
+    assembly.post_table(0)
+    until(page, f"{BANNER}.textContent.endsWith('player has ended')")
+    page.keyboard.press("Space")
+    until(page, f"{LINK}.textContent === 'paused' && {LINK}.dataset.state === 'old'")
+
+
 def test_the_page_says_when_the_graph_has_gone(board: Board, open_page: Open) -> None:
     server = ViewerServer(board, title="short")
     page = open_page(server)
     server.close()
-    until(page, "document.getElementById('link').textContent.startsWith('no connection')")
+    until(page, "document.getElementById('link').textContent === 'the graph has ended'")
     page.goto("about:blank")
 
 

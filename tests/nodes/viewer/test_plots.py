@@ -54,10 +54,14 @@ def open_page(browser: Any) -> Iterator[Open]:
     """Opens the page of a server; any error on it, also one of its policy, fails the test."""
     contexts, trouble = [], []
 
-    def open_it(server: ViewerServer, context: Any = None, width: int = 1440, scheme: str = "light") -> Any:
+    def open_it(
+        server: ViewerServer, context: Any = None, width: int = 1440, scheme: str = "light", kept: str = "[]"
+    ) -> Any:
         if context is None:
             context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
             contexts.append(context)
+            keep = f"localStorage.getItem('mirrorwave.plots') || localStorage.setItem('mirrorwave.plots', '{kept}')"
+            context.add_init_script(keep)
         page = context.new_page()
         page.on("console", lambda message: trouble.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: trouble.append(str(error)))
@@ -137,6 +141,22 @@ def test_numbers_of_vehicle_views_and_nodes_are_plotted_as_they_come(
     assert page.locator("#plots .plot-value").all_inner_texts() == ["19", "1", "22"]
     for index in range(3):
         assert page.evaluate(INK, index) > 60
+
+
+def test_a_page_opens_with_plots_and_stays_without_those_that_were_removed(
+    board: Board, server: ViewerServer, open_page: Open
+) -> None:
+    run_graph(board, range(5))
+    page = open_page(server, kept="null")
+    until(page, "mirrorwave.plots.shown.length === 2 && mirrorwave.plots.shown.every((one) => one.data)")
+    names = page.locator("#plots .plot-name").all_inner_texts()
+    assert names == [f"perception/hidden_objects {field}" for field in ("latency_ms", "objects.count")]
+    assert values_of(page, 1) == [float(scan % 3) for scan in range(5)]
+    for _ in names:
+        page.click("#plots button")
+    page.reload()
+    until(page, "mirrorwave.plots.fields.length")
+    assert page.locator("#plots li").count() == 0
 
 
 def test_nothing_is_sent_to_a_page_that_plots_nothing(board: Board, server: ViewerServer, open_page: Open) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 import subprocess
@@ -31,7 +32,8 @@ from msgs.values.perception import (
 from msgs.values.radar import PRESETS, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.viewer import view_model
-from nodes.viewer.newest import json_text
+from nodes.viewer.assembly import Assembly
+from nodes.viewer.newest import Board, json_text
 from nodes.viewer.node_table import MAX_ENTRIES, MAX_HEARTBEATS, MAX_NODES, SILENT_NS, NodeTable
 from nodes.viewer.view_model import MAX_TRACKS, STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
 
@@ -393,6 +395,24 @@ def test_the_page_is_told_which_sensor_it_looks_through(setup: RadarSetup | Lida
     assert told["text"] == words
     assert told["name"] == ("LiDAR" if isinstance(setup, LidarSetup) else "radar")
     assert 0.0 < told["scan_s"] <= told["scan_period_s"] * (1.0 + 1e-9)
+
+
+def test_a_picture_is_live_under_its_deadline_late_above_it_and_old_above_a_second() -> None:
+    """The radar's scan takes 288.7 ms; its view has 300 ms, and so has the next, 300 ms later."""
+    assert view_model.age_limits_ms(RadarSetup(), was_late=False) == {"late_ms": 888.7, "old_ms": 1000.0}
+    assert view_model.age_limits_ms(None, was_late=False) == {"late_ms": 888.7, "old_ms": 1000.0}
+    assert view_model.age_limits_ms(RadarSetup(), was_late=True) == {"late_ms": 0.0, "old_ms": 1000.0}
+    # pictures of a sensor whose scans take longer are older than a second by nature
+    slow = RadarSetup(radar=RadarParams(scan_period_s=3.0))
+    assert view_model.age_limits_ms(slow, was_late=False)["old_ms"] == pytest.approx(2880.7 + 300.0 + 3000.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("arrived_ms", "late_ms"), [(588.6, 888.7), (588.8, 0.0), (43_800.0, 0.0)])
+def test_what_came_after_its_deadline_is_never_live(arrived_ms: float, late_ms: float) -> None:
+    board = Board()
+    Assembly(board).take(msgspec.structs.replace(frame(), stamp_ns=0), round(1e6 * arrived_ms))
+    told = json.loads(board.messages("view", board.newer({})["view"])[0])
+    assert (told["age_ms"], told["late_ms"], told["old_ms"]) == (arrived_ms, late_ms, 1000.0)
 
 
 def test_a_peer_that_invents_all_it_can_fills_neither_table_nor_page() -> None:
