@@ -125,7 +125,7 @@ def console_table(
         left_out.append(least[len(left_out)])
         kept.remove(left_out[-1])
     if widths is None:
-        return Text("\n\n".join(_block(columns, row) for row in cells))
+        return Text("\n\n".join(_block(columns, row) for row in cells) or ", ".join(columns))
     # a wide one may have left room for others
     for index in reversed(left_out):
         if (more := _column_widths(columns, cells, sorted([*kept, index]), width)) is not None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave import early_start
 from mirrorwave.completion import complete_profiles
 from mirrorwave.console import ExitCode, print_line
 from msgs.files.shipped import LAUNCH
@@ -50,7 +51,7 @@ def demo(
     watcher.start()
     start_s = time.monotonic()
     try:
-        code = run_graph(graph, domain, duration, headless=headless)
+        code = run_graph(graph, domain, duration, headless=headless, server=early_start.take())
     finally:
         watcher.stop()
     if code != ExitCode.DONE:
