@@ -28,7 +28,7 @@ def read_profile(name: str) -> dict[str, dict[str, Any]]:
     if name not in profile_names():
         known = profile_names()
         raise ValueError(
-            f"--profile: unknown profile {name!r}{did_you_mean(name, known)}; known are {', '.join(known)}"
+            f"--profile: unknown profile {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}"
         )
     return read_yaml_mapping(path)
 

@@ -62,7 +62,7 @@ def _require_known(domain: str, node: str) -> None:
     known = [name for topic, name in list_publishers(run_dir(domain)) if topic == VALUES]
     if node not in known:
         near = did_you_mean(node, known)
-        raise ValueError(f"no node {node!r} has parameters here{near}; known are {', '.join(known) or 'none'}")
+        raise ValueError(f"no node {node!r} has parameters here; known are {', '.join(known) or 'none'}{near}")
 
 
 def parse_changes(node: str, assignments: Iterable[str]) -> dict[str, Any]:

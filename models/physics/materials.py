@@ -129,7 +129,7 @@ def material_name(name: str) -> str:
     key = _key(name)
     key = ALIASES.get(key, key)
     if key not in TABLE:
-        raise ValueError(f"unknown material {name!r}{did_you_mean(name, TABLE)}; known are {', '.join(TABLE)}")
+        raise ValueError(f"unknown material {name!r}, known are {', '.join(TABLE)}{did_you_mean(name, TABLE)}")
     return key
 
 
@@ -144,7 +144,7 @@ def wall_name(name: str) -> str:
     key = ALIASES.get(key, key)
     if key not in TABLE:
         near = did_you_mean(name, wall_names())
-        raise ValueError(f"unknown material {name!r}{near}; known are {', '.join(wall_names())}")
+        raise ValueError(f"unknown material {name!r}, known are {', '.join(wall_names())}{near}")
     return key
 
 

@@ -107,5 +107,5 @@ RAW_TOPICS = (*(raw for _, raw in SENSOR_TOPICS), DETECTIONS_TOPIC)
 def topic_facts(name: str) -> Topic:
     """Return the facts of a topic by name; an unknown name is refused with a list of the names that exist."""
     if name not in TOPICS:
-        raise ValueError(f"unknown topic {name!r}{did_you_mean(name, TOPICS)}; known are {', '.join(sorted(TOPICS))}")
+        raise ValueError(f"unknown topic {name!r}; known are {', '.join(sorted(TOPICS))}{did_you_mean(name, TOPICS)}")
     return TOPICS[name]

@@ -34,7 +34,7 @@ def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
         return text
     rule, place, path = text.partition(_PLACE)
     name = _NAME.search(rule)
-    return f"{rule}{did_you_mean(name[0], valid) if name else ''}; known are {', '.join(valid)}{place}{path}"
+    return f"{rule}; known are {', '.join(valid)}{did_you_mean(name[0], valid) if name else ''}{place}{path}"
 
 
 def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
@@ -54,7 +54,7 @@ def _refuse(value: Any, wanted: Any, where: str) -> None:
                 path = f"{where}.{name}" if where else str(name)
                 if name not in valid:
                     raise ValueError(
-                        f"{path}: unknown field{did_you_mean(str(name), valid)}; known are {', '.join(valid)}"
+                        f"{path}: unknown field; known are {', '.join(valid)}{did_you_mean(str(name), valid)}"
                     )
                 _refuse(inner, valid[name], path)
         elif typing.get_origin(kind) is dict and isinstance(value, Mapping):
@@ -62,7 +62,7 @@ def _refuse(value: Any, wanted: Any, where: str) -> None:
                 _refuse(inner, typing.get_args(kind)[1], f"{where}.{name}")
         elif (choices := _choices(kind)) and isinstance(value, str) and value not in choices:
             raise ValueError(
-                f"{where}: unknown {value!r}{did_you_mean(value, choices)}; known are {', '.join(choices)}"
+                f"{where}: unknown {value!r}; known are {', '.join(choices)}{did_you_mean(value, choices)}"
             )
 
 

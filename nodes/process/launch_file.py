@@ -352,7 +352,7 @@ def dump_launch(launch: LaunchFile) -> str:
 
 
 def _unknown(name: str, nodes: Iterable[str]) -> str:
-    return f"unknown node {name!r}{did_you_mean(name, nodes)}; known are {_names(nodes)}"
+    return f"unknown node {name!r}; known are {_names(nodes)}{did_you_mean(name, nodes)}"
 
 
 def _names(names: Iterable[str]) -> str:

@@ -75,7 +75,7 @@ def _restart(request: ParamRequest, entries: Mapping[str, NodeEntry]) -> Restart
         raise ValueError(f"changes must name one node to restart, got {', '.join(changes) or 'none'}")
     ((node, params),) = changes.items()
     if node not in entries:
-        raise ValueError(f"unknown node {node!r}{did_you_mean(node, entries)}; known are {', '.join(entries)}")
+        raise ValueError(f"unknown node {node!r}; known are {', '.join(entries)}{did_you_mean(node, entries)}")
     if not isinstance(params, dict):
         raise ValueError(f"{node}: expected a mapping of parameters, got {json.dumps(params)[:50]}")
     before = entries[node]

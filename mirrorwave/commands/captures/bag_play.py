@@ -91,7 +91,7 @@ def _renamed(reader: RecordingReader, remap: list[str]) -> dict[str, str]:
             raise ValueError(f"--remap {pair}: {reader.path} holds no topic {old!r}; it holds {', '.join(types)}")
         if new not in TOPICS:
             near = did_you_mean(new, TOPICS)
-            raise ValueError(f"--remap {pair}: unknown topic {new!r}{near}; known are {', '.join(sorted(TOPICS))}")
+            raise ValueError(f"--remap {pair}: unknown topic {new!r}; known are {', '.join(sorted(TOPICS))}{near}")
         if types[old] != TOPICS[new].type.__name__:
             wanted = TOPICS[new].type.__name__
             raise ValueError(f"--remap {pair}: {new} carries {wanted}, but {old} {types[old] or 'has no type'}")

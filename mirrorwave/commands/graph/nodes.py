@@ -144,7 +144,7 @@ def info(
     """One node: parameters, rates and losses of its topics, the time its stages take."""
     heard = _heartbeats(domain, window)
     if name not in heard:
-        raise ValueError(f"unknown node {name!r}{did_you_mean(name, heard)}; heard of are {', '.join(heard)}")
+        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(heard)}{did_you_mean(name, heard)}")
     beats = heard[name]
     status = next((beat for beat in reversed(beats) if beat.stages), beats[-1])
     # a peer's process is none of this machine, though one here may have its number
@@ -255,7 +255,7 @@ def kill(
     heard = _heartbeats(domain, WINDOW_S)
     own = {key: beats for key, beats in heard.items() if not is_of_peer(key)}
     if name not in own:
-        raise ValueError(f"unknown node {name!r}{did_you_mean(name, own)}; heard of are {', '.join(own)}")
+        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(own)}{did_you_mean(name, own)}")
     pid = own[name][-1].pid
     os.kill(pid, signal.Signals[f"SIG{how}"])
     print_line(f"{name}: SIG{how} to pid {pid}")

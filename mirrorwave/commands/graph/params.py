@@ -49,7 +49,7 @@ def get_param(
         if not isinstance(value, dict) or part not in value:
             known = f"known are {', '.join(value)}" if isinstance(value, dict) else "it has no parts"
             near = did_you_mean(part, value if isinstance(value, dict) else ())
-            raise ValueError(f"{node}: unknown parameter {key!r}{near}; {known}")
+            raise ValueError(f"{node}: unknown parameter {key!r}; {known}{near}")
         value = value[part]
     if as_json:
         print_json(value)
