@@ -72,7 +72,10 @@ def launch(
     runs_dir: Annotated[Path, typer.Option(help="Where each run gets a folder for its log.")] = Path("runs"),
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages."""
+    """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages.
+
+    At a terminal, a graph with a page keeps its last view until Ctrl-C, unless --duration or --record is given.
+    """
     from mirrorwave.control.launch_params import require_params
     from mirrorwave.profiles import over_default, with_profile
     from nodes.process.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params, with_process
@@ -140,13 +143,23 @@ def run_graph(
     earlier = [] if record is None else _recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
         supervisor = Supervisor(
-            graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer, server=server
-        )
+            graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer, server=server,
+            holds=duration_s is None and record is None and _is_watched(graph),
+        )  # fmt: skip
         with stopped_by_signal(supervisor.request_stop):
             code = supervisor.run()
             if record is not None and code == ExitCode.DONE:
                 code = code_of_recordings([path for path in _recorded_files(record) if path not in earlier])
     return code
+
+
+def _is_watched(graph: Any) -> bool:
+    """Return whether somebody at a terminal may look at a page of the graph, and can end it by Ctrl-C."""
+    try:
+        at_terminal = sys.stdout.isatty() and os.tcgetpgrp(sys.stdout.fileno()) == os.getpgrp()
+    except (OSError, ValueError):
+        return False
+    return at_terminal and any(entry.viewer for entry in graph.nodes.values())
 
 
 def _recorded_files(record: Path) -> list[Path]:
