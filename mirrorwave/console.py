@@ -157,7 +157,10 @@ def _column_widths(columns: Sequence[str], cells: list[list[str]], kept: list[in
         return None
     limits = range(max(wanted, default=0), -1, -1)
     narrowed = ([max(low, min(high, limit)) for low, high in zip(least, wanted, strict=True)] for limit in limits)
-    return next(widths for widths in narrowed if sum(widths) <= room)
+    widths = next(widths for widths in narrowed if sum(widths) <= room)
+    for index, high in enumerate(wanted):
+        widths[index] += min(high - widths[index], room - sum(widths))
+    return widths
 
 
 def _width(texts: Iterable[str]) -> int:

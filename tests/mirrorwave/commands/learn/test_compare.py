@@ -307,7 +307,7 @@ def test_a_scene_of_a_material_unknown_to_the_sensor_is_one_line(
     scene.write_text((CHECKOUT / "launch" / "scenes" / "corner.yaml").read_text().replace("brick", "plywood"))
     assert cli.main(["compare", "--out", str(tmp_path / "run"), "--scene", str(scene), "--sensor", "77ghz"]) == 2
     said = capsys.readouterr().err
-    assert "scene 'corner': surfaces[0].material: material plywood is known for 1..40 GHz, got 77 GHz" in said
+    assert "scene 'bend': surfaces[0].material: material plywood is known for 1..40 GHz, got 77 GHz" in said
     assert said.count("\n") == 1
 
 
