@@ -24,6 +24,50 @@ from mirrorwave.terminal import READER_LEFT
 from msgs.files.open_files import raise_open_files
 from nodes.process.kernel_cache import use_fallback
 
+#: Verbs and groups as the help lists them, each with an example.
+_PANELS = {
+    "Start here": {
+        "demo": "demo --duration 30",
+        "process": "process --sample --view",
+        "view": "view seen.mcap",
+    },
+    "Run a graph": {
+        "launch": "launch launch/corner.yaml --duration 60",
+        "top": "top --once",
+        "node": "node list",
+        "topic": "topic echo perception/hidden_objects --once",
+        "param": "param set geometry object_threshold=0.5",
+        "graph": "graph launch/corner.yaml",
+        "doctor": "doctor",
+        "security": "security check launch/corner.yaml",
+    },
+    "Recordings and the data of others": {
+        "bag": "bag record seen.mcap --duration 10",
+        "import": "import sigmf capture.sigmf-meta --out capture.mcap",
+        "can": "can decode drive.log",
+        "calibrate": "calibrate background field.mcap --out background.npy",
+        "annotate": "annotate scene.yaml --out labelled",
+    },
+    "Simulate": {
+        "sim": "sim run launch/scenes/corner.yaml --out corner.mcap --scans 5",
+    },
+    "Train and measure": {
+        "train": "train dense --data data/places --out runs/dense",
+        "export": "export runs/dense --out dense.onnx",
+        "eval": "eval --objects --count 20",
+        "tradeoff": "tradeoff --quick",
+        "compare": "compare --quick",
+    },
+}
+_NAME = "mirrorwave"
+_EXAMPLES = {name: example for panel in _PANELS.values() for name, example in panel.items()}
+_NAME_WIDTH = max(map(len, _EXAMPLES))
+#: Options by the names that they had, of each verb.
+_FORMER_NAMES = {
+    "compare": {"--jobs": "--workers"},
+    "eval": {"--places": "--count"},
+    "tradeoff": {"--frames": "--count"},
+}
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
     "demo": "mirrorwave.commands.graph.demo:demo",
@@ -70,7 +114,21 @@ class WholeHelp(typer.core.TyperGroup):
         command = super().get_command(ctx, cmd_name)
         if isinstance(command, typer.core.TyperGroup):
             _describe_whole(command)
+        if command is not None and self.name == _NAME and cmd_name in _EXAMPLES:
+            command.epilog = f"Example: mirrorwave {_EXAMPLES[cmd_name]}"
         return command
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the verbs of the whole command line by what they are for, each with an example."""
+        if self.name != _NAME:
+            super().format_commands(ctx, formatter)
+            return
+        for title, verbs in _PANELS.items():
+            with formatter.section(title):
+                for name, example in verbs.items():
+                    if (command := self.get_command(ctx, name)) is not None:
+                        formatter.write_dl([(name.ljust(_NAME_WIDTH), command.get_short_help_str(1000))])
+                        formatter.write(f"{'':{formatter.current_indent + _NAME_WIDTH + 2}}$ mirrorwave {example}\n")
 
 
 def _describe_whole(group: typer.core.TyperGroup) -> None:
@@ -110,11 +168,13 @@ def version() -> str:
 def command_line(verb: str = "") -> typer.Typer:
     """Return the command line of one verb or verb group, read in a third of the time; by default of all."""
     app = typer.Typer(
-        name="mirrorwave",
+        name=_NAME,
         cls=WholeHelp,
         help="Sees what stands behind the corner, in the mirror of a wall.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
+        # verbs and groups take over the names of their parent
+        context_settings={"help_option_names": ["-h", "--help"]},
         rich_markup_mode=None,
     )
     app.callback()(_options)
@@ -127,10 +187,19 @@ def command_line(verb: str = "") -> typer.Typer:
     return app
 
 
-def _verb(argv: list[str] | None) -> str:
+def _verb(argv: list[str]) -> str:
     """Return the verb or verb group that a command line begins with, or nothing: then all are wanted."""
-    words = sys.argv[1:] if argv is None else argv
-    return words[0] if words and words[0] in _VERBS | _GROUPS else ""
+    return argv[0] if argv and argv[0] in _VERBS | _GROUPS else ""
+
+
+def _understood(words: list[str]) -> list[str]:
+    """Return a command line with `help` before, between or behind its verbs as --help, and options by their names."""
+    at = words.index("help") if "help" in words[:3] else None
+    if at is not None and (words[0] in _GROUPS or (at < 2 and set(words[:at]) <= _VERBS.keys())):
+        words = [*words[:at], *words[at + 1 :], "--help"]
+    names = _FORMER_NAMES.get(words[0], {}) if words else {}
+    pairs = (word.partition("=") for word in words)
+    return [f"{names.get(name, name)}{equals}{value}" for name, equals, value in pairs]
 
 
 def _load(target: str) -> Any:
@@ -166,7 +235,8 @@ def main(argv: list[str] | None = None) -> int:
 def _run(argv: list[str] | None) -> int:
     try:
         use_fallback()
-        code = command_line(_verb(argv))(args=argv, prog_name="mirrorwave", standalone_mode=False)
+        words = _understood(sys.argv[1:] if argv is None else argv)
+        code = command_line(_verb(words))(args=words, prog_name="mirrorwave", standalone_mode=False)
         # what typer makes of an interrupt; other versions let it through
         if code == INTERRUPTED:
             return ended_by_signal(argv)

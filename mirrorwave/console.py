@@ -126,7 +126,7 @@ def console_table(
         left_out.append(least[len(left_out)])
         kept.remove(left_out[-1])
     if widths is None:
-        return Text("\n\n".join(_block(columns, row) for row in cells))
+        return Text("\n\n".join(_block(columns, row) for row in cells) or ", ".join(columns))
     # a wide one may have left room for others
     for index in reversed(left_out):
         if (more := _column_widths(columns, cells, sorted([*kept, index]), width)) is not None:
@@ -158,7 +158,10 @@ def _column_widths(columns: Sequence[str], cells: list[list[str]], kept: list[in
         return None
     limits = range(max(wanted, default=0), -1, -1)
     narrowed = ([max(low, min(high, limit)) for low, high in zip(least, wanted, strict=True)] for limit in limits)
-    return next(widths for widths in narrowed if sum(widths) <= room)
+    widths = next(widths for widths in narrowed if sum(widths) <= room)
+    for index, high in enumerate(wanted):
+        widths[index] += min(high - widths[index], room - sum(widths))
+    return widths
 
 
 def _width(texts: Iterable[str]) -> int:

@@ -23,7 +23,12 @@ def begin(words: Sequence[str]) -> None:
     It ends with this process, whatever becomes of the command.
     """
     global _server
-    if not words or words[0] not in _VERBS or "--help" in words or "_MIRRORWAVE_COMPLETE" in os.environ:
+    if (
+        not words
+        or words[0] not in _VERBS
+        or {"-h", "--help", "help"} & set(words)
+        or "_MIRRORWAVE_COMPLETE" in os.environ
+    ):
         return
     from nodes.process.fork_server import ForkServer
     from nodes.process.kernel_cache import use_fallback

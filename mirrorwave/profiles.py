@@ -7,6 +7,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from msgs.files.shipped import LAUNCH
+from msgs.values.wording import did_you_mean
 from nodes.process.launch_file import LaunchFile, read_yaml_mapping, with_params
 from nodes.process.validation import merged
 
@@ -25,7 +26,10 @@ def read_profile(name: str) -> dict[str, dict[str, Any]]:
     """Node parameters of a profile; raises `ValueError` with the names there are."""
     path = PROFILES / f"{name}.yaml"
     if name not in profile_names():
-        raise ValueError(f"--profile: unknown profile {name!r}; known are {', '.join(profile_names())}")
+        known = profile_names()
+        raise ValueError(
+            f"--profile: unknown profile {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}"
+        )
     return read_yaml_mapping(path)
 
 

@@ -41,7 +41,8 @@ def _require_capture_name(path: Path) -> None:
     """Raise `ValueError` for a file that is there and belongs to no capture."""
     is_sigmf = path.suffix in (".sigmf-meta", ".sigmf-data") or Path(f"{path}.sigmf-meta").is_file()
     if path.is_file() and not is_sigmf:
-        raise ValueError(f"{path}: must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta")
+        scene = "; mirrorwave sim run SCENE --out NAME.mcap records a scene" if path.suffix in (".yaml", ".yml") else ""
+        raise ValueError(f"{path}: must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta{scene}")
 
 
 def _use_of(recording: Path, held: Iterable[str]) -> str:

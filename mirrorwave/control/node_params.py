@@ -12,6 +12,7 @@ from typing import Any
 from mirrorwave.diagnose.running_graph import launch_of_graph, require_graph
 from msgs.bus.zmq import ZmqBus, list_publishers, run_dir
 from msgs.values.node_params import NodeParams, ParamRequest
+from msgs.values.wording import did_you_mean
 from nodes.node import node_module
 from nodes.process.launch_file import SUPERVISOR, parse_yaml
 from nodes.process.param_server import REQUESTS, VALUES
@@ -60,7 +61,8 @@ def _own_name() -> str:
 def _require_known(domain: str, node: str) -> None:
     known = [name for topic, name in list_publishers(run_dir(domain)) if topic == VALUES]
     if node not in known:
-        raise ValueError(f"no node {node!r} has parameters here; known are {', '.join(known) or 'none'}")
+        near = did_you_mean(node, known)
+        raise ValueError(f"no node {node!r} has parameters here; known are {', '.join(known) or 'none'}{near}")
 
 
 def parse_changes(node: str, assignments: Iterable[str]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 from msgs.bus.codec import CodecError, decode_inline
 from msgs.bus.topics import topic_facts
 from msgs.values.known_names import with_known_names
+from msgs.values.wording import did_you_mean
 
 
 def message_of(topic: str, values: Mapping[str, Any], now_ns: int) -> msgspec.Struct:
@@ -25,7 +26,8 @@ def message_of(topic: str, values: Mapping[str, Any], now_ns: int) -> msgspec.St
     kind: Any = topic_facts(topic).type
     names = set(kind.__struct_fields__)
     if unknown := sorted(values.keys() - names):
-        raise ValueError(f"{topic}: unknown field {unknown[0]!r}; known are {', '.join(sorted(names))}")
+        near = did_you_mean(unknown[0], names)
+        raise ValueError(f"{topic}: unknown field {unknown[0]!r}; known are {', '.join(sorted(names))}{near}")
     body = {"stamp_ns": now_ns, **values} if "stamp_ns" in names else dict(values)
     arrays = {field.name for field in msgspec.structs.fields(kind) if "ndarray" in str(field.type)}
     body = {name: _array_of(f"{topic}: {name}", value) if name in arrays else value for name, value in body.items()}

@@ -12,6 +12,8 @@ import cmath
 import math
 from dataclasses import dataclass
 
+from msgs.values.wording import did_you_mean
+
 VACUUM_PERMITTIVITY_F_PER_M = 8.854_187_812_8e-12
 #: Ratio of eps - 1 between published samples of a material: concrete measured at 57.5 GHz (refractive index 2.55 -
 #: j0.084) and that of P.2040 (eps 5.24). An extrapolated value claims no less.
@@ -127,7 +129,7 @@ def material_name(name: str) -> str:
     key = _key(name)
     key = ALIASES.get(key, key)
     if key not in TABLE:
-        raise ValueError(f"unknown material {name!r}, known are {', '.join(TABLE)}")
+        raise ValueError(f"unknown material {name!r}, known are {', '.join(TABLE)}{did_you_mean(name, TABLE)}")
     return key
 
 
@@ -141,7 +143,8 @@ def wall_name(name: str) -> str:
         return key
     key = ALIASES.get(key, key)
     if key not in TABLE:
-        raise ValueError(f"unknown material {name!r}, known are {', '.join(wall_names())}")
+        near = did_you_mean(name, wall_names())
+        raise ValueError(f"unknown material {name!r}, known are {', '.join(wall_names())}{near}")
     return key
 
 

@@ -12,6 +12,7 @@ from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
+from msgs.values.wording import did_you_mean
 
 MIB = 1 << 20
 
@@ -137,5 +138,5 @@ RAW_TOPICS = (*(raw for _, raw in SENSOR_TOPICS), DETECTIONS_TOPIC)
 def topic_facts(name: str) -> Topic:
     """Return the facts of a topic by name; an unknown name is refused with a list of the names that exist."""
     if name not in TOPICS:
-        raise ValueError(f"unknown topic {name!r}; known are {', '.join(sorted(TOPICS))}")
+        raise ValueError(f"unknown topic {name!r}; known are {', '.join(sorted(TOPICS))}{did_you_mean(name, TOPICS)}")
     return TOPICS[name]

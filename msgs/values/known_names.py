@@ -11,10 +11,14 @@ from typing import Any
 
 import msgspec
 
+from msgs.values.wording import did_you_mean
+
 #: The messages that a list of what is known belongs to, and msgspec's place of the value.
 _UNKNOWN = re.compile(
     r"(?P<what>Object contains unknown field|Invalid enum value) .*?(?: - at `\$(?P<path>[^`]*)`)?$", re.DOTALL
 )
+#: The unknown name in such a message.
+_NAME = re.compile(r"(?<=[`'])[^`']+(?=[`']$)")
 #: A step of msgspec's path: a field, the number of an item, or any value of a mapping.
 _STEP = re.compile(r"\.(?P<field>\w+)|\[\d*\]|\[\.\.\.\]")
 #: Where msgspec's text names the place, as the end of the message.
@@ -29,7 +33,8 @@ def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
     if not valid:
         return text
     rule, place, path = text.partition(_PLACE)
-    return f"{rule}; known are {', '.join(valid)}{place}{path}"
+    name = _NAME.search(rule)
+    return f"{rule}; known are {', '.join(valid)}{did_you_mean(name[0], valid) if name else ''}{place}{path}"
 
 
 def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
@@ -48,13 +53,17 @@ def _refuse(value: Any, wanted: Any, where: str) -> None:
             for name, inner in value.items():
                 path = f"{where}.{name}" if where else str(name)
                 if name not in valid:
-                    raise ValueError(f"{path}: unknown field; known are {', '.join(valid)}")
+                    raise ValueError(
+                        f"{path}: unknown field; known are {', '.join(valid)}{did_you_mean(str(name), valid)}"
+                    )
                 _refuse(inner, valid[name], path)
         elif typing.get_origin(kind) is dict and isinstance(value, Mapping):
             for name, inner in value.items():
                 _refuse(inner, typing.get_args(kind)[1], f"{where}.{name}")
         elif (choices := _choices(kind)) and isinstance(value, str) and value not in choices:
-            raise ValueError(f"{where}: unknown {value!r}; known are {', '.join(choices)}")
+            raise ValueError(
+                f"{where}: unknown {value!r}; known are {', '.join(choices)}{did_you_mean(value, choices)}"
+            )
 
 
 def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:

@@ -14,6 +14,8 @@ import yaml
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
+from msgs.files.yaml_loader import BoundedLoader, in_words
+from msgs.values.wording import did_you_mean
 from nodes.node import NODE_NAME
 from nodes.process.validation import convert_at, merged
 
@@ -121,7 +123,7 @@ class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(f"nodes.{node}: this name belongs to the supervisor")
         for other in entry.after:
             if other not in self.nodes:
-                raise ValueError(f"nodes.{node}.after: unknown node {other!r}; known are {_names(self.nodes)}")
+                raise ValueError(f"nodes.{node}.after: {_unknown(other, self.nodes)}")
         if entry.process:
             self._check_process(node, entry)
 
@@ -200,7 +202,18 @@ def read_launch_file(path: Path) -> LaunchFile:
     """Return the launch file at `path`, or the shipped one of that name; raises `ValueError` naming file, field and
     rule, `OSError` if unreadable.
     """
-    return launch_from_mapping(read_yaml_mapping(shipped_path(path)), str(path))
+    if path.suffix in (".mcap", ".sigmf-meta", ".sigmf-data"):
+        raise ValueError(
+            f"{path}: is a recording, no launch file; mirrorwave process finds its hidden objects, mirrorwave view "
+            "plays it"
+        )
+    value = read_yaml_mapping(shipped_path(path))
+    if "nodes" not in value and {"radar", "surfaces", "objects"} & set(value):
+        raise ValueError(
+            f"{path}: is a scene, no launch file; to run it live: mirrorwave launch launch/corner.yaml "
+            f"-p player.scene={path}; to record it: mirrorwave sim run {path} --out NAME.mcap"
+        )
+    return launch_from_mapping(value, str(path))
 
 
 def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
@@ -239,7 +252,7 @@ def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> La
     nodes = dict(launch.nodes)
     for name, changes in params.items():
         if name not in nodes:
-            raise ValueError(f"{where}: unknown node {name!r}; known are {_names(nodes)}")
+            raise ValueError(f"{where}: {_unknown(name, nodes)}")
         if not isinstance(changes, dict):
             raise ValueError(f"{where}: {name}: expected a mapping of parameters, got {in_words(changes)}")
         nodes[name] = msgspec.structs.replace(nodes[name], params=merged(nodes[name].params, changes))
@@ -266,7 +279,7 @@ def with_process(launch: LaunchFile, group: str) -> LaunchFile:
     nodes = dict(launch.nodes)
     for name in names.split(",") if equals else ():
         if name not in nodes:
-            raise ValueError(f"--group {group}: unknown node {name!r}; known are {_names(nodes)}")
+            raise ValueError(f"--group {group}: {_unknown(name, nodes)}")
         nodes[name] = msgspec.structs.replace(nodes[name], process=process)
     if not (process and equals):
         raise ValueError(f"--group {group}: expected process=node,node")
@@ -336,6 +349,10 @@ def without_viewers(launch: LaunchFile) -> LaunchFile:
 def dump_launch(launch: LaunchFile) -> str:
     """Return the launch file as YAML with all defaults written out; it reads back as an equal value."""
     return yaml.dump(msgspec.to_builtins(launch), Dumper=PlainDumper, sort_keys=False, allow_unicode=True)
+
+
+def _unknown(name: str, nodes: Iterable[str]) -> str:
+    return f"unknown node {name!r}; known are {_names(nodes)}{did_you_mean(name, nodes)}"
 
 
 def _names(names: Iterable[str]) -> str:

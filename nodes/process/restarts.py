@@ -10,6 +10,7 @@ import msgspec
 
 from msgs.bus.zmq import ZmqBus
 from msgs.values.node_params import NodeParams, ParamRequest
+from msgs.values.wording import did_you_mean
 from nodes.process.launch_file import SUPERVISOR, NodeEntry
 from nodes.process.param_server import REQUESTS, VALUES, parse_mapping
 from nodes.process.validation import merged
@@ -74,7 +75,7 @@ def _restart(request: ParamRequest, entries: Mapping[str, NodeEntry]) -> Restart
         raise ValueError(f"changes must name one node to restart, got {', '.join(changes) or 'none'}")
     ((node, params),) = changes.items()
     if node not in entries:
-        raise ValueError(f"unknown node {node!r}; known are {', '.join(entries)}")
+        raise ValueError(f"unknown node {node!r}; known are {', '.join(entries)}{did_you_mean(node, entries)}")
     if not isinstance(params, dict):
         raise ValueError(f"{node}: expected a mapping of parameters, got {json.dumps(params)[:50]}")
     before = entries[node]

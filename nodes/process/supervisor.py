@@ -181,7 +181,8 @@ class Supervisor:
     """Runs one graph from start to end: `Supervisor(launch, run_dir).run()`.
 
     `on_log` gets every entry of the log (time, node, level, text); the same entries go to `log.jsonl` in the run
-    folder `runs_dir/<name>-<n>`, beside the resolved `launch.yaml`. `duration_s` counts from all nodes ready.
+    folder `runs_dir/<name>-<n>`, beside the resolved `launch.yaml`. `duration_s` counts from all nodes ready. One that
+    `holds` goes on when a node that ends the graph has come to its end, for those who look at its last view.
     """
 
     def __init__(
@@ -193,10 +194,12 @@ class Supervisor:
         duration_s: float | None = None,
         on_log: LogSink | None = None,
         server: ForkServer | None = None,
+        holds: bool = False,
     ) -> None:
         if duration_s is not None and not duration_s > 0.0:
             raise ValueError(f"duration_s must be above zero, got {duration_s!r}")
         self._launch, self._run_dir, self._duration_s, self._on_log = launch, run_dir, duration_s, on_log
+        self._holds = holds
         self._homes = {name: entry.process or name for name, entry in launch.nodes.items()}
         self._nodes = {
             process: _Watched(entry, [name for name, home in self._homes.items() if home == process])
@@ -416,7 +419,12 @@ class Supervisor:
             return
         node.phase = Phase.ENDED
         self._say("info", f"{name} has ended")
-        if node.entry.ends_graph:
+        if not node.entry.ends_graph:
+            return
+        if self._holds:
+            again = f"`mirrorwave node restart {name}` in another terminal plays it again"
+            self._say("info", f"{name} has come to its end; the page keeps the last view until Ctrl-C; {again}")
+        else:
             self._stop_in_order(f"{name} has come to its end")
 
     def _fail(self, name: str, node: _Watched, code: int) -> None:

@@ -278,6 +278,8 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
         raise ValueError(f"expected a mapping of {', '.join(Scene.__struct_fields__)}, got {in_words(content)}")
+    if isinstance(content.get("nodes"), dict):
+        raise ValueError("is a launch file, no scene; the parameter scene of its player names one")
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:

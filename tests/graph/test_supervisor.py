@@ -20,6 +20,7 @@ import pytest
 
 from benchmarks.live.faults import processes_of
 from msgs.files.shipped import CHECKOUT
+from msgs.values.node_params import ParamRequest
 from nodes.process.launch_file import LaunchFile, launch_from_mapping
 from nodes.process.liveness import Sample, sample
 from nodes.process.supervisor import Supervisor, read_lock
@@ -89,6 +90,23 @@ def test_a_graph_ends_with_the_node_that_ends_it(run_dir: Path) -> None:
     entries = [json.loads(line) for line in (run_folder / "log.jsonl").read_text().splitlines()]
     assert any((entry["node"], entry["text"]) == ("tick", "hello") for entry in entries)
     assert (run_folder / "launch.yaml").is_file()
+
+
+def test_a_graph_that_holds_goes_on_after_the_node_that_ends_it(run_dir: Path) -> None:
+    """Until it is asked to end; meanwhile that node can be started again."""
+    log = _Log()
+    launch = _launch(
+        echo={"params": {"kind": "echo"}}, tick={"params": {"ticks": 1}, "after": ["echo"], "ends_graph": True}
+    )
+    supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log, holds=True)
+    request = ParamRequest(stamp_ns=0, request="again", node="supervisor", changes='{"tick": {}}')
+    log.rules = [
+        ("the page keeps the last view until Ctrl-C", 1, lambda: supervisor._begin_restart(request)),
+        ("the page keeps the last view until Ctrl-C", 2, supervisor.request_stop),
+    ]
+    assert supervisor.run() == 0
+    assert len(log.pids("tick")) == 2
+    assert log.count("stopping: asked to") == 1
 
 
 def test_nodes_get_ready_side_by_side_and_begin_in_order(run_dir: Path) -> None:

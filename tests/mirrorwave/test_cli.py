@@ -12,11 +12,14 @@ from typing import Any
 
 import pytest
 from typer import Context
+from typer.core import TyperGroup
 from typer.main import get_command
 
+from mirrorwave import cli
 from mirrorwave.cli import command_line, main
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import error_line, exit_code_of
+from msgs.files.shipped import LAUNCH
 from msgs.recording.mcap import RecordingWriter, info
 from msgs.values.vehicle import VehicleState
 
@@ -65,6 +68,81 @@ def test_version_and_help_end_well(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("mirrorwave ")
     assert main(["--help"]) == 0
     assert "launch" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["-h", "help", "sim -h", "sim help", "help sim", "sim effects -h", "sim effects help", "help sim effects",
+     "sim import help", "doctor -h", "doctor help", "launch help", "param set -h"],
+)  # fmt: skip
+def test_help_is_asked_for_in_any_way(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words.split()) == 0
+    verbs = " ".join(word for word in words.split() if word not in ("-h", "help"))
+    assert capsys.readouterr().out.startswith(f"Usage: mirrorwave {verbs}".rstrip())
+
+
+def test_the_whole_help_lists_each_verb_once_with_an_example_that_its_parser_takes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert set(cli._EXAMPLES) == set(cli._VERBS) | set(cli._GROUPS)
+    for verb, example in cli._EXAMPLES.items():
+        assert sum(line.startswith(f"  {verb} ") for line in lines) == 1
+        assert f"$ mirrorwave {example}" in {line.strip() for line in lines}
+        command, words = get_command(command_line(verb)), example.split()
+        while isinstance(command, TyperGroup) and words:
+            command = command.get_command(Context(command), words.pop(0))
+        assert command is not None
+        command.make_context(verb, words)
+
+
+def test_options_are_taken_by_their_former_names(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "--jobs", "0"]) == 2
+    assert "'--workers'" in capsys.readouterr().err
+    assert main(["tradeoff", "--frames=0"]) == 2
+    assert "'--count'" in capsys.readouterr().err
+    assert main(["eval", "--places", "3", "--data", "d"]) == 2
+    assert capsys.readouterr().err == "mirrorwave: --count must not be given with --data\n"
+    assert main(["sim", "dataset", "--places", "nowhere", "--count", "1", "--out", "d"]) == 2
+    assert "'--places'" in capsys.readouterr().err, "the kind of place, in another verb"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["launch", "launch/scenes/corner.yaml"], "is a scene, no launch file; to run it live: mirrorwave launch"),
+        (["launch", "launch/samples/side_street.mcap"], "is a recording, no launch file; mirrorwave process"),
+        (["sim", "effects", "launch/corner.yaml"], "is a launch file, no scene"),
+        (["process", str(LAUNCH / "scenes/corner.yaml")], "mirrorwave sim run SCENE --out NAME.mcap records a scene"),
+        (["topic", "echo", "hidden_objects"], "; did you mean 'perception/hidden_objects'?"),
+        (["topic", "hz", "radar/ramap"], "; did you mean 'radar/ra_map'?"),
+        (["launch", "launch/corner.yaml", "-p", "geomtry.walls=1"], "; did you mean 'geometry'?"),
+        (["launch", "launch/corner.yaml", "-p", "geometry.object_treshold=1"], "; did you mean 'object_threshold'?"),
+        (["launch", "launch/corner.yaml", "-p", "geometry.object_threshold=abc"], "Expected float | null, got str"),
+        (["launch", "launch/corner.yaml", "-p", "geometry.object_threshold=7"], "must lie in 0..1, got 7.0"),
+        (["launch", "launch/corner.yaml", "--profile", "balancd"], "; did you mean 'balanced'?"),
+        (["sim", "material", "conrete"], "; did you mean 'concrete'?"),
+    ],
+)  # fmt: skip
+def test_a_slip_is_named_with_what_was_meant_before_anything_starts(
+    words: list[str], said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mirrorwave.commands.graph.launch.run_graph", lambda *_, **__: pytest.fail("was started"))
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    answer = capfd.readouterr()
+    assert (answer.out, answer.err.count("\n")) == ("", 1)
+    assert said in answer.err
+
+
+def test_sound_parameters_start_the_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    started = []
+    monkeypatch.setattr(
+        "mirrorwave.commands.graph.launch.run_graph", lambda graph, *_, **__: started.append(graph) or 0
+    )
+    assert main(["launch", "launch/corner.yaml", "-p", "geometry.object_threshold=0.5"]) == 0
+    assert started[0].nodes["geometry"].params["object_threshold"] == 0.5
 
 
 def test_a_launch_file_error_names_the_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,7 +31,7 @@ def annotate(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.yaml", help="Clouds, first poses, heights (YAML or JSON).")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of scenes in the published layout.")],
     radar: Annotated[
-        Path | None, typer.Option(metavar="CAPTURE", help="Recording (MCAP) or SigMF; else the one SCENE.yaml names.")
+        Path | None, typer.Option(metavar="RECORDING", help="Recording (MCAP) or SigMF; else the one SCENE.yaml names.")
     ] = None,
     frame: Annotated[str, typer.Option(metavar="NAME", help="Name of the frame within its scene.")] = "frame_000",
     kind: Annotated[

@@ -14,7 +14,7 @@ from mirrorwave.console import require_new_file
 from mirrorwave.exit_signals import is_asked_again
 from msgs.values.units import ns_from_s
 
-File = Annotated[Path, typer.Argument(metavar="FILE", help="Recording.")]
+File = Annotated[Path, typer.Argument(metavar="RECORDING", help="Recording (MCAP).")]
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="New recording.")]
 Topics = Annotated[str | None, typer.Option("--topics", metavar="A,B", help="Only these topics, by comma.")]
 StartS = Annotated[float, typer.Option("--start", metavar="S", min=0.0, help="Leave out the first S seconds.")]

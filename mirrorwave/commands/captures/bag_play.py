@@ -12,7 +12,7 @@ import typer
 from mirrorwave.commands.captures.bag_options import EndS, File, StartS, Topics, span_ns, split_topics, stop_by_signal
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line
 from msgs.bus.topics import ABOUT_NODES, TOPICS
-from msgs.values.wording import counted
+from msgs.values.wording import counted, did_you_mean
 
 if TYPE_CHECKING:
     from mirrorwave.replay.keys import Keyboard
@@ -90,7 +90,8 @@ def _renamed(reader: RecordingReader, remap: list[str]) -> dict[str, str]:
         if old not in types:
             raise ValueError(f"--remap {pair}: {reader.path} holds no topic {old!r}; it holds {', '.join(types)}")
         if new not in TOPICS:
-            raise ValueError(f"--remap {pair}: unknown topic {new!r}; known are {', '.join(sorted(TOPICS))}")
+            near = did_you_mean(new, TOPICS)
+            raise ValueError(f"--remap {pair}: unknown topic {new!r}; known are {', '.join(sorted(TOPICS))}{near}")
         if types[old] != TOPICS[new].type.__name__:
             wanted = TOPICS[new].type.__name__
             raise ValueError(f"--remap {pair}: {new} carries {wanted}, but {old} {types[old] or 'has no type'}")

@@ -28,7 +28,9 @@ app = typer.Typer(
     no_args_is_help=True, help="Background and noise of the radar; its pose on the vehicle; its clock against CAN."
 )
 
-CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE", help="SigMF capture or MCAP recording with raw beams.")]
+CaptureFile = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="SigMF capture or MCAP recording with raw beams.")
+]
 DriveFile = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="MCAP recording of a drive: vehicle/state, raw beams or peaks.")
 ]

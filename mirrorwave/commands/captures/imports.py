@@ -43,7 +43,7 @@ def _group() -> None:
 
 @app.command()
 def xradarnlos(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder in the published layout.")],
+    folder: Annotated[Path, typer.Argument(metavar="SOURCE", help="Folder in the published layout.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Data set to write; must be empty or new.")],
     kind: Annotated[KindOption, typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")] = (
         KindOption.SIM
@@ -86,7 +86,7 @@ def xradarnlos(
 
 @app.command()
 def dca1000(
-    capture: Annotated[Path, typer.Argument(metavar="CAPTURE.bin", help="Raw samples as the DCA1000 stored them.")],
+    capture: Annotated[Path, typer.Argument(metavar="SOURCE", help="Raw samples as the DCA1000 stored them.")],
     config: Annotated[
         Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg or .json, or a .lua of mmWave Studio.")
     ],
@@ -137,7 +137,7 @@ def dca1000(
 
 @app.command()
 def can(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
+    log: Annotated[Path, typer.Argument(metavar="SOURCE", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of vehicle/state.")],
     dbc: Annotated[Path, typer.Option("--dbc", help="The car's DBC.")] = Path("launch/can/mirrorwave.dbc"),
     mapping: Annotated[
@@ -177,7 +177,9 @@ def can(
 
 @app.command()
 def detections(
-    source: Annotated[Path, typer.Argument(metavar="FILE", help="Table (.csv, .tsv, .txt) or ROS bag (file, folder).")],
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="Table (.csv, .tsv, .txt) or ROS bag (file, folder).")
+    ],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of radar/detections.")],
     mapping: Annotated[
         Path | None, typer.Option("--mapping", help="From columns or fields to detections, YAML; bags have a default.")
@@ -203,7 +205,7 @@ def detections(
 
 @app.command()
 def sigmf(
-    capture: Annotated[Path, typer.Argument(metavar="META", help="Capture: its .sigmf-meta, .sigmf-data or stem.")],
+    capture: Annotated[Path, typer.Argument(metavar="SOURCE", help="Capture: its .sigmf-meta, .sigmf-data or stem.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of set-up and raw beams.")],
     as_json: AsJson = False,
 ) -> int:
@@ -223,7 +225,7 @@ def sigmf(
 
 @app.command()
 def transients(
-    capture: Annotated[Path, typer.Argument(metavar="FILE.mat", help="Photon counts of a confocal scan of a wall.")],
+    capture: Annotated[Path, typer.Argument(metavar="SOURCE", help="Photon counts of a confocal scan of a wall.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for picture, arrays and summary; empty or new.")],
     min_range_m: Annotated[
         float, typer.Option(metavar="M", help="Light from nearer than this to the wall is the wall's own.")

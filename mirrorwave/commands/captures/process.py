@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def process(
     capture: Annotated[
         Path | None,
-        typer.Argument(metavar="CAPTURE", help="SigMF capture or MCAP recording with raw beams or detections."),
+        typer.Argument(metavar="RECORDING", help="SigMF capture or MCAP recording with raw beams or detections."),
     ] = None,
     sample: Sample = False,
     out: Annotated[
@@ -43,7 +43,7 @@ def process(
 
     if view and as_json:
         raise ValueError("--json and --view exclude each other: the page's address would follow the JSON")
-    path = file_or_sample(capture, sample, "CAPTURE")
+    path = file_or_sample(capture, sample, "RECORDING")
     out = Path("out") / path.name.split(".")[0] if out is None else out
     with compile_line(), progress_bar("scans") as advance:
         results = run_capture(path, out, profile, param, advance, records=view)

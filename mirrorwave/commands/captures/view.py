@@ -9,7 +9,9 @@ import typer
 
 from mirrorwave.console import compile_line, file_or_sample, print_line, progress_bar
 
-Sample = Annotated[bool, typer.Option("--sample", help="Take the drive past two hidden cars that ships (no FILE).")]
+Sample = Annotated[
+    bool, typer.Option("--sample", help="Take the drive past two hidden cars that ships (no RECORDING).")
+]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")]
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Only print the address.")]
 DEFAULT_PORT = 8765

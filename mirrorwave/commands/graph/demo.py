@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave import early_start
 from mirrorwave.completion import complete_profiles
 from mirrorwave.console import ExitCode, print_line
 from msgs.files.shipped import LAUNCH
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from msgs.values.perception import BevFrame
     from msgs.values.radar import RangeAzimuthMap
 
-#: Where nobody looks (headless, or no terminal) this says it all; who looks gets time to.
+#: Without a page this says it all; who opens the page gets time to.
 UNWATCHED_S, WATCHED_S = 12.0, 120.0
 DEMO_LAUNCH = LAUNCH / "demo.yaml"
 
@@ -27,7 +27,7 @@ DEMO_LAUNCH = LAUNCH / "demo.yaml"
 def demo(
     headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", min=1.0, help="Seconds to run [12, on a terminal 120].")
+        float | None, typer.Option(metavar="S", min=1.0, help="Seconds to run [120, headless 12].")
     ] = None,
     profile: Annotated[
         str,
@@ -42,7 +42,7 @@ def demo(
     from nodes.process.launch_file import read_launch_file
 
     if duration is None:
-        duration = WATCHED_S if sys.stdout.isatty() and not headless else UNWATCHED_S
+        duration = UNWATCHED_S if headless else WATCHED_S
     graph = with_profile(read_launch_file(DEMO_LAUNCH), profile)
     # a domain of its own: the demo neither disturbs a running graph nor hears it
     domain = "demo"
@@ -50,7 +50,7 @@ def demo(
     watcher.start()
     start_s = time.monotonic()
     try:
-        code = run_graph(graph, domain, duration, headless=headless)
+        code = run_graph(graph, domain, duration, headless=headless, server=early_start.take())
     finally:
         watcher.stop()
     if code != ExitCode.DONE:

@@ -14,7 +14,11 @@ from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print
 def graph(
     file: Annotated[
         Path | None,
-        typer.Argument(help="Launch file; without one, the running graph.", autocompletion=complete_launch_files),
+        typer.Argument(
+            metavar="LAUNCH_FILE",
+            help="Launch file; without one, the running graph.",
+            autocompletion=complete_launch_files,
+        ),
     ] = None,
     svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a drawing, for light and dark pages.")] = None,
     dot: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it for Graphviz.")] = None,

@@ -35,7 +35,9 @@ _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red
 
 
 def launch(
-    file: Annotated[Path, typer.Argument(help="Launch file (YAML).", autocompletion=complete_launch_files)],
+    file: Annotated[
+        Path, typer.Argument(metavar="LAUNCH_FILE", help="Launch file (YAML).", autocompletion=complete_launch_files)
+    ],
     param: Annotated[
         list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
     ] = None,
@@ -72,7 +74,11 @@ def launch(
     runs_dir: Annotated[Path, typer.Option(help="Where each run gets a folder for its log.")] = Path("runs"),
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages."""
+    """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages.
+
+    At a terminal, a graph with a page keeps its last view until Ctrl-C, unless --duration or --record is given.
+    """
+    from mirrorwave.control.launch_params import require_params
     from mirrorwave.profiles import over_default, with_profile
     from nodes.process.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params, with_process
 
@@ -85,13 +91,19 @@ def launch(
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
     graph = with_overrides(graph, param or ())
+    server = early_start.take()
+    in_file = [] if params_file is None else [(name, str(params_file)) for name in read_yaml_mapping(params_file)]
+    named = [(override.partition(".")[0].strip(), f"-p {override}") for override in param or ()]
+    require_params(graph, [*in_file, *named], server)
     for nodes in group or ():
         graph = with_process(graph, nodes)
     options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
     if record is None and (raw or options):
         raise ValueError("--raw and the options of recording need --record OUT")
     options |= {"raw": True} if raw else {}
-    raise typer.Exit(run_graph(graph, domain, duration, record, options, headless=headless, runs_dir=runs_dir))
+    raise typer.Exit(
+        run_graph(graph, domain, duration, record, options, headless=headless, runs_dir=runs_dir, server=server)
+    )
 
 
 def _profile_within(budget_ms: float, remeasure: bool) -> str:
@@ -112,10 +124,12 @@ def run_graph(
     *,
     headless: bool = False,
     runs_dir: Path = Path("runs"),
+    server: Any = None,
 ) -> int:
     """Supervise a `LaunchFile`, one coloured log on the terminal; returns the graph's exit code.
 
     `record` names a recording of it all, `options` the recorder's parameters; where it lacks messages the code is 3.
+    `server`: the fork server that was started early, which it closes.
     """
     from msgs.bus.zmq import run_dir
     from nodes.process.launch_file import with_origin, with_recorder, without_viewers
@@ -131,13 +145,23 @@ def run_graph(
     earlier = [] if record is None else _recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
         supervisor = Supervisor(
-            graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer, server=early_start.take()
-        )
+            graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer, server=server,
+            holds=duration_s is None and record is None and _is_watched(graph),
+        )  # fmt: skip
         with stopped_by_signal(supervisor.request_stop):
             code = supervisor.run()
             if record is not None and code == ExitCode.DONE:
                 code = code_of_recordings([path for path in _recorded_files(record) if path not in earlier])
     return code
+
+
+def _is_watched(graph: Any) -> bool:
+    """Return whether somebody at a terminal may look at a page of the graph, and can end it by Ctrl-C."""
+    try:
+        at_terminal = sys.stdout.isatty() and os.tcgetpgrp(sys.stdout.fileno()) == os.getpgrp()
+    except (OSError, ValueError):
+        return False
+    return at_terminal and any(entry.viewer for entry in graph.nodes.values())
 
 
 def _recorded_files(record: Path) -> list[Path]:

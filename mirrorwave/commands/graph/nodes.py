@@ -19,7 +19,7 @@ from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.topics import ABOUT_NODES
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
-from msgs.values.wording import counted
+from msgs.values.wording import counted, did_you_mean
 from nodes.viewer.node_table import is_of_peer
 
 app = typer.Typer(help="Look at the nodes of a running graph, and at those there are.", no_args_is_help=True)
@@ -144,7 +144,7 @@ def info(
     """One node: parameters, rates and losses of its topics, the time its stages take."""
     heard = _heartbeats(domain, window)
     if name not in heard:
-        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(heard)}")
+        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(heard)}{did_you_mean(name, heard)}")
     beats = heard[name]
     status = next((beat for beat in reversed(beats) if beat.stages), beats[-1])
     # a peer's process is none of this machine, though one here may have its number
@@ -255,7 +255,7 @@ def kill(
     heard = _heartbeats(domain, WINDOW_S)
     own = {key: beats for key, beats in heard.items() if not is_of_peer(key)}
     if name not in own:
-        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(own)}")
+        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(own)}{did_you_mean(name, own)}")
     pid = own[name][-1].pid
     os.kill(pid, signal.Signals[f"SIG{how}"])
     print_line(f"{name}: SIG{how} to pid {pid}")

@@ -9,6 +9,7 @@ import typer
 
 from mirrorwave.completion import NodeName, complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from msgs.values.wording import did_you_mean
 
 app = typer.Typer(help="Read and change parameters of running nodes.", no_args_is_help=True)
 
@@ -47,7 +48,8 @@ def get_param(
     for part in key.split(".") if key else ():
         if not isinstance(value, dict) or part not in value:
             known = f"known are {', '.join(value)}" if isinstance(value, dict) else "it has no parts"
-            raise ValueError(f"{node}: unknown parameter {key!r}; {known}")
+            near = did_you_mean(part, value if isinstance(value, dict) else ())
+            raise ValueError(f"{node}: unknown parameter {key!r}; {known}{near}")
         value = value[part]
     if as_json:
         print_json(value)

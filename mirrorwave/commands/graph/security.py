@@ -34,7 +34,9 @@ def keygen(
 def check(
     launch_file: Annotated[
         Path | None,
-        typer.Argument(help="Launch file to look at, too.", autocompletion=complete_launch_files),
+        typer.Argument(
+            metavar="LAUNCH_FILE", help="Launch file to look at, too.", autocompletion=complete_launch_files
+        ),
     ] = None,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,

@@ -42,7 +42,7 @@ def compare(
         str, typer.Option(metavar="WHAT", help="power: 1.6 mW each; energy: a scan's energy as well.")
     ] = "power",
     seed: Annotated[int, typer.Option(help="Of the viewpoints, the places and the noise.")] = 11,
-    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
     as_json: AsJson = False,
 ) -> None:
     """Equal power, one grid, one evaluation: reach, roughness, material, incidence; JSON, Markdown, a figure."""
@@ -68,7 +68,7 @@ def compare(
         values={name: _values(name, quick) for name in names},
     )
     with progress_bar("scenes", len(plan.jobs)) as tick:
-        results = run_plan(plan, out, jobs, tick)
+        results = run_plan(plan, out, workers, tick)
     report = make_report(plan, results, _command(plan, names, quick))
     write_report(out, "compare", report, markdown(report))
     draw_comparison(report, out / "compare.png")

@@ -68,7 +68,7 @@ def evaluate(
             show_default=False,
         ),
     ] = None,
-    places: Annotated[
+    count: Annotated[
         int | None, typer.Option(min=1, help="With --objects and no --set: places of the series --seed [100].")
     ] = None,
     moving: Annotated[
@@ -129,13 +129,13 @@ def evaluate(
 
         evaluate_objects(
             ObjectRequest(
-                sets=sets or [], profiles=profile or ["default"], places=places, moving=moving, effects=effects,
+                sets=sets or [], profiles=profile or ["default"], places=count, moving=moving, effects=effects,
                 seed=seed, draws=draws, workers=workers, false_cost=false_cost, out=out,
             ),
             as_json,
         )  # fmt: skip
         return
-    _refuse("--data", {"--profile": profile, "--set": sets, "--places": places, "--moving": moving or None})
+    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count, "--moving": moving or None})
     if data is None:
         raise ValueError("--data must name a data set, or --objects ask for random places")
     from mirrorwave.studies.evaluate.report import Context, make_report, write_report

@@ -35,7 +35,7 @@ def tradeoff(
         list[str] | None,
         typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles."),
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the places, and of the order of the stages.")] = 11,
     simulator: Annotated[bool, typer.Option("--simulator", help="The simulator's own choices instead.")] = False,
@@ -53,8 +53,8 @@ def tradeoff(
     from mirrorwave.studies.tradeoff.settings import DEFAULT_SETTINGS, read_settings
 
     rows = _selected_rows(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
-    count, often = FULL if full else QUICK
-    plan = Plan(rows=rows, frames=frames or count, repeats=repeats or often, seed=seed)
+    usual, often = FULL if full else QUICK
+    plan = Plan(rows=rows, frames=count or usual, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
         if busy := busy_reason(load_per_core()):
             tick.print(f"mirrorwave: the machine is busy, times will not count: {busy}")
@@ -106,7 +106,7 @@ def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
 
 def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:
     """Return the command that repeats the run."""
-    words = ["mirrorwave", "tradeoff", "--frames", str(plan.frames), "--repeats", str(plan.repeats)]
+    words = ["mirrorwave", "tradeoff", "--count", str(plan.frames), "--repeats", str(plan.repeats)]
     words += ["--seed", str(plan.seed)]
     words += ["--networks", str(networks)] if networks else []
     words += ["--settings", str(settings)] if settings else []

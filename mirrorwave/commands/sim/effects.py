@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sim_player.lidar.spad import OpticPlan
     from sim_player.planner.plan import Plan
 
-SceneFile = Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)]
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (YAML).", autocompletion=complete_scenes)]
 Budget = Annotated[
     float, typer.Option("--budget-db", help="Most that any cell may be off, relative to noise or what stands there.")
 ]

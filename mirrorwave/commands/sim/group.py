@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.commands.sim.dataset import dataset, statistics
-from mirrorwave.commands.sim.effects import Budget, Effects, For, effects, paths
+from mirrorwave.commands.sim.effects import Budget, Effects, For, SceneFile, effects, paths
 from mirrorwave.commands.sim.fdtd import reflectance, wall
 from mirrorwave.commands.sim.lidar import lidar
 from mirrorwave.commands.sim.map_import import app as import_app
 from mirrorwave.commands.sim.material import material
-from mirrorwave.completion import complete_scenes
 from mirrorwave.console import compile_line, print_line, progress_bar, require_new_file
 from msgs.values.wording import counted
 
@@ -41,7 +40,7 @@ class Walls(StrEnum):
 
 @app.command()
 def run(
-    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)],
+    scene: SceneFile,
     out: Annotated[Path, typer.Option(help="Capture to write: NAME.mcap, or NAME.sigmf-meta for SigMF.")],
     scans: Annotated[int, typer.Option(min=1)] = 1,
     seed: int = 0,

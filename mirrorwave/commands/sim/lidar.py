@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def lidar(
-    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (YAML).")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for clouds, manifest and truth; new or empty.")],
     viewpoint: Annotated[
         list[str] | None,

@@ -105,7 +105,7 @@ def _plans(request: ObjectRequest) -> tuple[dict[str, ObjectPlan], float]:
         if name not in committed.sets:
             raise ValueError(f"--set must be one of {', '.join(committed.sets)}, got {name!r}")
     if request.sets and (request.places is not None or request.moving or request.effects != "all"):
-        raise ValueError("--set says places, motion and effects itself: leave out --places, --moving and --effects")
+        raise ValueError("--set says places, motion and effects itself: leave out --count, --moving and --effects")
     if len(set(request.profiles)) < len(request.profiles) or len(set(request.sets)) < len(request.sets):
         raise ValueError("--profile and --set must each name a thing once")
     sets = {name: committed.sets[name] for name in request.sets}

@@ -38,13 +38,13 @@ class Outer(msgspec.Struct, forbid_unknown_fields=True):
 @pytest.mark.parametrize(
     ("value", "known", "place"),
     [
-        ({"nmae": "x"}, "name, one, many, pair, named, deep", None),
+        ({"nmae": "x"}, "name, one, many, pair, named, deep; did you mean 'name'?", None),
         ({"one": {"x": 1}}, "depth_m, kind", "$.one"),
         ({"many": [{}, {"x": 1}]}, "depth_m, kind", "$.many[1]"),
-        ({"pair": [1, {"kind_": ""}]}, "depth_m, kind", "$.pair[1]"),
+        ({"pair": [1, {"kind_": ""}]}, "depth_m, kind; did you mean 'kind'?", "$.pair[1]"),
         ({"named": {"a": {"x": 1}}}, "depth_m, kind", "$.named[...]"),
         ({"deep": {"a": [{"x": 1}]}}, "depth_m, kind", "$.deep[...][0]"),
-        ({"odd`, name": 1}, "name, one, many, pair, named, deep", None),
+        ({"odd`, name": 1}, "name, one, many, pair, named, deep; did you mean 'name'?", None),
     ],
 )
 def test_the_fields_of_the_place_are_listed(value: object, known: str, place: str | None) -> None:
@@ -57,7 +57,10 @@ def test_the_fields_of_the_place_are_listed(value: object, known: str, place: st
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        ({"colour": "blue"}, "Invalid enum value 'blue'; known are red, dark-blue - at `$.colour`"),
+        (
+            {"colour": "blue"},
+            "Invalid enum value 'blue'; known are red, dark-blue; did you mean 'dark-blue'? - at `$.colour`",
+        ),
         ({"size": ["m", "l"]}, "Invalid enum value 'l'; known are m, s - at `$.size[1]`"),
     ],
 )

@@ -330,8 +330,8 @@ def test_view_of_the_sample_processes_it_first(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["process", "a.mcap", "--sample"], "give CAPTURE or --sample, not both"),
-        (["process"], "give CAPTURE or --sample"),
+        (["process", "a.mcap", "--sample"], "give RECORDING or --sample, not both"),
+        (["process"], "give RECORDING or --sample"),
         (["process", "--sample", "--view", "--json"], "--json and --view exclude each other"),
         (["view", "a.mcap", "--sample"], "give RECORDING or --sample, not both"),
         (["view"], "give RECORDING or --sample"),

@@ -270,7 +270,7 @@ def test_few_counts_ask_for_more_than_a_normal_law() -> None:
         (["--equal", "weight"], "--equal must be one of power, energy, got 'weight'"),
         (["--viewpoints", "0"], "viewpoints must lie in 1..1000, got 0"),
         (["--viewpoints", "100000000000"], "viewpoints must lie in 1..1000, got 100000000000"),
-        (["--jobs", "0"], "jobs must be at least 1, got 0"),
+        (["--jobs", "0"], "Invalid value for '--workers'"),
         (["--seed", "-1"], "seed must not be negative, got -1"),
         (["--scene", "no-such.yaml"], "--sweep, --quick and --viewpoints do not go with --scene, got 'no-such.yaml'"),
     ],
@@ -307,7 +307,7 @@ def test_a_scene_of_a_material_unknown_to_the_sensor_is_one_line(
     scene.write_text((CHECKOUT / "launch" / "scenes" / "corner.yaml").read_text().replace("brick", "plywood"))
     assert cli.main(["compare", "--out", str(tmp_path / "run"), "--scene", str(scene), "--sensor", "77ghz"]) == 2
     said = capsys.readouterr().err
-    assert "scene 'corner': surfaces[0].material: material plywood is known for 1..40 GHz, got 77 GHz" in said
+    assert "scene 'bend': surfaces[0].material: material plywood is known for 1..40 GHz, got 77 GHz" in said
     assert said.count("\n") == 1
 
 

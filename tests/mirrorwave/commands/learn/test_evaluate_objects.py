@@ -172,7 +172,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
         (["--objects", "--data", "x"], "--data must not be given with --objects"),
         (["--objects", "--method", "cfar"], "--method must not be given with --objects"),
         (["--objects", "--set", "nowhere"], "--set must be one of report, report_moving, validation"),
-        (["--objects", "--set", "report", "--places", "3"], "leave out --places, --moving and --effects"),
+        (["--objects", "--set", "report", "--places", "3"], "leave out --count, --moving and --effects"),
         (["--objects", "--set", "report", "--set", "report"], "must each name a thing once"),
         (["--objects", "--profile", "magic"], "--profile must be one of default, accurate"),
         (["--objects", "--places", "1", "--effects", "wind"], "wind"),
