@@ -14,7 +14,6 @@ import yaml
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
-from msgs.files.yaml_loader import BoundedLoader, in_words
 from msgs.values.wording import did_you_mean
 from nodes.node import NODE_NAME
 from nodes.process.validation import convert_at, merged
