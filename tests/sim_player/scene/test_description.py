@@ -234,7 +234,7 @@ def test_wall_that_swallows_a_wall_end_is_refused() -> None:
         # 4.5 m by 1.8 m each: bumper to bumper, door to door, corner past corner
         "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 9.5, y_m: 9}]",
         "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 5, y_m: 10.8}]",
-        "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 8.8, y_m: 11.4, yaw_deg: 45}]",
+        "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 8.9, y_m: 11.5, yaw_deg: 45}]",
         # the corners of their boxes overlap, they do not
         "[{primitive: sphere, size_m: [2], x_m: 5, y_m: 9}, {primitive: sphere, size_m: [2], x_m: 6.5, y_m: 10.5}]",
         "[{class: car, x_m: 5, y_m: 9}, {primitive: box, size_m: [1, 1, 1], z_m: 1.5, x_m: 5, y_m: 9}]",
