@@ -17,6 +17,7 @@ from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.planner.plan import resolve_plan
+from sim_player.scene.clear_path import first_meeting, meeting_text
 from sim_player.scene.description import Ego, Scene
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import RadarState, prepare
@@ -65,7 +66,7 @@ class DrivePlayer:
     Stamps count from `start_ns`. `effects`: "basic" (direct echoes and single mirrors), "all", or names with commas
     between them; `precision` ("float64", "float32") is that of the echoes under other than basic effects. Raises
     ValueError for a scene that moves its radar itself (`ego`), for "auto" (the planner knows no drive), and for
-    unknown effects or precisions.
+    unknown effects or precisions, and once the radar has driven into a wall.
     """
 
     def __init__(
@@ -99,9 +100,19 @@ class DrivePlayer:
         self._signal = PLAIN if plan is None else plan.signal
         self._is_basic = plan is None
         self._traced: tuple[float, Paths] | None = None
+        self._meeting = _meeting(scene, drive, vehicle_from_radar)
         fastest_mps = float(np.abs(drive.speed_mps).max(initial=0.0))
         step_s = tracing_step_s(self._world, fastest_mps, setup.radar.scan_period_s)
         self._track = PathTrack(self._trace, step_s)
+
+    def _elapsed_s(self, stamp_ns: int) -> float:
+        """Return the time since the start; ValueError once the radar has met a wall."""
+        time_s = s_from_ns(stamp_ns - self._start_ns)
+        if self._meeting is not None and time_s > self._meeting[0]:
+            raise ValueError(
+                f"scene {self._world.scene.name!r}: {meeting_text(self._meeting)}, asked for {time_s:.2f} s"
+            )
+        return time_s
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
         """Return when a beam starts."""
@@ -128,7 +139,7 @@ class DrivePlayer:
         setup = self.setup
         # slow time counts from the middle of the beam
         middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
-        time_s = s_from_ns(self.stamp_ns(scan, index) - self._start_ns) + middle_s
+        time_s = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s
         if not self._is_basic:
             paths, front_end = self._track.at(time_s), self._world.scene.radar.front_end
             return echo_terms(setup, paths, self._signal, front_end, index, self._precision)
@@ -140,7 +151,7 @@ class DrivePlayer:
     def truth(self, scan: int) -> SceneTruth:
         """Return the truth at the start of a scan, in the radar's frame."""
         stamp_ns = self.stamp_ns(scan)
-        time_s = s_from_ns(stamp_ns - self._start_ns)
+        time_s = self._elapsed_s(stamp_ns)
         paths, pose = self.paths(time_s), self._pose(time_s)
         return scene_truth(self._world, self.setup, paths, time_s, stamp_ns, scan, pose)
 
@@ -184,3 +195,10 @@ class DrivePlayer:
         speed, yaw_rate = float(self.drive.speed_at(at)), float(self.drive.yaw_rate_at(at))
         in_vehicle = np.array([speed - yaw_rate * lever.y_m, yaw_rate * lever.x_m])
         return self.drive.pose(time_s).rotate(in_vehicle)
+
+
+def _meeting(scene: Scene, drive: Drive, vehicle_from_radar: Pose2) -> tuple[float, int] | None:
+    """Return when the radar meets the first wall on a drive, and the number of its surface; None if it never does."""
+    time_s = np.arange(0.0, float(drive.time_s[-1]) + 0.05, 0.05)
+    poses = [drive.pose(float(at_s)) @ vehicle_from_radar for at_s in time_s]
+    return first_meeting(scene, time_s, np.array([(pose.x_m, pose.y_m) for pose in poses]))

@@ -110,8 +110,16 @@ def _check(name: str, hint: Any) -> _Check | None:
         if first is None:
             return None
         # all items of a tuple have one rule here, whether their number is fixed or not
-        return lambda message, value: [first(message, item) for item in value] and None
+        return _each(first)
     return None
+
+
+def _each(check: _Check) -> _Check:
+    def each(message: Any, values: Any) -> None:
+        for value in values:
+            check(message, value)
+
+    return each
 
 
 def limits_of(hint: Any) -> str:

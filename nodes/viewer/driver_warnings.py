@@ -89,7 +89,7 @@ FLAG_WORDS = {
     "i_stuck": ("The radar's I channel is dead", "half of what is shown is not there; check the wiring"),
     "q_stuck": ("The radar's Q channel is dead", "half of what is shown is not there; check the wiring"),
     "i_equals_q": ("The radar's channels carry one signal", "half of what is shown is not there; check the wiring"),
-    "iq_exchanged": ("The radar's channels are exchanged", "nothing is seen; check the wiring or beat_sign"),
+    "iq_exchanged": ("The radar's channels are exchanged", "nothing is seen; check the wiring or the set-up"),
 }
 #: Maximum number of tracks considered: the nearest.
 MAX_TRACKS = 100

@@ -12,19 +12,18 @@ from models.perception.detection.cfar import CfarParams
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.pursuit import PursuitParams
 from models.perception.detection.ridges import RidgeParams
-from models.perception.forming.coarray import _solve_each, require_tractable
+from models.perception.forming.coarray import _solve_each, require_formable
 from models.perception.forming.photon_map import MAX_CELLS, MAX_TIMES
 from msgs.bus.codec import encode
 from msgs.bus.interface import Envelope, Received
 from msgs.link.peer_clock import ClockSample, PeerClock
 from msgs.link.peer_messages import PeerMessages
-from msgs.values.arrays import MAX_STAMP_NS
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import SpadParams
 from msgs.values.perception import MAX_PEAKS, Peaks
 from msgs.values.radar import PRESETS, ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, orthogonal_beams
 from msgs.values.vehicle import VehicleState
-from nodes import dense_predictor, geometry, lidar_former, player, ra_former
+from nodes import geometry, lidar_former, player, ra_former
 from nodes.node import Node, load_node
 from tests.fuzz.cases import SETUP, SPAD, beam, lidar_talk, peaks, ra_map
 
@@ -82,8 +81,8 @@ def test_a_setup_that_would_stall_the_former_is_refused() -> None:
 
 @pytest.mark.parametrize("setup", PRESETS.values(), ids=PRESETS)
 def test_radars_that_exist_are_far_from_the_bound(setup: RadarSetup) -> None:
-    require_tractable(setup)
-    require_tractable(msgspec.structs.replace(setup, array=ArrayParams(columns=86), beams=orthogonal_beams(86)))
+    require_formable(setup)
+    require_formable(msgspec.structs.replace(setup, array=ArrayParams(columns=86), beams=orthogonal_beams(86)))
 
 
 def test_the_smaller_of_two_equal_systems_is_solved() -> None:
@@ -110,12 +109,6 @@ def test_a_setup_that_would_stall_the_lidar_is_refused(changes: dict[str, Any]) 
 def test_a_grid_that_reaches_beyond_all_numbers_is_refused() -> None:
     with pytest.raises(ValueError, match=r"grid\.range_bin_m must lie in 1e-09\.\.1e\+09, got 1\.7e\+308"):
         RangeAzimuthGrid(range_bin_m=1.7e308)
-
-
-def test_noise_beyond_float32() -> None:
-    node = dense_predictor.create(dense_predictor.Params(method="cfar"))
-    (found,) = told(node, ("radar/ra_map", msgspec.structs.replace(ra_map(0, 0), noise_power_mw=1e39)))
-    assert len(found.range_m) == 0  # type: ignore[attr-defined]
 
 
 def crowd(count: int) -> Peaks:
@@ -155,9 +148,9 @@ def test_a_stamp_that_a_peers_clock_cannot_have_is_rejected() -> None:
     clock, messages = PeerClock(), PeerMessages("sensor", [topic])
     clock.add(ClockSample(0, ahead_ns, 2))
     envelope = Envelope(publisher="can", topic=topic, sequence=0, sent_ns=ahead_ns)
-    for stamp_ns, rejected in ((-MAX_STAMP_NS, 1), (ahead_ns, 1)):
+    for stamp_ns, rejected in ((5, 1), (ahead_ns, 1)):
         came = messages.take(topic, encode(envelope, VehicleState(stamp_ns=stamp_ns)), clock, 10**9)
-        assert (came is None, messages.rejected) == (stamp_ns < 0, rejected)
+        assert (came is None, messages.rejected) == (stamp_ns < ahead_ns, rejected)
 
 
 @pytest.mark.parametrize(

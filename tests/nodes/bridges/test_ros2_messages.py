@@ -20,7 +20,7 @@ from nodes.bridges.ros2_messages import Ros2Messages
 from tests.fuzz.cases import ra_map, view
 
 HIDDEN = HiddenObject(
-    id=-2, x_m=13.0, y_m=-9.0, length_m=4.0, width_m=2.0, yaw_rad=math.pi / 3, score=0.5,
+    id=(1 << 40) - 2, x_m=13.0, y_m=-9.0, length_m=4.0, width_m=2.0, yaw_rad=math.pi / 3, score=0.5,
     cov_m2=((1.0, 0.1), (0.1, 2.0)), object_class="car",
 )  # fmt: skip
 TRACK = Track(
@@ -63,7 +63,7 @@ def test_stamps_are_moved_to_the_readers_clock_and_never_negative(messages: Ros2
 def test_detections_have_box_class_and_covariance(messages: Ros2Messages) -> None:
     (detection,) = messages.detections(FRAME).detections
     (result,) = detection.results
-    assert (result.hypothesis.class_id, result.hypothesis.score, detection.id) == ("car", 0.5, "-2")
+    assert (result.hypothesis.class_id, result.hypothesis.score, detection.id) == ("car", 0.5, str((1 << 40) - 2))
     covariance = np.reshape(result.pose.covariance, (6, 6))
     assert covariance[:2, :2].tolist() == [[1.0, 0.1], [0.1, 2.0]]
     assert np.count_nonzero(covariance) == 4
@@ -90,7 +90,7 @@ def test_a_map_is_four_grey_levels_a_decibel_with_far_up_and_left_left(messages:
 
 def test_the_mask_is_three_states_from_its_corner_on(messages: Ros2Messages) -> None:
     grid = BevGrid(x_min_m=3.0, y_min_m=-7.0, cell_m=0.25, rows=2, columns=3)
-    mask = np.array([[0, 1, 2], [2, 2, 7]], np.uint8)
+    mask = np.array([[0, 1, 2], [2, 2, 2]], np.uint8)
     assert (Visibility.UNKNOWN, Visibility.DIRECT, Visibility.MIRRORED) == (0, 1, 2)
     said = messages.occupancy(msgspec.structs.replace(FRAME, grid=grid, visibility=mask))
     assert said.data.tolist()[:5] == [-1, 0, 50, 50, 50]

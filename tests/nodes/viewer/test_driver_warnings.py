@@ -343,7 +343,8 @@ def test_an_unknown_own_motion_is_told_with_its_reason(changes: dict[str, Any], 
 
 def test_every_condition_of_a_scan_has_plain_words() -> None:
     assert set(FLAG_WORDS) >= {*MAP_FAULTS, "incoherent", "missing_beams", "saturated"}
-    told = at_last(steady(frame(flags=(*FLAG_WORDS, "something_new"))))
+    every = WarningParams(max_warnings=len(FLAG_WORDS) + 1)
+    told = run(steady(frame(flags=(*FLAG_WORDS, "something_new"))), every)[-1]
     assert {one.key for one in told} == {f"flag/{flag}" for flag in (*FLAG_WORDS, "something_new")}
     assert "Something new" in {one.title for one in told}
     assert all("_" not in one.title + one.detail for one in told)

@@ -305,7 +305,7 @@ def test_odometry_that_is_none_is_refused(tmp_path: Path, drives: Path) -> None:
     arrays = read_shard(drives / "shard-00000.npz")
     for changed, rule in (
         (arrays["odometry"][:, :, :2], "odometry of a scene must have rows of 3 numbers"),
-        (np.full_like(arrays["odometry"], np.nan), "odometry of scene 0: vehicle must be finite"),
+        (np.full_like(arrays["odometry"], np.nan), "odometry of scene 0: vehicle.speed_mps must be within"),
         (arrays["odometry"][:1], "odometry must have length 2, got 1"),
         (arrays["odometry"][0], "odometry must have 3 axes"),
     ):

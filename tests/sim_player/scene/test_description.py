@@ -160,6 +160,36 @@ def test_unknown_lobes_of_scenes_made_by_hand_are_refused() -> None:
         (scene(more="weather: {temperature_c: -61}"), "weather.temperature_c: must lie in -60..60, got -61.0"),
         (scene(more="weather: {pressure_hpa: 101325}"), "weather.pressure_hpa: must lie in 500..1100, got 101325.0"),
         (scene(more="weather: {water_vapour_g_per_m3: 51}"), "weather.water_vapour_g_per_m3: must lie in 0..50"),
+        (scene(more="ego: {speed_mps: 9000}"), "ego.speed_mps: must lie in -100..100, got 9000.0"),
+        (scene(more="ego: {yaw_rate_dps: -1e3}"), "ego.yaw_rate_dps: must lie in -720..720, got -1000.0"),
+        (
+            scene(objects="[{class: car, x_m: 5, y_m: 0, speed_mps: -101}]"),
+            "objects[0].speed_mps: must lie in -100..100, got -101.0",
+        ),
+        (
+            scene(objects="[{primitive: sphere, size_m: [1], material: air, x_m: 5, y_m: 0}]"),
+            "objects[0].material: must reflect, got 'air'",
+        ),
+        (scene(WALL.replace("concrete", "vacuum").join("[]")), "surfaces[0].material: must reflect, got 'vacuum'"),
+        (
+            scene(WALL.replace("concrete", "vegetation, thickness_mm: 2e6").join("[]")),
+            "surfaces[0].thickness_mm: must be at most 1e+06, got 2000000.0",
+        ),
+        (
+            scene(WALL.replace("}", ", thickness_mm: 10001}").join("[]")),
+            "surfaces[0].thickness_mm: must be at most 10000, got 10001.0",
+        ),
+        (
+            scene(objects="[{class: car, x_m: 5, y_m: 9}, {class: bicycle, x_m: 6, y_m: 9.5, yaw_deg: 40}]"),
+            "objects[1].x_m: must stand clear of objects[0], got a bicycle at (6, 9.5) in a car at (5, 9)",
+        ),
+        (
+            scene(
+                objects="[{primitive: sphere, size_m: [2], x_m: 5, y_m: 9}, "
+                "{primitive: plate, size_m: [2, 2], x_m: 5.5, y_m: 9}]"
+            ),
+            "objects[1].x_m: must stand clear of objects[0], got a plate at (5.5, 9) in a sphere at (5, 9)",
+        ),
         (scene(more="radar: {preset: sonar}"), "radar.preset: "),
         (scene(more="radar: {height_m: 0}"), "radar.height_m: must be positive"),
         (scene(WALL.replace("concrete", "plywood").join("[]"), more="radar: {preset: 77ghz}"), "got 77 GHz"),
@@ -196,6 +226,31 @@ def test_wall_that_swallows_a_wall_end_is_refused() -> None:
     )
     with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must stand clear of surfaces\[0\]"):
         scene_from_yaml(text)
+
+
+@pytest.mark.parametrize(
+    "objects",
+    [
+        # 4.5 m by 1.8 m each: bumper to bumper, door to door, corner past corner
+        "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 9.5, y_m: 9}]",
+        "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 5, y_m: 10.8}]",
+        "[{class: car, x_m: 5, y_m: 9}, {class: car, x_m: 8.9, y_m: 11.5, yaw_deg: 45}]",
+        # the corners of their boxes overlap, they do not
+        "[{primitive: sphere, size_m: [2], x_m: 5, y_m: 9}, {primitive: sphere, size_m: [2], x_m: 6.5, y_m: 10.5}]",
+        "[{class: car, x_m: 5, y_m: 9}, {primitive: box, size_m: [1, 1, 1], z_m: 1.5, x_m: 5, y_m: 9}]",
+    ],
+)
+def test_objects_may_stand_close_touch_and_lie_on_each_other(objects: str) -> None:
+    assert len(scene_from_yaml(scene(objects=objects)).objects) == 2
+
+
+def test_numbers_are_those_of_yaml_1_2_and_foliage_may_be_deep() -> None:
+    read = scene_from_yaml(
+        scene(WALL.replace("concrete", "vegetation, thickness_mm: 6e4, roughness_mm: 1e-07").join("[]"))
+    )
+    assert (read.surfaces[0].thickness_mm, read.surfaces[0].roughness_mm) == (6e4, 1e-7)
+    named = msgspec.structs.replace(read, name="1e5")
+    assert scene_from_yaml(scene_to_yaml(named)) == named
 
 
 def test_every_class_has_a_size() -> None:
