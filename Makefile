@@ -6,15 +6,21 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint style audit stability site reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint style audit lock stability site reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-$(VENV)/.installed: pyproject.toml
+# What others packed is installed by its checksum (make lock); LOCKED=no takes what pyproject.toml allows. torch alone has
+# none: each kind of processor has a build of its own.
+LOCKED ?= yes
+install_locked = test $(LOCKED) = no || $(BIN)/pip install --quiet --require-hashes -r $(1) || { echo "the package index does not serve what $(1) names; LOCKED=no takes what pyproject.toml allows, unchecked"; exit 1; }
+
+$(VENV)/.installed: pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' || { echo "mirrorwave needs Python 3.11 to 3.14; name one with: make PYTHON=python3.11 ..."; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
-	$(BIN)/pip install --quiet --editable .
+	@$(call install_locked,requirements.lock)
+	$(BIN)/pip install --quiet $(if $(filter no,$(LOCKED)),,--no-build-isolation) --editable .
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
 	$(BIN)/python -c "from mirrorwave.node_chain import NodeParams; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; chain = NodeParams.of(read_profile('default')).chain(); chain.forming.set_up(RadarSetup()); chain.detection.set_up(RadarSetup())" & \
 	for scene in scenes/corner drives/side_street; do \
@@ -22,8 +28,9 @@ $(VENV)/.installed: pyproject.toml
 	done && wait $$!
 	@touch $@
 
-$(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/pip install --quiet --editable '.[dev]'
+$(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
+	@$(call install_locked,requirements-dev.lock)
+	$(BIN)/pip install --quiet $(if $(filter no,$(LOCKED)),,--no-build-isolation) --editable '.[dev]'
 	@# shared libraries of open3d (annotate) and pyadi-iio (phaser); what needs them is skipped by name where they lack
 	@if $(BIN)/python -c "import open3d, iio" 2>/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && { apt-get -qq update && apt-get -qq install -y --no-install-recommends $(LIBRARIES); } >/dev/null 2>&1; then :; \
@@ -75,6 +82,16 @@ audit: setup-dev  ## known vulnerabilities of all that is installed (needs an ad
 	echo '$(KNOWN_VULNERABLE)' | $(AUDIT) --no-deps --disable-pip --format json -r /dev/stdin 2>/dev/null | grep -q '"id"' \
 	|| { echo "audit: no advisory service answers; nothing was checked"; exit $(UNREACHED); }; \
 	$(AUDIT) --progress-spinner off --path $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+
+# uv resolves for all versions of Python and kinds of processors at once
+LOCK = $(VENV)/lock/bin/uv pip compile --quiet --upgrade --universal --prerelease disallow --generate-hashes --no-header --no-annotate --no-emit-index-url --python-version 3.11 pyproject.toml -
+
+lock:  ## requirements.lock and requirements-dev.lock: the newest versions that pyproject.toml allows, with their checksums
+	@test -x $(VENV)/lock/bin/uv || { $(PYTHON) -m venv $(VENV)/lock && $(VENV)/lock/bin/pip install --quiet uv; }
+	echo 'hatchling>=1.27' | $(LOCK) --output-file requirements.lock
+	@# torch is left out, what it needs is not
+	echo 'torch; sys_platform == "none"' >$(VENV)/lock/without.txt
+	printf 'filelock\nfsspec\nnetworkx\nsympy\n' | $(LOCK) --extra dev --constraint requirements.lock --override $(VENV)/lock/without.txt --no-emit-package torch --output-file requirements-dev.lock
 
 stability: setup-dev  ## the hard cases with the errors of the naive form and of ours: docs/results/numerical-stability.md
 	$(BIN)/python -m pytest -q tests/stability --stability-page docs/results/numerical-stability.md

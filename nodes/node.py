@@ -34,7 +34,7 @@ if __name__ == "__main__":
 import msgspec
 import psutil
 
-from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
+from msgs.bus.interface import Bus, Forwarded, GraphBus, Outgoing, Received, WaitingBus
 from msgs.bus.topics import topic_facts
 from msgs.files.open_files import open_files_line, require_open_files
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
@@ -362,7 +362,7 @@ def _keep_small(heap: FreeHeap | None) -> FreeHeap:
     return heap
 
 
-def bound_inputs(node: Node, bus: Bus) -> BoundInputs:
+def bound_inputs(node: Node, bus: GraphBus) -> BoundInputs:
     """Return the inputs of a node, bound to one publisher each unless it takes all."""
     topics = () if node.takes_all_publishers else node.inputs
     return BoundInputs(bus, topics, lambda topic: node.shed.add(f"{topic} message", "of another publisher"))
@@ -424,7 +424,7 @@ class InProcessGraph:
     def __init__(self, network: LocalNetwork, nodes: Mapping[str, Node]) -> None:
         self._network = network
         self._nodes = dict(nodes)
-        self._buses: dict[str, Bus] = {name: network.bus(name) for name in self._nodes}
+        self._buses: dict[str, GraphBus] = {name: network.bus(name) for name in self._nodes}
         for name, node in self._nodes.items():
             for topic in node.inputs:
                 self._buses[name].subscribe(topic)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from mirrorwave.diagnose.private_files import open_files
+from msgs.files.private_files import open_files
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def check_files(folder: Path) -> Iterator[Risk]:
     """Recordings, results and run folders can be read by nobody else."""
     opened = open_files(folder)
     for files in opened:
-        count = counted(files.count, "file")
+        count = counted(files.number, "file")
         detail = f"others may read {count} where they get to, e.g. {files.example}, mode {files.mode:04o}"
         yield Risk("files", Grade.WARNING, detail, files.mend)
     if not opened:

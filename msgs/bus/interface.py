@@ -61,9 +61,6 @@ class Bus(Protocol):
     def receive(self, timeout_s: float) -> list[Received]:
         """Return all messages waiting, in order of arrival; wait up to `timeout_s` for the first, then return none."""
 
-    def has_publisher(self, topic: str, publisher: str) -> bool:
-        """Return whether a publisher of this name has `topic` open; of one behind a link, whether a link has."""
-
     def now_ns(self) -> int:
         """Return the bus clock: monotonic on a live bus, virtual on an in-process one."""
 
@@ -74,7 +71,14 @@ class Bus(Protocol):
         """Release all resources; waits no longer than the bus's linger."""
 
 
-class WaitingBus(Bus, Protocol):
+class GraphBus(Bus, Protocol):
+    """A bus that knows who else is on it."""
+
+    def has_publisher(self, topic: str, publisher: str) -> bool:
+        """Return whether a publisher of this name has `topic` open; of one behind a link, whether a link has."""
+
+
+class WaitingBus(GraphBus, Protocol):
     """A bus that waits in `receive` and can watch further sources that end a wait."""
 
     def watch(self, source: Any) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 
-from msgs.bus.interface import Bus, Received
+from msgs.bus.interface import GraphBus, Received
 from msgs.bus.sequencing import latch
 from msgs.bus.topics import SENSOR_TOPICS, topic_facts
 from msgs.values.diagnostics import NodeState
@@ -38,7 +38,7 @@ class BoundInputs:
     `dropped` is called with the topic of each message of another publisher.
     """
 
-    def __init__(self, bus: Bus, topics: Iterable[str], dropped: Callable[[str], None]) -> None:
+    def __init__(self, bus: GraphBus, topics: Iterable[str], dropped: Callable[[str], None]) -> None:
         self._bus, self._dropped = bus, dropped
         self._streams = {topic: _Stream(topic) for topic in topics if not topic_facts(topic).shared}
         #: Whether a name is that of a node, and when the bus was asked.
@@ -128,14 +128,14 @@ class BoundInputs:
             return measurements.publisher
         if not own:
             return max(stream.kept, key=lambda name: self._is_node(name, now_ns))
-        others = [name for name in stream.kept if name != own]
-        if preceding := [name for name in others if self._precedes(name, own, now_ns)]:
+        rivals = [name for name in stream.kept if name != own]
+        if preceding := [name for name in rivals if self._precedes(name, own, now_ns)]:
             return preceding[0]
         if _peer(own) and _peer(newest) == _peer(own):
             # whether a publisher behind a link is there is not known here
             return newest
-        if others and stream.is_silent(now_ns, AWAY_NS):
-            present = [name for name in others if self._bus.has_publisher(stream.topic, name)]
+        if rivals and stream.is_silent(now_ns, AWAY_NS):
+            present = [name for name in rivals if self._bus.has_publisher(stream.topic, name)]
             return present[-1] if present else own
         return own
 
@@ -206,8 +206,8 @@ class _Stream:
         """Return a description of the other publishers while there are any."""
         if not self._others or now_ns - self._other_ns > NAMED_NS:
             return ""
-        others = ", ".join(f"{counted(count, 'message')} of {name}" for name, count in self._others.items())
-        return f"{self.topic} has {1 + len(self._others)} publishers: {self.publisher} is taken, {others} dropped"
+        dropped = ", ".join(f"{counted(count, 'message')} of {name}" for name, count in self._others.items())
+        return f"{self.topic} has {1 + len(self._others)} publishers: {self.publisher} is taken, {dropped} dropped"
 
 
 def _peer(publisher: str) -> str:

@@ -57,10 +57,10 @@ def pub(
     finally:
         bus.close()
     print_line(f"{topic}: {counted(count, 'message')} to {counted(readers, 'reader')}")
-    others = [node for name, node in list_publishers(run_dir(domain)) if name == topic]
-    if readers and others and not facts.shared:
+    rivals = [node for name, node in list_publishers(run_dir(domain)) if name == topic]
+    if readers and rivals and not facts.shared:
         print_line(
-            f"{topic}: {', '.join(others)} publishes it too; a node takes one publisher, those of the graph first"
+            f"{topic}: {', '.join(rivals)} publishes it too; a node takes one publisher, those of the graph first"
         )
     if not readers:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)

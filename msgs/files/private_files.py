@@ -22,7 +22,7 @@ _LEVELS, _MAX_ENTRIES = 4, 20_000
 class OpenFiles(NamedTuple):
     """Files of one folder that others may read, and what closes them."""
 
-    count: int
+    number: int
     example: Path
     mode: int
     mend: str
@@ -33,10 +33,10 @@ def open_files(folder: Path) -> list[OpenFiles]:
 
     What lies in a folder that others cannot enter is closed. What comes with a checkout is no user's.
     """
-    found: dict[tuple[Path, str], list[Path]] = {}
+    opened: dict[tuple[Path, str], list[Path]] = {}
     for path in itertools.islice(_open_below(folder, 0), _MAX_ENTRIES):
         inside = path.relative_to(folder).parts
-        found.setdefault((folder / inside[0], "") if len(inside) > 1 else (folder, path.suffix), []).append(path)
+        opened.setdefault((folder / inside[0], "") if len(inside) > 1 else (folder, path.suffix), []).append(path)
     return [
         OpenFiles(
             len(paths),
@@ -44,7 +44,7 @@ def open_files(folder: Path) -> list[OpenFiles]:
             stat.S_IMODE(paths[0].lstat().st_mode),
             f"chmod go-rwx {top / f'*{suffix}'}" if suffix else f"chmod -R go-rwx {top}",
         )
-        for (top, suffix), paths in found.items()
+        for (top, suffix), paths in opened.items()
     ]
 
 
