@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -201,6 +202,13 @@ def test_a_stop_by_hand_asks_all_at_once_and_one_in_order_the_next() -> None:
     assert [text for level, text in made.said if level == "warning"] == [  # type: ignore[attr-defined]
         f"{name} did not stop when asked and was killed" for name in ("a", "b")
     ]
+
+
+@pytest.mark.parametrize(("duration_s", "rule"), [(None, ""), (0.1, ""), (0.0, "above zero"), (float("nan"), "above")])
+def test_a_duration_is_above_zero(duration_s: float | None, rule: str) -> None:
+    launch = launch_from_mapping({"name": "one", "nodes": {"a": {"module": "nodes.geometry"}}}, "one.yaml")
+    with pytest.raises(ValueError, match=rule) if rule else nullcontext():
+        Supervisor(launch, Path("/nowhere"), duration_s=duration_s)
 
 
 def test_a_run_has_a_folder_of_its_own_that_others_cannot_read(tmp_path: Path) -> None:
