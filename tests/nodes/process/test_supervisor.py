@@ -13,7 +13,7 @@ import pytest
 
 from nodes.process import supervisor
 from nodes.process.launch_file import launch_from_mapping
-from nodes.process.liveness import LATE_S, Sample
+from nodes.process.liveness import LATE_S, Sample, Silence
 from nodes.process.supervisor import DRAIN_S, PATIENCE_S, Phase, Supervisor, _new_run_folder, read_lock
 
 HEARD_S = 1000.0
@@ -92,7 +92,10 @@ def graph(**nodes: dict[str, Any]) -> Supervisor:
 def ended(made: Supervisor, name: str, code: int, now_s: float = HEARD_S) -> Any:
     """A node after its process has ended."""
     node = made._nodes[name]
+    node.child, node.silence, node.is_said = _Child(), Silence(), True
     made._let_go(name, node)
+    # what was said of its silence is past
+    assert (node.child, node.silence, node.is_said) == (None, None, False)
     made._after_exit(name, node, code, now_s)
     return node
 
