@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint style audit lock stability site reference bench faults soak fuzz tables sample fdtd-figures full-wave compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint style audit lock stability site reference bench faults soak fuzz mutants tables sample fdtd-figures full-wave compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -122,6 +122,24 @@ fuzz: setup-dev  ## nodes against messages and parameters, then readers against 
 	@# readers are looked at whatever was found in nodes
 	$(BIN)/python -m fuzz.nodes --examples $(FUZZ_EXAMPLES) --json runs/fuzz/nodes.json; found=$$?; \
 	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS) --json runs/fuzz/readers.json && exit $$found
+
+# ROOM: a folder or module; MUTANTS: bugs drawn of all that are possible. In a copy, since it changes the code.
+MUTANTS ?= 60
+COSMIC_RAY := $(abspath $(VENV)/mutants/bin)
+
+mutants: setup-dev  ## bugs put into a room one by one, and those that its own tests miss: make mutants ROOM=models/vehicle
+	@test -e "$(ROOM)" || { echo "make mutants ROOM=models/vehicle"; exit 2; }
+	@test -x $(COSMIC_RAY)/cosmic-ray || { $(PYTHON) -m venv $(VENV)/mutants && $(COSMIC_RAY)/pip install --quiet 'cosmic-ray>=8.4'; }
+	@rm -rf build/mutants && mkdir -p build/mutants && git archive HEAD | tar -x -C build/mutants
+	@printf '%s\n' '[cosmic-ray]' 'module-path = "$(ROOM)"' 'timeout = 300.0' 'excluded-modules = []' \
+	    'test-command = "$(abspath $(BIN))/python -m pytest -x -q -n 0 -m \"not graph\" tests/$(if $(wildcard tests/$(ROOM)),$(ROOM),$(dir $(ROOM)))"' \
+	    '[cosmic-ray.distributor]' 'name = "local"' \
+	    '[cosmic-ray.filters.operators-filter]' 'exclude-operators = ["core/ReplaceBinaryOperator_BitOr_.*"]' > build/mutants/session.toml
+	@# no unions of types
+	@cd build/mutants && $(COSMIC_RAY)/cosmic-ray init session.toml session.sqlite && $(COSMIC_RAY)/cr-filter-operators session.sqlite session.toml
+	@cd build/mutants && $(COSMIC_RAY)/python -c 'import sqlite3; session = sqlite3.connect("session.sqlite"); session.execute("delete from work_items where job_id not in (select job_id from work_items order by random() limit $(MUTANTS))"); session.commit()'
+	cd build/mutants && $(COSMIC_RAY)/cosmic-ray exec session.toml session.sqlite
+	cd build/mutants && $(COSMIC_RAY)/cr-report --surviving-only --show-diff session.sqlite
 
 tables: setup  ## the shipped reflectance table, simulated again (minutes; goes on if stopped)
 	$(BIN)/mirrorwave sim reflectance --rebuild

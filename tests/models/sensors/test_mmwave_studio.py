@@ -29,7 +29,7 @@ ar1.ProfileConfig(0, 77, 30, 6, 62, 0, 0, 0, 0, 0, 0,
                   60, 1, SAMPLES, 2.5 * 1e3, 0, 0, 30)
 ar1.ChirpConfig(0, 0, 0, 0, 0, 0, 0, 1, 0, 0)
 ar1.ChirpConfig(1, 1, 0, 0, 0, 0, 0, 0, 1, 0)
-ar1.FrameConfig(0, LAST, 2, 32, (30 + 10), 0, 0, 1)
+ar1.FrameConfig(0, LAST, 2, 32, (50 + -LAST * 10), 0, 0, 1)
 ar1.SelectCaptureDevice("DCA1000")
 ar1.CaptureCardConfig_Mode(1, 2, 1, 2, 3, 30)
 RSTD.Sleep(1000); print("Chirps:", -LAST / 2)

@@ -138,6 +138,8 @@ def test_a_forwarded_message_is_decoded_for_those_within(pair: tuple[ZmqBus, Zmq
     tail.subscribe(STATE)
     envelope, frames = Tally("far").pack(STATE, state(4.0), time.monotonic_ns())
     head.forward(Forwarded(STATE, envelope, frames))
+    # a second time it comes to nothing
+    head.forward(Forwarded(STATE, envelope, frames))
     assert until(tail, 1) == [decode(frames)]
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import tracemalloc
 
+import msgspec
+import pytest
+
 from msgs.bus.codec import encode
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.sequencing import MAX_PUBLISHERS, Tally, latch
@@ -113,3 +116,47 @@ def test_only_who_counts_all_messages_gets_outdated_ones() -> None:
         tally.expect(ANSWER)
         assert [one.envelope.sequence for one in tally.without_outdated(waiting)] == kept
         assert tally.counts()[0][0].outdated == 3 - len(kept)
+
+
+@pytest.mark.parametrize(
+    ("said", "taken", "lost"),
+    [
+        # numbers and times of sending
+        ([(0, 10), (1, 20), (2, 30)], [0, 1, 2], 0),
+        ([(0, 10), (4, 20)], [0, 4], 3),
+        # repeated or older ones come to nothing; the same number sent later is a restart's
+        ([(3, 10), (3, 10), (2, 9), (4, 20)], [3, 4], 0),
+        ([(7, 10), (0, 20), (2, 30)], [7, 0, 2], 1),
+        # who joins late has lost nothing before
+        ([(9, 10)], [9], 0),
+    ],
+)
+def test_messages_come_once_in_order_and_every_gap_is_counted(
+    said: list[tuple[int, int]], taken: list[int], lost: int
+) -> None:
+    tally = Tally("here")
+    tally.expect(TOPIC)
+    came = [
+        tally.admit(Received(TOPIC, RECORD, Envelope(publisher="a", topic=TOPIC, sequence=number, sent_ns=at)), 5, 99)
+        for number, at in said
+    ]
+    assert [one.envelope.sequence for one in came if one is not None] == taken
+    (count,) = tally.counts()[0]
+    assert (count.messages, count.bytes, count.lost) == (len(taken), 5 * len(taken), lost)
+
+
+def test_what_follows_from_paced_messages_is_paced_for_ten_seconds() -> None:
+    """A player that ended without notice does not make all later messages of a graph wait."""
+    tally = Tally("here")
+    tally.expect(TOPIC)
+
+    def paced(at_s: float) -> bool:
+        return tally.pack(TOPIC, RECORD, round(at_s * 1e9))[0].paced
+
+    assert not paced(0.0)
+    envelope = Envelope(publisher="a", topic=TOPIC, sequence=0, sent_ns=10**9, paced=True)
+    tally.admit(Received(TOPIC, RECORD, envelope), 5, 10**9)
+    assert [paced(at_s) for at_s in (1.0, 11.0, 11.1)] == [True, True, False]
+    tally.admit(Received(TOPIC, RECORD, msgspec.structs.replace(envelope, sequence=1, paced=False)), 5, 10**9)
+    assert not paced(1.0)
+    assert Tally("player", paced=True).pack(TOPIC, RECORD, 0)[0].paced

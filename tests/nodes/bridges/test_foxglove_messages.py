@@ -120,13 +120,13 @@ def test_a_map_is_four_grey_levels_a_decibel_with_far_up_and_left_left() -> None
     """
     plain = ra_map(1, 10)
     values = np.full(plain.grid.shape, 1e-3, np.complex64)
-    values[2, 5] = 10.0
-    image = bodies(msgspec.structs.replace(plain, values=values))["/radar/ra_map"]
+    values[2, 5] = 31.6228
+    image = bodies(msgspec.structs.replace(plain, values=values, noise_power_mw=10.0))["/radar/ra_map"]
     grey = np.frombuffer(image["data"], np.uint8).reshape(image["height"], image["width"])
     assert grey.shape == plain.grid.shape
     assert grey[-3, -6] == 80
     assert np.count_nonzero(grey) == 1
-    values[3, 6] = 1.0
+    values[3, 6] = 3.16228
     peak = bodies(msgspec.structs.replace(plain, values=values, noise_power_mw=0.0))["/radar/ra_map"]
     grey = np.frombuffer(peak["data"], np.uint8).reshape(image["height"], image["width"])
     assert (grey[-3, -6], grey[-4, -7]) == (255, 175)

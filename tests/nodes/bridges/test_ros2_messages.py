@@ -15,8 +15,11 @@ from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime,
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevGrid, HiddenObject, Track, Visibility
 from msgs.values.vehicle import VehicleState
-from nodes.bridges.ros2_inputs import OdometryInput, reason_of, stamp_ns_of
+from nodes.bridges.detection_mapping import mapping_path, read_mapping
+from nodes.bridges.ros2_inputs import DetectionInput, OdometryInput, reason_of, stamp_ns_of
 from nodes.bridges.ros2_messages import Ros2Messages
+from nodes.bridges.ros2_types import SCAN
+from nodes.node import ShedTally
 from tests.fuzz.cases import ra_map, view
 
 HIDDEN = HiddenObject(
@@ -80,10 +83,11 @@ def test_tracks_have_velocity_and_both_covariances(messages: Ros2Messages) -> No
 
 
 def test_a_map_is_four_grey_levels_a_decibel_with_far_up_and_left_left(messages: Ros2Messages) -> None:
+    """30 dBm over noise of 10 dBm are 20 dB: level 80."""
     plain = ra_map(1, 10)
     values = np.full(plain.grid.shape, 1e-3, np.complex64)
-    values[2, 5] = 10.0001
-    image = messages.map_image(msgspec.structs.replace(plain, values=values))
+    values[2, 5] = 31.6231
+    image = messages.map_image(msgspec.structs.replace(plain, values=values, noise_power_mw=10.0))
     grey = image.data.reshape(image.height, image.width)
     assert (grey[-3, -6], np.count_nonzero(grey), image.step) == (80, 1, plain.grid.azimuth_bins)
 
@@ -141,5 +145,9 @@ def test_odometry_comes_in_as_speed_and_yaw_rate() -> None:
     assert stamp_ns_of(message) == 2_000_000_005
     state = OdometryInput().convert(message, 9).message
     assert state == VehicleState(stamp_ns=9, speed_mps=3.0, yaw_rate_rps=-0.2)
+    # scans are numbered as they come, whatever they hold
+    returns = DetectionInput(SCAN, read_mapping(mapping_path(SCAN)), ShedTally())
+    scans = [returns.convert(SimpleNamespace(returns=[]), at).message for at in (5, 6)]
+    assert [(scan.scan_id, scan.stamp_ns, len(scan)) for scan in scans] == [(0, 5, 0), (1, 6, 0)]
     assert (reason_of(ValueError("a\n b")), reason_of(KeyError("x" * 300))[:11]) == ("a b", "KeyError: '")
     assert len(reason_of(KeyError("x" * 300))) == 200

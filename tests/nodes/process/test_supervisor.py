@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 
 from nodes.process import supervisor
 from nodes.process.launch_file import launch_from_mapping
-from nodes.process.liveness import LATE_S, Sample
+from nodes.process.liveness import LATE_S, Sample, Silence
 from nodes.process.supervisor import DRAIN_S, PATIENCE_S, Phase, Supervisor, _new_run_folder, read_lock
 
 HEARD_S = 1000.0
@@ -91,7 +92,10 @@ def graph(**nodes: dict[str, Any]) -> Supervisor:
 def ended(made: Supervisor, name: str, code: int, now_s: float = HEARD_S) -> Any:
     """A node after its process has ended."""
     node = made._nodes[name]
+    node.child, node.silence, node.is_said = _Child(), Silence(), True
     made._let_go(name, node)
+    # what was said of its silence is past
+    assert (node.child, node.silence, node.is_said) == (None, None, False)
     made._after_exit(name, node, code, now_s)
     return node
 
@@ -201,6 +205,13 @@ def test_a_stop_by_hand_asks_all_at_once_and_one_in_order_the_next() -> None:
     assert [text for level, text in made.said if level == "warning"] == [  # type: ignore[attr-defined]
         f"{name} did not stop when asked and was killed" for name in ("a", "b")
     ]
+
+
+@pytest.mark.parametrize(("duration_s", "rule"), [(None, ""), (0.1, ""), (0.0, "above zero"), (float("nan"), "above")])
+def test_a_duration_is_above_zero(duration_s: float | None, rule: str) -> None:
+    launch = launch_from_mapping({"name": "one", "nodes": {"a": {"module": "nodes.geometry"}}}, "one.yaml")
+    with pytest.raises(ValueError, match=rule) if rule else nullcontext():
+        Supervisor(launch, Path("/nowhere"), duration_s=duration_s)
 
 
 def test_a_run_has_a_folder_of_its_own_that_others_cannot_read(tmp_path: Path) -> None:

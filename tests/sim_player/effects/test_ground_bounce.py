@@ -117,3 +117,15 @@ def test_rough_ground_reflects_less_beside_a_mirror_too() -> None:
     left = math.exp(-0.5 * (4.0 * math.pi * 5e-3 * cosine / RADAR.wavelength_m) ** 2)
     assert left == pytest.approx(0.980, abs=1e-3)
     np.testing.assert_allclose(routes.rough[routes.wall == 0], left)
+
+
+def test_a_mirror_across_the_other_axis_turns_the_way_on_there() -> None:
+    """Wall y = 12, point (6, 4, 2): image (6, 20, -2), met by way of the wall at a cosine of 20 over the length."""
+    across = wall((-5.0, 12.0), (9.0, 12.0), height_m=9.0, roughness_mm=4.0)
+    routes = traced(points_world([(6.0, 4.0, 2.0)], across, GROUND), NAME).routes[NAME]
+    route = routes.take(routes.wall == 0)
+    length = math.sqrt(6.0**2 + 20.0**2 + 3.0**2)
+    np.testing.assert_allclose(route.depart[0], np.array([6.0, 20.0, -3.0]) / length, atol=1e-12)
+    np.testing.assert_allclose(route.arrive[0], np.array([6.0, -20.0, 3.0]) / length, atol=1e-12)
+    left = math.exp(-0.5 * (4.0 * math.pi * 4e-3 * (20.0 / length) / RADAR.wavelength_m) ** 2)
+    assert route.rough[0] == pytest.approx(left)

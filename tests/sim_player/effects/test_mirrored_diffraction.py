@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
+from models.physics.diffraction import wedge_terms
 from msgs.values.frames import Pose2
 from sim_player.effects import mirrored_diffraction
 from sim_player.effects.edge_diffraction import edges_of
@@ -255,3 +256,20 @@ def test_points_on_walls_and_edges_stay_finite() -> None:
         assert np.isfinite(values).all()
     # what stands on the mirror or behind it is not seen in it from the edge
     assert not np.isin(routes.target[(routes.wall == 0) & (routes.edge >= 0)], [0, 3, 4]).any()
+
+
+@pytest.mark.parametrize(("to_source", "to_target"), [(0.6, (3.9, 4.2)), (1.2, (1.7, 1.9)), (2.5, (0.3, 0.6))])
+@pytest.mark.parametrize("n", [1.5, 2.0])
+def test_a_bound_is_over_the_field_of_every_target_and_not_far(
+    n: float, to_source: float, to_target: tuple[float, float]
+) -> None:
+    """Legs of 10 and 7 m: at every turn between the two, all faces perfect, the terms of `wedge_terms` add up to less."""
+    edge = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, n])
+    bound = mirrored_diffraction._bound(edge, to_source, to_target, (10.0, 7.0), 1.0, RADAR.wavelength_m)
+    turns = np.linspace(*to_target, 31)
+    distance_m = np.full(31, 70.0 / 17.0)
+    source = np.full(31, to_source)
+    terms = wedge_terms(np.full(31, n), source, turns, distance_m, RADAR.wavelength_m, np.ones(31))
+    # of a field over that of a free ray as long as both legs
+    field = sum(np.abs(term) for term in terms) * math.sqrt(17.0 / 70.0)
+    assert 0.999 * field.max() < bound < 2.5 * field.max()
