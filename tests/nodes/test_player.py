@@ -335,7 +335,7 @@ class SlowScene:
         self.now_ns, self._beam_ns = 0, beam_ns
         self._source = scene_player(params())
         self._beam = self._source.beam(0, 0)
-        self.setup = self._source.setup
+        self.setup, self.scene = self._source.setup, self._source.scene
         self.stamp_ns, self.vehicle_state = self._source.stamp_ns, self._source.vehicle_state
 
     def beam(self, scan: int, index: int) -> RadarBeam:
