@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterable, Iterator
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -14,9 +17,11 @@ from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.topics import DETECTIONS_TOPIC, RAW_TOPICS, SENSOR_TOPICS
 from msgs.recording.clock_steps import Bridged
+from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
+from msgs.values.wording import counted
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset, require_rest
 
@@ -45,6 +50,12 @@ _STATE_PERIOD_S = 0.02
 END_REST_NS = ns_from_s(0.3)
 #: Most messages that one step may send: heartbeats and a stop come between steps.
 BURST = 8
+#: A scan that would begin so much later than it is due is left out; of one that has begun, what comes later than that.
+LATE_NS, LONGEST_LAG_NS = ns_from_s(0.5), ns_from_s(1.0)
+#: Most messages that are made ahead: those of a scan.
+MADE_AHEAD = 52
+#: A player is degraded for so long after it left out a scan.
+_DEGRADED_NS = ns_from_s(5.0)
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -97,23 +108,99 @@ class Event(NamedTuple):
     outgoing: Outgoing
 
 
+class Backlog:
+    """How far a player is behind its time, and the scans that it leaves out to keep up.
+
+    `clock_ns` measures how long messages take to be made.
+    """
+
+    def __init__(self, rate: float, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._rate, self._clock_ns = rate, clock_ns
+        #: When the first beam is due, and what time it is.
+        self.start_ns: int | None = None
+        self.now_ns = 0
+        self.left_out = 0
+        self._left_out_ns: int | None = None
+        self._is_slow = self._is_warm = False
+        #: How long the scan under way took to be made so far, and how much longer than it lasts the last one took.
+        self._making_ns = self._excess_ns = 0
+
+    @property
+    def lead_ns(self) -> int:
+        """How long before its time a scan must be begun."""
+        return self._excess_ns if self._is_slow else 0
+
+    def due_ns(self, offset_ns: int) -> int:
+        """Return when what comes so long after the first beam is due."""
+        return (self.start_ns or 0) + round(offset_ns / self._rate)
+
+    def lag_ns(self, offset_ns: int) -> int:
+        """Return how long what comes so long after the first beam has been due."""
+        return 0 if self.start_ns is None else self.now_ns - self.due_ns(offset_ns)
+
+    def leave_out(self) -> None:
+        """Count a scan that is left out."""
+        self.left_out += 1
+        self._left_out_ns = self.now_ns
+
+    @contextmanager
+    def making(self) -> Iterator[None]:
+        """Measure how long a message takes to be made."""
+        start_ns = self._clock_ns()
+        try:
+            yield
+        finally:
+            self._making_ns += self._clock_ns() - start_ns
+
+    def skips(self, offset_ns: int, duration_ns: int) -> bool:
+        """Return whether a scan, its begin and its duration, is not to be made; to be asked of one after the other.
+
+        Once behind, the next scan to be made is one that can be made in time.
+        """
+        duration_ns = round(duration_ns / self._rate)
+        if self._making_ns:
+            # the first one loads kernels, which says nothing of those that follow
+            self._excess_ns = max(0, self._making_ns - duration_ns) if self._is_warm else 0
+            self._is_slow = self._is_slow and self._excess_ns > 0
+            self._making_ns, self._is_warm = 0, self._is_warm or self.start_ns is not None
+        lag_ns = self.lag_ns(offset_ns)
+        self._is_slow = self._is_slow or lag_ns > LATE_NS
+        if self._is_slow and lag_ns > -self._excess_ns:
+            self.leave_out()
+            return True
+        return False
+
+    def health(self) -> tuple[NodeState, str]:
+        """Return DEGRADED while scans take too long to be made, and for some seconds after one was left out."""
+        is_over = self._left_out_ns is None or self.now_ns - self._left_out_ns > _DEGRADED_NS
+        if is_over and not self._is_slow:
+            return NodeState.READY, ""
+        return NodeState.DEGRADED, f"cannot keep up with real time: {counted(self.left_out, 'scan')} left out so far"
+
+
 class Player(Node):
-    """Sends each event when its time has come."""
+    """Sends each event when its time has come; leaves scans out whole where it cannot keep up with time."""
 
     outputs = SENSED_TOPICS
 
-    def __init__(self, events: Iterator[Event], rate: float, settle_s: float, restamp: bool) -> None:
+    def __init__(
+        self, events: Iterator[Event], rate: float, settle_s: float, restamp: bool, backlog: Backlog | None = None
+    ) -> None:
         super().__init__()
         self._events = events
-        self._rate = rate
+        self._backlog = backlog or Backlog(rate)
         self._settle_ns = round(settle_s * 1e9)
         self._restamp = restamp
-        self._start_ns: int | None = None
         self._end_ns: int | None = None
         self._ended = False
-        self._next = next(events, None)
-        #: Whether the message in `_next` has been sent, and the one after it is still to be made.
+        #: The next events: one, or more of them where making takes longer than time.
+        self._made: deque[Event] = deque()
+        #: Whether a beam has been sent, and what comes after it is still to be made.
         self._is_sent = False
+        #: By raw topic the scan under way, and the one that is left out.
+        self._scan: dict[str, int] = {}
+        self._left_out: dict[str, int] = {}
+        self._make_next()
 
     def finished(self) -> bool:
         """Return whether the last message has had time to get through."""
@@ -121,30 +208,43 @@ class Player(Node):
 
     def due_ns(self, now_ns: int) -> int | None:
         """Return when the next message is to be sent, or when to end."""
-        if self._next is None:
-            return self._end_ns or now_ns
-        if self._start_ns is None or self._is_sent:
+        if self._is_sent:
             return now_ns
-        return self._start_ns + round(self._next.offset_ns / self._rate)
+        if not self._made:
+            return self._end_ns or now_ns
+        return now_ns if self._backlog.start_ns is None else self._backlog.due_ns(self._made[0].offset_ns)
 
     def pending(self) -> bool:
-        """Return whether the next message is still to be made."""
-        return self._is_sent
+        """Return whether a message is still to be made."""
+        return self._is_sent or self._makes_ahead()
+
+    def health(self) -> tuple[NodeState, str]:
+        """Return DEGRADED while scans are left out."""
+        return self._backlog.health()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Return all messages whose time has come; after a beam, make the next one, which must not hold that one up."""
+        self._backlog.now_ns = now_ns
         if self._is_sent:
             self._make_next()
             return []
-        if self._next is None:
+        if not self._made:
             self._ended = self._end_ns is not None and now_ns >= self._end_ns
             self._end_ns = self._end_ns or now_ns + max(self._settle_ns, END_REST_NS)
             return []
-        if self._start_ns is None:
+        if self._backlog.start_ns is None:
             return self._open(now_ns)
         out: list[Outgoing] = []
-        while self._next is not None and not self._is_sent and self._is_due(now_ns) and len(out) < BURST:
-            out.append(self._take())
+        for _ in range(BURST):
+            if not self._made or self._is_sent or self._backlog.lag_ns(self._made[0].offset_ns) < 0:
+                break
+            if self._is_left_out(self._made[0]):
+                self._drop()
+            else:
+                out.append(self._take())
+        if not out and self._makes_ahead():
+            self._make_next()
+        self.shed.note("scan", "behind", self._backlog.left_out)
         return out
 
     def _open(self, now_ns: int) -> list[Outgoing]:
@@ -152,37 +252,62 @@ class Player(Node):
 
         A car may have been heard long before its radar: what queues would not hold goes at its time.
         """
-        self._start_ns = now_ns + self._settle_ns
+        self._backlog.start_ns = now_ns + self._settle_ns
         out: list[Outgoing] = []
         # of a scene nothing was heard before its start
         latest_ns = 0 if self._restamp else MAX_AGE_NS
-        while self._next is not None and self._next.offset_ns <= latest_ns and self._next.outgoing.topic in _KNOWN:
+        while self._made and self._made[0].offset_ns <= latest_ns and self._made[0].outgoing.topic in _KNOWN:
             out.append(self._take())
         return out
 
-    def _is_due(self, now_ns: int) -> bool:
-        due_ns = self.due_ns(now_ns)
-        return due_ns is not None and due_ns <= now_ns
+    def _is_left_out(self, event: Event) -> bool:
+        """Return whether a message that is due comes too late: of a scan none is sent, or no more."""
+        topic, message = event.outgoing
+        lag_ns = self._backlog.lag_ns(event.offset_ns)
+        if topic == "vehicle/state":
+            return lag_ns > LONGEST_LAG_NS
+        if topic == "sim/truth":
+            return message.scan_id in self._left_out.values()  # type: ignore[attr-defined]
+        if topic not in RAW_TOPICS:
+            return False
+        scan: int = message.scan_id  # type: ignore[attr-defined]
+        if self._left_out.get(topic) != scan and lag_ns > (
+            LONGEST_LAG_NS if self._scan.get(topic) == scan else LATE_NS
+        ):
+            self._left_out[topic] = scan
+            self._backlog.leave_out()
+        self._scan[topic] = scan
+        return self._left_out.get(topic) == scan
 
     def _take(self) -> Outgoing:
         """Return the next message; the one after it is made at once, after a beam in the next step."""
-        assert self._next is not None
-        outgoing = self._stamped(self._next.outgoing)
-        self._is_sent = outgoing.topic in RAW_TOPICS
-        if not self._is_sent:
+        outgoing = self._stamped(self._made.popleft().outgoing)
+        self._is_sent = outgoing.topic in RAW_TOPICS and not self._made
+        if not (self._is_sent or self._made):
             self._make_next()
         return outgoing
 
+    def _drop(self) -> None:
+        self._made.popleft()
+        if not self._made:
+            self._make_next()
+
+    def _makes_ahead(self) -> bool:
+        """Return whether scans are made before their time, since making takes longer than they last."""
+        return self._backlog.lead_ns > 0 and 0 < len(self._made) < MADE_AHEAD
+
     def _make_next(self) -> None:
         self._is_sent = False
-        with self.stages("synthesise"):
-            self._next = next(self._events, None)
+        with self.stages("synthesise"), self._backlog.making():
+            event = next(self._events, None)
+        if event is not None:
+            self._made.append(event)
 
     def _stamped(self, outgoing: Outgoing) -> Outgoing:
         """Return a message of a live scene stamped with the bus clock; one of a capture keeps its recorded stamp."""
-        if not self._restamp or self._start_ns is None:
+        if not self._restamp or self._backlog.start_ns is None:
             return outgoing
-        return Outgoing(outgoing.topic, moved(outgoing.message, self._start_ns))
+        return Outgoing(outgoing.topic, moved(outgoing.message, self._backlog.start_ns))
 
 
 def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
@@ -193,17 +318,21 @@ def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
     return msgspec.structs.replace(message, **stamps)
 
 
-def scene_events(player: ScenePlayer | LidarPlayer, scans: int | None) -> Iterator[Event]:
+def scene_events(
+    player: ScenePlayer | LidarPlayer, scans: int | None, backlog: Backlog | None = None
+) -> Iterator[Event]:
     """Return what the sensor of a scene sends, vehicle states and truth, scan after scan, stamped from zero.
 
-    Without `scans` they end before the sensor drives into a wall.
+    Scans are not made where the `backlog` has them left out. Without `scans` they end before the sensor drives into a
+    wall.
     """
     from sim_player.scene.clear_path import ego_meeting, meeting_text
 
     if scans is None and (meeting := ego_meeting(player.scene)) is not None:
         scans = int(meeting[0] / s_from_ns(player.stamp_ns(1) - player.stamp_ns(0)))
         _LOG.warning("%s: its play ends with scan %d", meeting_text(meeting), scans - 1)
-    return _lidar_events(player, scans) if _is_lidar(player) else _radar_events(player, scans)
+    backlog = backlog or Backlog(1.0)
+    return _lidar_events(player, scans, backlog) if _is_lidar(player) else _radar_events(player, scans, backlog)
 
 
 def _is_lidar(player: ScenePlayer | LidarPlayer) -> TypeIs[LidarPlayer]:
@@ -211,7 +340,7 @@ def _is_lidar(player: ScenePlayer | LidarPlayer) -> TypeIs[LidarPlayer]:
     return isinstance(player.setup, LidarSetup)
 
 
-def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
+def _lidar_events(player: LidarPlayer, scans: int | None, backlog: Backlog) -> Iterator[Event]:
     """Yield the histograms, each when its last azimuth has been measured."""
     setup = player.setup
     azimuths = setup.grid.azimuth_bins
@@ -220,6 +349,8 @@ def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
     player.scan(0)
     yield Event(0, Outgoing("lidar/setup", setup))
     for scan in itertools.count() if scans is None else range(scans):
+        if backlog.skips(player.stamp_ns(scan), player.stamp_ns(1) - player.stamp_ns(0)):
+            continue
         histograms = None
         for azimuth in state_azimuths:
             stamp_ns = player.stamp_ns(scan, azimuth)
@@ -231,8 +362,8 @@ def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
         yield Event(end_ns, Outgoing("sim/truth", player.truth(scan)))
 
 
-def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
-    events = _beam_events(player, scans)
+def _radar_events(player: ScenePlayer, scans: int | None, backlog: Backlog) -> Iterator[Event]:
+    events = _beam_events(player, scans, backlog)
     # with the first beam, which loads kernels while the graph still waits: those of moving things made its views late
     first = next(events, None)
     yield Event(0, Outgoing("radar/setup", player.setup))
@@ -241,10 +372,11 @@ def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
         yield from events
 
 
-def _beam_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
+def _beam_events(player: ScenePlayer, scans: int | None, backlog: Backlog) -> Iterator[Event]:
     """Yield beams, each after the vehicle's state at its time, and the truth of a scan after its last beam."""
-    scan = 0
-    while scans is None or scan < scans:
+    for scan in itertools.count() if scans is None else range(scans):
+        if backlog.skips(player.stamp_ns(scan), player.stamp_ns(1) - player.stamp_ns(0)):
+            continue
         beams: Iterable[RadarBeam] = (player.beam(scan, index) for index in range(len(player.setup.beams)))
         # those of a digital array are there at once: made before their time, not while they are due
         for beam in list(beams) if player.setup.array.digital else beams:
@@ -252,7 +384,6 @@ def _beam_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
             yield Event(due_ns, Outgoing("vehicle/state", player.vehicle_state(beam.stamp_ns)))
             yield Event(due_ns, Outgoing("radar/beam", beam))
         yield Event(due_ns, Outgoing("sim/truth", player.truth(scan)))
-        scan += 1
 
 
 def with_walls(events: Iterator[Event], player: ScenePlayer | LidarPlayer, params: Params) -> Iterator[Event]:
@@ -267,9 +398,14 @@ def with_walls(events: Iterator[Event], player: ScenePlayer | LidarPlayer, param
     scan = 0
     for event in events:
         yield event
+        message = event.outgoing.message
+        if not isinstance(message, VehicleState):
+            continue
+        while player.stamp_ns(scan) < message.stamp_ns:
+            # it was left out
+            scan += 1
         # a scan begins with the vehicle's state at its stamp
-        message, stamp_ns = event.outgoing.message, player.stamp_ns(scan)
-        if isinstance(message, VehicleState) and message.stamp_ns == stamp_ns:
+        if message.stamp_ns == (stamp_ns := player.stamp_ns(scan)):
             pose = radar_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
             walls = scene_walls(player.scene, pose, stamp_ns, params.seed, errors)
             yield event._replace(outgoing=Outgoing(WALLS_TOPIC, walls))
@@ -439,14 +575,14 @@ def _require_for_lidar(params: Params) -> None:
             raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 
-def events_of(params: Params) -> Iterator[Event]:
+def events_of(params: Params, backlog: Backlog | None = None) -> Iterator[Event]:
     """Return the messages to play, of a scene or a capture; the first one is read or made here.
 
     Raises `ValueError` naming a capture that holds nothing to play.
     """
     if params.scene is not None:
         player = scene_player(params)
-        events = with_walls(scene_events(player, params.scans), player, params)
+        events = with_walls(scene_events(player, params.scans, backlog), player, params)
     else:
         events = _not_empty(capture_events(Path(params.capture or "")), params.capture)
     if not params.publish_vehicle_state:
@@ -458,4 +594,5 @@ def events_of(params: Params) -> Iterator[Event]:
 
 def create(params: Params) -> Player:
     """Return the node with its parameters; the first message is made here: compiling ends before it is ready."""
-    return Player(events_of(params), params.rate, params.settle_s, restamp=params.scene is not None)
+    backlog = Backlog(params.rate)
+    return Player(events_of(params, backlog), params.rate, params.settle_s, params.scene is not None, backlog)

@@ -121,7 +121,7 @@ class Playback:
         for recorded in self._recent:
             # of other scans in the run-up nothing is shown, but the vehicle's motion counts
             if getattr(recorded.message, "scan_id", scan.scan_id) == scan.scan_id:
-                assembly.take(recorded.message, recorded.log_time_ns, scan.past)
+                assembly.take(recorded.message, recorded.log_time_ns, scan.past, since_ns=scan.since_ns)
         self._board.post("nodes", lambda: (scan.table,))
         post_warnings(self._board, scan.warnings, scan.sent_ns)
         self._post_timeline()

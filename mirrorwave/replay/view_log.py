@@ -40,6 +40,8 @@ class Moment(NamedTuple):
     warnings: tuple[DriverWarning, ...]
     #: The node table as JSON.
     table: str
+    #: Since when the graph ran, as far as known then.
+    since_ns: int
 
 
 class Mark(NamedTuple):
@@ -99,6 +101,7 @@ def _moment(frame: BevFrame, watch: Watch, now_ns: int) -> Moment:
         past=watch.past,
         warnings=watch.warnings(now_ns),
         table=json_text(watch.table(now_ns)),
+        since_ns=watch.since_ns,
     )
 
 

@@ -23,6 +23,8 @@ _LOG = logging.getLogger(__name__)
 _NEAR_NS, _NEAR_INTERVALS = NANOSECONDS_PER_SECOND // 10, 3
 #: A longer gap is said, and a much longer one is a step of the clock; a slow stream may be silent for some intervals.
 GAP_NS, SILENCE_NS, _INTERVALS = NANOSECONDS_PER_SECOND, 60 * NANOSECONDS_PER_SECOND, 10
+#: Whoever waits for a gap this long wants to know why.
+_LONG_GAP_NS = 10 * NANOSECONDS_PER_SECOND
 #: Intervals of which the median is the usual one.
 _KEPT_INTERVALS = 31
 #: Stamps in a row that are off, at most: more of them are a step.
@@ -134,7 +136,8 @@ class Bridged(Generic[Item]):
             self._last_ns = stamp_ns
         elif away_ns > max(GAP_NS, _INTERVALS * usual_ns):
             self.gaps += 1
-            self._say(logging.INFO, f"has a gap of {s_from_ns(away_ns):.1f} s")
+            level = logging.WARNING if away_ns > _LONG_GAP_NS else logging.INFO
+            self._say(level, f"has a gap of {s_from_ns(away_ns):.1f} s")
             self._last_ns = stamp_ns
         else:
             self._keep(stamp_ns)

@@ -7,7 +7,7 @@ import io
 import logging
 import math
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -103,7 +103,7 @@ def _log_stamp_ns(reader: Any, frame: can.Message, last_ns: int) -> int:
     return (last_ns or start_ns) + frame_stamp_ns(frame) - start_ns
 
 
-def on_one_clock(frames: Iterable[LogFrame]) -> Iterator[LogFrame]:
+def on_one_clock(frames: Iterable[LogFrame]) -> Generator[LogFrame, None, None]:
     """Yield the frames of a log without steps of the logger's clock; those without a time as they are."""
     timed = Bridged(frames, _stamp_of, "the log's clock", noun="frame", late_ns=RESTART_NS, look_ahead=_LOOK_AHEAD)
     try:

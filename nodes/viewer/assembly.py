@@ -68,13 +68,18 @@ class ScanAssembly:
         past: tuple[Past, ...] = (),
         is_late: bool = False,
         sensor: Setup | None = None,
+        since_ns: int = 0,
     ) -> None:
-        """Process one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view."""
+        """Process one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view.
+
+        `since_ns`: since when the graph runs; the latency of what was measured earlier is not known.
+        """
         match message:
             case BevFrame():
                 self._number += 1
                 self._frame, self._past, self._is_late = message, past, is_late
-                latency_ms = age_ms(message.stamp_ns, now_ns) if on_one_clock(message.stamp_ns, now_ns) else None
+                is_ours = on_one_clock(message.stamp_ns, now_ns, since_ns)
+                latency_ms = age_ms(message.stamp_ns, now_ns) if is_ours else None
                 self._facts = {"latency_ms": latency_ms, **age_limits_ms(sensor, is_late)}
                 self._post_view(now_ns)
                 self._post_map(now_ns)
@@ -140,7 +145,7 @@ class Assembly:
         """Process one message of `TOPICS_SHOWN`; post what it completes."""
         watch = self._watching(now_ns)
         watch.take(message, now_ns)
-        self._scans.take(message, now_ns, watch.past, watch.is_late, watch.sensor)
+        self._scans.take(message, now_ns, watch.past, watch.is_late, watch.sensor, watch.since_ns)
         if isinstance(message, BevFrame):
             self._post_warnings(now_ns)
         elif message is watch.sensor:

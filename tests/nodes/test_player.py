@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,13 +17,18 @@ from msgs.bus.local import LocalNetwork
 from msgs.files.shipped import CHECKOUT
 from msgs.recording.mcap import RecordingWriter
 from msgs.recording.sigmf import write_capture
+from msgs.values.detections import RadarDetections
+from msgs.values.diagnostics import NodeState
 from msgs.values.environment import WallPriors
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
 from nodes.player import (
+    LATE_NS,
+    LONGEST_LAG_NS,
     SENSED_TOPICS,
+    Backlog,
     Event,
     Params,
     Player,
@@ -320,3 +326,79 @@ def test_walls_in_a_recording_are_played_from_it(tmp_path: Path) -> None:
     assert [message for message in played(Params(capture=str(path)))[0] if isinstance(message, WallPriors)] == [
         expected
     ]
+
+
+class SlowScene:
+    """A scene of which a beam takes so long to make, on a clock of its own that nothing else moves."""
+
+    def __init__(self, beam_ns: int) -> None:
+        self.now_ns, self._beam_ns = 0, beam_ns
+        self._source = scene_player(params())
+        self._beam = self._source.beam(0, 0)
+        self.setup, self.scene = self._source.setup, self._source.scene
+        self.stamp_ns, self.vehicle_state = self._source.stamp_ns, self._source.vehicle_state
+
+    def beam(self, scan: int, index: int) -> RadarBeam:
+        self.now_ns += self._beam_ns
+        stamp_ns = self.stamp_ns(scan, index)
+        return msgspec.structs.replace(self._beam, scan_id=scan, beam_index=index, stamp_ns=stamp_ns)
+
+    def truth(self, scan: int) -> SceneTruth:
+        return msgspec.structs.replace(self._source.truth(0), scan_id=scan)
+
+
+def driven(player: Player, until_ns: int, clock: SlowScene) -> list[tuple[int, RadarBeam | RadarDetections]]:
+    """Beams and detections with the times at which they were sent, as the loop of a node has them."""
+    sent = []
+    while clock.now_ns < until_ns and not player.finished():
+        due_ns = player.due_ns(clock.now_ns)
+        assert due_ns is not None
+        clock.now_ns = clock.now_ns if player.pending() else max(clock.now_ns, due_ns)
+        at_ns = clock.now_ns
+        messages = [outgoing.message for outgoing in player.step([], at_ns)]
+        sent += [(at_ns, message) for message in messages if isinstance(message, RadarBeam | RadarDetections)]
+    return sent
+
+
+@pytest.mark.parametrize("times", [0.5, 2.0, 3.0, 6.0, 20.0])
+def test_a_player_that_cannot_keep_up_leaves_scans_out_and_never_lags_a_second(times: float) -> None:
+    """Whole scans: only of those before it knows how long it takes the end may be missing."""
+    source = SlowScene(round(times * 12_000_000))
+    backlog = Backlog(1.0, lambda: source.now_ns)
+    player = Player(scene_events(source, None, backlog), 1.0, 0.03, True, backlog)  # type: ignore[arg-type]
+    start_ns = 30_000_000 + source.now_ns
+    sent = driven(player, 60_000_000_000, source)
+    lags_ns = [at_ns - beam.stamp_ns for at_ns, beam in sent]  # type: ignore[union-attr]
+    assert min(lags_ns) >= 0
+    assert max(lags_ns) <= LONGEST_LAG_NS
+    counts = Counter(beam.scan_id for _, beam in sent)
+    torn = [scan for scan in sorted(counts)[:-1] if counts[scan] < 25]
+    assert len(torn) <= (0 if times < 4.0 else 2)
+    passed = (source.now_ns - start_ns) / 300_000_000
+    assert len(counts) - len(torn) >= 0.7 * passed / max(times, 1.0)
+    assert len(counts) + backlog.left_out == pytest.approx(passed, abs=1.5 + 1.5 * times)
+    state, reason = player.health()
+    assert (state is NodeState.DEGRADED) is (times > 1.0)
+    assert reason == ("" if times < 1.0 else f"cannot keep up with real time: {backlog.left_out} scans left out so far")
+    assert sum(count.count for count in player.shed.counts()) == backlog.left_out
+
+
+def test_a_capture_that_was_held_up_goes_on_where_it_should_be(tmp_path: Path) -> None:
+    """A stop of 5 s, as of a machine that swaps: at most the last second is caught up with, the rest is left out."""
+    path = tmp_path / "a.mcap"
+    empty = np.zeros(0)
+    with RecordingWriter(path, {}) as writer:
+        for scan in range(100):
+            detections = RadarDetections(
+                stamp_ns=scan * 100_000_000, scan_id=scan, sensor="front", range_m=empty, azimuth_rad=empty,
+                covariance=np.zeros((0, 2, 2)),
+            )  # fmt: skip
+            writer.write("radar/detections", detections, publisher="radar", sequence=scan, sent_ns=detections.stamp_ns)
+    player, clock = create(Params(capture=str(path), settle_s=0.0)), SlowScene(0)
+    sent = driven(player, 2_050_000_000, clock)
+    clock.now_ns += 5_000_000_000
+    sent += driven(player, 20_000_000_000, clock)
+    assert [message.scan_id for _, message in sent] == [*range(22), *range(66, 100)]
+    assert max(at_ns - message.stamp_ns for at_ns, message in sent) <= LATE_NS + 50_000_000
+    assert player.shed.counts()[0].count == 44
+    assert player.health() == (NodeState.DEGRADED, "cannot keep up with real time: 44 scans left out so far")
