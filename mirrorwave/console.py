@@ -125,6 +125,8 @@ def console_table(
     while (widths := _column_widths(columns, cells, kept, width)) is None and len(left_out) < len(least):
         left_out.append(least[len(left_out)])
         kept.remove(left_out[-1])
+    # a few letters a line rather than no table
+    widths = widths or _column_widths(columns, cells, kept, width, line=0)
     if widths is None:
         return Text("\n\n".join(_block(columns, row) for row in cells) or ", ".join(columns))
     # a wide one may have left room for others
@@ -142,15 +144,20 @@ def console_table(
     return Group(table, Text(note)) if names else table
 
 
-def _column_widths(columns: Sequence[str], cells: list[list[str]], kept: list[int], width: int) -> list[int] | None:
-    """Return widths of columns with the widest narrowed until all fit; None where they do not fit."""
+def _column_widths(
+    columns: Sequence[str], cells: list[list[str]], kept: list[int], width: int, line: int = _LINE
+) -> list[int] | None:
+    """Return widths of columns with the widest narrowed until all fit; None where they do not fit.
+
+    A text that wraps has lines of `line` cells at least.
+    """
     wanted, least = [], []
     for index in kept:
         texts = [row[index] for row in cells]
         widest = _width(texts)
         words = _width(word for text in texts for word in text.split())
         # a number is not broken, nor a short text; of a long one a few words stay on a line
-        narrow = widest if _is_numeric(cells, index) else min(widest, max(min(words, _LONG_WORD), _LINE))
+        narrow = widest if _is_numeric(cells, index) else min(widest, max(min(words, _LONG_WORD), line))
         wanted.append(max(widest, _width([columns[index]])))
         least.append(max(narrow, _width(columns[index].split())))
     room = width - _GAP * (len(kept) - 1)

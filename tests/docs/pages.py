@@ -60,6 +60,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # benchmarks: that the module is there and knows its options' help
     (r"^(OPENBLAS_NUM_THREADS=1 )?python -m (benchmarks\.\S+)(?!.* --record ).*$", r"python -m \2 --help"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
+    (r"^timeout (.*) 20 ", r"timeout \1 5 "),
     (r"--duration \d+", "--duration 2"),
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),

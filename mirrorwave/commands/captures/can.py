@@ -115,7 +115,7 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
 def _print_signals(report: SignalReport) -> None:
     columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
     rows = [_signals_row(row) for row in report.messages()]
-    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS",))
+    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS", "PERIOD_MS"))
     print_line("")
     print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
     if report.loss:
