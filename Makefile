@@ -126,7 +126,7 @@ full-wave: setup-dev  ## rays against a full-wave solution: docs/results/full-wa
 	$(BIN)/python -m benchmarks.full_wave --seeds 24 --table docs/results/full-wave.md --figure docs/images/full-wave.png
 
 compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/explain/sensors.md (half an hour; goes on if stopped)
-	$(BIN)/mirrorwave compare --viewpoints 6 --jobs 2 --out runs/compare
+	$(BIN)/mirrorwave compare --viewpoints 6 --workers 2 --out runs/compare
 	$(BIN)/mirrorwave compare --scene launch/scenes/hidden_car_xband.yaml --out runs/compare
 	cp runs/compare/compare.md docs/results/compare.md && cp runs/compare/compare.png docs/images/compare.png
 	cp runs/compare/hidden_car_xband.png docs/images/three-sensors.png

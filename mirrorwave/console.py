@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -224,17 +224,16 @@ class Progress:
 @contextmanager
 def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iterator[Progress]:
     """Show on stderr how much is done: a bar on a terminal, elsewhere a line every `BEAT_S`; gives what advances it."""
-    is_terminal, ended = sys.stderr.isatty(), threading.Event()
-    with _bar(is_terminal) as bar:
-        progress = Progress(name, total, done, bar.console.print if is_terminal else _heartbeat)
-        task = bar.add_task("", total=total, line="")
+    ended = threading.Event()
+    with _bar(total) if sys.stderr.isatty() else nullcontext() as bar:
+        progress = Progress(name, total, done, _heartbeat if bar is None else bar.console.print)
 
         def show() -> None:
-            while not ended.wait(BAR_S if is_terminal else BEAT_S):
-                if is_terminal:
-                    bar.update(task, completed=progress.done, total=progress.total, line=progress.line())
-                else:
+            while not ended.wait(BEAT_S if bar is None else BAR_S):
+                if bar is None:
                     _heartbeat(progress.line())
+                else:
+                    bar.update(bar.task_ids[0], completed=progress.done, total=progress.total, line=progress.line())
 
         thread = threading.Thread(target=show, name="progress", daemon=True)
         thread.start()
@@ -245,14 +244,16 @@ def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iter
             thread.join()
 
 
-def _bar(is_shown: bool) -> Bar:
+def _bar(total: float | None) -> Bar:
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as Bar
 
     columns = (SpinnerColumn(), BarColumn(20), TextColumn("{task.fields[line]}", markup=False))
     # stdout is for results
-    return Bar(*columns, console=Console(stderr=True), transient=True, disable=not is_shown)
+    bar = Bar(*columns, console=Console(stderr=True), transient=True)
+    bar.add_task("", total=total, line="")
+    return bar
 
 
 def _heartbeat(line: str) -> None:

@@ -89,7 +89,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # the network of one short epoch finds nothing to learn from
     (r"^(mirrorwave train residual .*) --model net.onnx$", r"\1 --epochs 1 --model models/weights/compact_unet.onnx"),
     (r" --full$| --full ", " "),
-    (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --frames 1 --repeats 1 --no-memory"),
+    (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
     (
         r"^mirrorwave compare (?!--scene).*$",
