@@ -225,7 +225,7 @@ class Progress:
 def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iterator[Progress]:
     """Show on stderr how much is done: a bar on a terminal, elsewhere a line every `BEAT_S`; gives what advances it."""
     ended = threading.Event()
-    with _bar(total) if sys.stderr.isatty() else nullcontext() as bar:
+    with _bar(name, total) if sys.stderr.isatty() else nullcontext() as bar:
         progress = Progress(name, total, done, _heartbeat if bar is None else bar.console.print)
 
         def show() -> None:
@@ -244,7 +244,7 @@ def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iter
             thread.join()
 
 
-def _bar(total: float | None) -> Bar:
+def _bar(name: str, total: float | None) -> Bar:
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as Bar
@@ -252,7 +252,7 @@ def _bar(total: float | None) -> Bar:
     columns = (SpinnerColumn(), BarColumn(20), TextColumn("{task.fields[line]}", markup=False))
     # stdout is for results
     bar = Bar(*columns, console=Console(stderr=True), transient=True)
-    bar.add_task("", total=total, line="")
+    bar.add_task("", total=total, line=name)
     return bar
 
 
