@@ -8,31 +8,38 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-dev demo test test-fast lint style audit lock stability site reference bench faults soak fuzz mutants tables sample fdtd-figures full-wave compare results results-gpu clean
 
+# $(call beat,WORDS) COMMAND: a line of WORDS every ten seconds until COMMAND, or the shell that runs it, has ended
+beat = (s=0; while sleep 1 && kill -0 $$$$ 2>/dev/null; do s=$$((s + 1)); [ $$((s % 10)) -ne 0 ] || echo "$(1), $$s s"; done) & trap "kill $$!" EXIT;
+
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 # What others packed is installed by its checksum (make lock); LOCKED=no takes what pyproject.toml allows. torch alone has
 # none: each kind of processor has a build of its own.
 LOCKED ?= yes
-install_locked = test $(LOCKED) = no || $(BIN)/pip install --quiet --require-hashes -r $(1) || { echo "the package index does not serve what $(1) names; LOCKED=no takes what pyproject.toml allows, unchecked"; exit 1; }
+install_locked = test $(LOCKED) = no || $(BIN)/pip install --progress-bar off --require-hashes -r $(1) || { echo "the package index does not serve what $(1) names; LOCKED=no takes what pyproject.toml allows, unchecked"; exit 1; }
+install_here = $(BIN)/pip install --quiet $(if $(filter no,$(LOCKED)),,--no-build-isolation) --editable $(1)
 
 $(VENV)/.installed: pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' || { echo "mirrorwave needs Python 3.11 to 3.14; name one with: make PYTHON=python3.11 ..."; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
-	@$(call install_locked,requirements.lock)
-	$(BIN)/pip install --quiet $(if $(filter no,$(LOCKED)),,--no-build-isolation) --editable .
+	@echo "set-up 1 of 2: Python packages, 720 MB with all that they need"
+	@$(call beat,set-up 1 of 2: Python packages) $(call install_locked,requirements.lock)
+	@$(call beat,set-up 1 of 2: mirrorwave itself) $(call install_here,.)
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
-	$(BIN)/python -c "from mirrorwave.node_chain import NodeParams; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; chain = NodeParams.of(read_profile('default')).chain(); chain.forming.set_up(RadarSetup()); chain.detection.set_up(RadarSetup())" & \
+	@echo "set-up 2 of 2: compiling kernels, a minute or a few"
+	@$(call beat,set-up 2 of 2: compiling kernels) $(BIN)/python -c "from mirrorwave.node_chain import NodeParams; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; chain = NodeParams.of(read_profile('default')).chain(); chain.forming.set_up(RadarSetup()); chain.detection.set_up(RadarSetup())" & perception=$$!; \
 	for scene in scenes/corner drives/side_street; do \
 	    $(BIN)/mirrorwave sim run launch/$$scene.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && rm $(VENV)/compiled.mcap || exit 1; \
-	done && wait $$!
+	done && wait $$perception
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
-	@$(call install_locked,requirements-dev.lock)
-	$(BIN)/pip install --quiet $(if $(filter no,$(LOCKED)),,--no-build-isolation) --editable '.[dev]'
+	@echo "set-up for development: packages of training, tests and linters"
+	@$(call beat,set-up for development) $(call install_locked,requirements-dev.lock)
+	@$(call beat,set-up for development: mirrorwave itself) $(call install_here,'.[dev]')
 	@# shared libraries of open3d (annotate) and pyadi-iio (phaser); what needs them is skipped by name where they lack
-	@if $(BIN)/python -c "import open3d, iio" 2>/dev/null; then :; \
+	@$(call beat,set-up for development: shared libraries) if $(BIN)/python -c "import open3d, iio" 2>/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && { apt-get -qq update && apt-get -qq install -y --no-install-recommends $(LIBRARIES); } >/dev/null 2>&1; then :; \
 	else echo "some tests will be skipped; on Debian: apt-get install $(LIBRARIES)"; fi
 	@touch $@
@@ -155,7 +162,7 @@ full-wave: setup-dev  ## rays against a full-wave solution: docs/results/full-wa
 	$(BIN)/python -m benchmarks.full_wave --seeds 24 --table docs/results/full-wave.md --figure docs/images/full-wave.png
 
 compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/explain/sensors.md (half an hour; goes on if stopped)
-	$(BIN)/mirrorwave compare --viewpoints 6 --jobs 2 --out runs/compare
+	$(BIN)/mirrorwave compare --viewpoints 6 --workers 2 --out runs/compare
 	$(BIN)/mirrorwave compare --scene launch/scenes/hidden_car_xband.yaml --out runs/compare
 	cp runs/compare/compare.md docs/results/compare.md && cp runs/compare/compare.png docs/images/compare.png
 	cp runs/compare/hidden_car_xband.png docs/images/three-sensors.png

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -125,6 +125,8 @@ def console_table(
     while (widths := _column_widths(columns, cells, kept, width)) is None and len(left_out) < len(least):
         left_out.append(least[len(left_out)])
         kept.remove(left_out[-1])
+    # a few letters a line rather than no table
+    widths = widths or _column_widths(columns, cells, kept, width, line=0)
     if widths is None:
         return Text("\n\n".join(_block(columns, row) for row in cells) or ", ".join(columns))
     # a wide one may have left room for others
@@ -142,15 +144,20 @@ def console_table(
     return Group(table, Text(note)) if names else table
 
 
-def _column_widths(columns: Sequence[str], cells: list[list[str]], kept: list[int], width: int) -> list[int] | None:
-    """Return widths of columns with the widest narrowed until all fit; None where they do not fit."""
+def _column_widths(
+    columns: Sequence[str], cells: list[list[str]], kept: list[int], width: int, line: int = _LINE
+) -> list[int] | None:
+    """Return widths of columns with the widest narrowed until all fit; None where they do not fit.
+
+    A text that wraps has lines of `line` cells at least.
+    """
     wanted, least = [], []
     for index in kept:
         texts = [row[index] for row in cells]
         widest = _width(texts)
         words = _width(word for text in texts for word in text.split())
         # a number is not broken, nor a short text; of a long one a few words stay on a line
-        narrow = widest if _is_numeric(cells, index) else min(widest, max(min(words, _LONG_WORD), _LINE))
+        narrow = widest if _is_numeric(cells, index) else min(widest, max(min(words, _LONG_WORD), line))
         wanted.append(max(widest, _width([columns[index]])))
         least.append(max(narrow, _width(columns[index].split())))
     room = width - _GAP * (len(kept) - 1)
@@ -217,17 +224,16 @@ class Progress:
 @contextmanager
 def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iterator[Progress]:
     """Show on stderr how much is done: a bar on a terminal, elsewhere a line every `BEAT_S`; gives what advances it."""
-    is_terminal, ended = sys.stderr.isatty(), threading.Event()
-    with _bar(is_terminal) as bar:
-        progress = Progress(name, total, done, bar.console.print if is_terminal else _heartbeat)
-        task = bar.add_task("", total=total, line="")
+    ended = threading.Event()
+    with _bar(name, total) if sys.stderr.isatty() else nullcontext() as bar:
+        progress = Progress(name, total, done, _heartbeat if bar is None else bar.console.print)
 
         def show() -> None:
-            while not ended.wait(BAR_S if is_terminal else BEAT_S):
-                if is_terminal:
-                    bar.update(task, completed=progress.done, total=progress.total, line=progress.line())
-                else:
+            while not ended.wait(BEAT_S if bar is None else BAR_S):
+                if bar is None:
                     _heartbeat(progress.line())
+                else:
+                    bar.update(bar.task_ids[0], completed=progress.done, total=progress.total, line=progress.line())
 
         thread = threading.Thread(target=show, name="progress", daemon=True)
         thread.start()
@@ -238,14 +244,16 @@ def progress_bar(name: str, total: float | None = None, done: float = 0) -> Iter
             thread.join()
 
 
-def _bar(is_shown: bool) -> Bar:
+def _bar(name: str, total: float | None) -> Bar:
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as Bar
 
     columns = (SpinnerColumn(), BarColumn(20), TextColumn("{task.fields[line]}", markup=False))
     # stdout is for results
-    return Bar(*columns, console=Console(stderr=True), transient=True, disable=not is_shown)
+    bar = Bar(*columns, console=Console(stderr=True), transient=True)
+    bar.add_task("", total=total, line=name)
+    return bar
 
 
 def _heartbeat(line: str) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from typing import Any
 
 # as verbs and nodes do, before numpy is imported: threads that wait for each other take the cores of other tests
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 from tests.home import move_in
-from tests.scheduling import FromBothEnds, in_order
+from tests.scheduling import Beats, FromBothEnds, in_order
 
 # before a test imports what looks for a home
 move_in()
@@ -79,6 +80,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # who runs tests itself would hand the handler of SIGTERM on to what they fork
     if config.getoption("dist", "no") != "no" and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Ending())
+        if not sys.stdout.isatty():
+            config.pluginmanager.register(Beats(config))
 
 
 @pytest.hookimpl(optionalhook=True)

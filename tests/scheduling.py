@@ -2,17 +2,22 @@
 
 The first worker takes the tests that start processes and mostly wait for them, one file after the other; meanwhile the
 others compute, the longest first. So there is one graph at a time as long as there is anything else to do, and short
-tests fill up whatever time is left at the end.
+tests fill up whatever time is left at the end. A run that no terminal shows says every ten seconds how far it is.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 from collections import Counter
+from collections.abc import Sequence
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
+#: How often a run says how far it is.
+BEAT_S = 10.0
 #: Files whose tests make nothing for each other: each may run in a worker of its own.
 SEPARATE = frozenset(
     {
@@ -60,3 +65,36 @@ class FromBothEnds(LoadFileScheduling):
         if node is not self.nodes[0]:
             self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
         super()._assign_work_unit(node)
+
+
+class Beats:
+    """A line every ten seconds of what is done and left, where nobody sees the dots come."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config, self._over = config, threading.Event()
+        self._all, self._done = 0, 0
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, ids: Sequence[str]) -> None:
+        self._all = len(ids)
+
+    def pytest_runtest_logfinish(self) -> None:
+        self._done += 1
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtestloop(self) -> object:
+        thread = threading.Thread(target=self._beat, daemon=True)
+        thread.start()
+        try:
+            return (yield)
+        finally:
+            self._over.set()
+            thread.join()
+
+    def _beat(self) -> None:
+        reporter = self._config.pluginmanager.get_plugin("terminalreporter")
+        start_s = time.monotonic()
+        while reporter is not None and not self._over.wait(BEAT_S):
+            reporter.ensure_newline()
+            what = f"{self._done} of {self._all} tests" if self._all else "collecting tests"
+            reporter.write_line(f"{what}, {time.monotonic() - start_s:.0f} s", flush=True)

@@ -11,8 +11,10 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -36,6 +38,28 @@ KILLED = "os.kill(os.getpid(), signal.SIGKILL)"
 STUCK = "re.match('(a+)+$', 60 * 'a' + 'b')"
 #: As in a thread of a library that blocks all signals: nothing is printed.
 SILENT = "signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals()); ctypes.string_at(0)"
+
+
+def test_a_run_off_a_terminal_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "BEAT_S", 0.001)
+    lines, said = [], threading.Event()
+
+    class Reporter:
+        def ensure_newline(self) -> None: ...
+
+        def write_line(self, text: str, flush: bool) -> None:
+            lines.append(text)
+            said.set()
+
+    config = SimpleNamespace(pluginmanager=SimpleNamespace(get_plugin=lambda name: Reporter()))
+    beats = scheduling.Beats(config)
+    beats.pytest_xdist_node_collection_finished(["a", "b", "c"])
+    beats.pytest_runtest_logfinish()
+    run = beats.pytest_runtestloop()
+    next(run)
+    assert said.wait(PATIENCE_S)
+    run.close()
+    assert lines[0] == "1 of 3 tests, 0 s"
 
 
 def commands(goal: str) -> list[list[str]]:

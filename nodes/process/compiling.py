@@ -1,8 +1,12 @@
-"""Notice that kernels are being compiled: after an installation or an update this takes half a minute, once."""
+"""Notice that kernels are being compiled: after an installation or an update this takes half a minute, once.
+
+On a slow machine it takes minutes: a line every ten seconds says how many are done.
+"""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,26 +18,43 @@ _COMPILE = "numba:compile"
 NOTICE = "compiling kernels, which are kept: it takes half a minute after an installation or an update"
 
 
-class _Once(event.Listener):
-    """Reports the first kernel that is compiled."""
+#: Least time between two lines.
+BEAT_S = 10.0
+
+
+class _Counter(event.Listener):
+    """Reports the first kernel that is compiled, then from time to time how many have been."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        self._say: Callable[[str], None] | None = say
+        self._say = say
         self._lock = threading.Lock()
+        self._done = 0
+        self._start_s: float | None = None
+        self._said_s = 0.0
 
     def on_start(self, event: Any) -> None:
         """Note that the compilation of a kernel begins."""
+        now_s = time.monotonic()
         with self._lock:
-            say, self._say = self._say, None
-        if say is not None:
-            say(NOTICE)
+            if self._start_s is None:
+                self._start_s, self._said_s, text = now_s, now_s, NOTICE
+            elif now_s - self._said_s >= BEAT_S:
+                self._said_s, text = now_s, f"compiling kernels: {self._done} done, {now_s - self._start_s:.0f} s"
+            else:
+                return
+        self._say(text)
 
     def on_end(self, event: Any) -> None:
         """Note that a kernel has been compiled."""
+        with self._lock:
+            self._done += 1
 
 
 @contextmanager
 def compile_notice(say: Callable[[str], None]) -> Iterator[None]:
-    """While the body runs, call `say` once at the first kernel that is compiled; cached ones are silent."""
-    with event.install_listener(_COMPILE, _Once(say)):
+    """While the body runs, call `say` at the first kernel that is compiled, then at most every `BEAT_S`.
+
+    Cached ones are silent.
+    """
+    with event.install_listener(_COMPILE, _Counter(say)):
         yield

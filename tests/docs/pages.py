@@ -60,6 +60,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # benchmarks: that the module is there and knows its options' help
     (r"^(OPENBLAS_NUM_THREADS=1 )?python -m (benchmarks\.\S+)(?!.* --record ).*$", r"python -m \2 --help"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
+    (r"^timeout (.*) 20 ", r"timeout \1 5 "),
     (r"--duration \d+", "--duration 2"),
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
@@ -88,7 +89,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # the network of one short epoch finds nothing to learn from
     (r"^(mirrorwave train residual .*) --model net.onnx$", r"\1 --epochs 1 --model models/weights/compact_unet.onnx"),
     (r" --full$| --full ", " "),
-    (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --frames 1 --repeats 1 --no-memory"),
+    (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
     (
         r"^mirrorwave compare (?!--scene).*$",

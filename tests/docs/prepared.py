@@ -18,7 +18,6 @@ from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
 from tests.mirrorwave.commands.captures.test_can import write_drive
 from tests.mirrorwave.convert.test_dca1000 import CFG, point, two_lanes
-from tests.nodes.test_can_out import write_log
 
 SMALL = ["-p", "player.chirps_per_beam=8"]
 #: How long a graph may run until it has said everything.
@@ -70,11 +69,6 @@ def _drive(folder: Path) -> None:
         shutil.copy(f"launch/can/mirrorwave.{suffix}", folder / f"car.{suffix}")
 
 
-def _list(folder: Path) -> None:
-    bus = {"interface": "virtual", "channel": "list", "options": {"preserve_timestamps": True}}
-    write_log(bus, folder / "list.log")
-
-
 def _dca1000(folder: Path) -> None:
     (folder / "capture.bin").write_bytes(2 * two_lanes(point()))
     (folder / "chirps.cfg").write_text(CFG)
@@ -93,7 +87,6 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     "drive.log": _drive,
     "car.dbc": _drive,
     "car.yaml": _drive,
-    "list.log": _list,
     "capture.bin": _dca1000,
     "chirps.cfg": _dca1000,
     "detections.csv": _detections,

@@ -16,7 +16,6 @@ from tests.docs.prepared import Prepared, remember_trials, speaking_car
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 #: Files of the reader's own that a page speaks of.
 GIVEN: dict[str, tuple[str, ...]] = {
-    "docs/guides/can-out.md": ("list.log",),
     "docs/guides/connect-my-car.md": ("drive.log", "car.dbc", "car.yaml"),
     "docs/guides/connect-my-radar.md": ("capture.bin", "chirps.cfg", "detections.csv"),
     "docs/guides/first-look.md": ("corner.mcap",),

@@ -162,7 +162,8 @@ def info(
     """Show the content of a recording, its checksums verified; exit code 3 if something is missing or damaged."""
     from msgs.recording import mcap as recording
 
-    contents = recording.info(file)
+    with progress_bar(f"reading {file.name}"):
+        contents = recording.info(file)
     if config:
         if "launch" not in contents.metadata:
             raise ValueError(f"{file}: holds no launch file: recorded without a graph of `mirrorwave launch`")
@@ -181,7 +182,9 @@ def recover(file: File, out: Out) -> None:
     from msgs.recording.mcap_copy import copy_recording
 
     require_new_file(out)
-    report_copy(out, *copy_recording(file, out))
+    with progress_bar(f"reading {file.name}"):
+        copied = copy_recording(file, out)
+    report_copy(out, *copied)
 
 
 @app.command()

@@ -35,7 +35,11 @@ def trim(
         for topic in wanted or ():
             if topic not in reader.types:
                 raise ValueError(f"{file}: holds no topic {topic!r}; it holds {', '.join(reader.types) or 'none'}")
-    report_copy(out, *copy_recording(file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, compress=compress))
+    with progress_bar("messages") as advance:
+        copied = copy_recording(
+            file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, compress=compress, on_message=advance
+        )
+    report_copy(out, *copied)
 
 
 def filter_topics(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_rows, print_table
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_rows, print_table, progress_bar
 from mirrorwave.terminal import ends_with_reader
 from msgs.values.wording import counted
 
@@ -55,7 +55,8 @@ def decode(
         _decode_signals(log, dbc, channel, every, as_json)
         return
     report = LogReport(load_decoder(shipped_path(dbc), shipped_path(mapping)), every)
-    report.read(on_one_clock(read_log(log, channel)))
+    with progress_bar("frames") as advance:
+        report.read(_each(on_one_clock(read_log(log, channel)), advance))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames")
     if as_json:
@@ -66,6 +67,12 @@ def decode(
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
     if not report.valid_states:
         raise typer.Exit(ExitCode.FAILED)
+
+
+def _each(frames: Iterable[Any], advance: Callable[[], None]) -> Iterator[Any]:
+    for frame in frames:
+        yield frame
+        advance()
 
 
 def _print_report(report: LogReport) -> None:
@@ -99,7 +106,8 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     from nodes.can.log_file import on_one_clock, read_log
 
     report = SignalReport(load_dbc(shipped_path(dbc)), every_s)
-    report.read(until_error(on_one_clock(read_log(log, channel)), report))
+    with progress_bar("frames") as advance:
+        report.read(until_error(_each(on_one_clock(read_log(log, channel)), advance), report))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames")
     if as_json:
@@ -115,7 +123,7 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
 def _print_signals(report: SignalReport) -> None:
     columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
     rows = [_signals_row(row) for row in report.messages()]
-    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS",))
+    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS", "PERIOD_MS"))
     print_line("")
     print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
     if report.loss:

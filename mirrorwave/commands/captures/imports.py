@@ -163,7 +163,8 @@ def can(
         channel=channel,
         start_ns=start_ns,
     )
-    counts = import_can(source, out)
+    with progress_bar(f"reading {log.name}"):
+        counts = import_can(source, out)
     if counts["loss"]:
         typer.echo(f"mirrorwave: the log breaks off: {counts['loss']}", err=True)
     if as_json:
@@ -242,7 +243,8 @@ def transients(
     """Real photons of a hidden object as its shape, by the light-cone transform."""
     from mirrorwave.convert.transients import import_transients
 
-    summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff.value, snr)
+    with progress_bar(f"reading {capture.name}"):
+        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff.value, snr)
     if as_json:
         print_json({"folder": str(out), **summary})
     else:

@@ -252,7 +252,7 @@ def delay(
         print_json(rows)
     elif rows:
         shown = [{name: value or None for name, value in row.items()} for row in rows]
-        print_rows(list(rows[0]), shown, ("messages", "p90_ms", "p99_ms", "publisher"))
+        print_rows(list(rows[0]), shown, ("messages", "p90_ms", "p99_ms", "max_ms", "publisher"))
     if topics or not rows:
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 

@@ -132,7 +132,8 @@ def statistics(
 
     if out is not None and out.suffix != ".html":
         raise ValueError(f"--out must be an .html file, got {out}")
-    counted_statistics = dataset_statistics(folder)
+    with progress_bar(f"reading {folder.name}"):
+        counted_statistics = dataset_statistics(folder)
     if out is not None:
         from mirrorwave.plots.dataset_page import write_page
 

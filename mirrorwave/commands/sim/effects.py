@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mirrorwave.completion import complete_scenes
-from mirrorwave.console import AsJson, print_json, print_line, print_table
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -60,11 +60,12 @@ def effects(
             )
         _print_light_plan(plan_optics(world, loaded.lidar), as_json)
         return
-    if choice == "auto":
-        plan = plan_world(world, loaded.setup, budget_db, thorough=True, purpose=purpose_of(purpose))
-    else:
-        resolved = resolve_plan(world, loaded.setup, choice, budget_db)
-        plan = resolved or manual_plan(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
+    with progress_bar("tracing and planning"):
+        if choice == "auto":
+            plan = plan_world(world, loaded.setup, budget_db, thorough=True, purpose=purpose_of(purpose))
+        else:
+            resolved = resolve_plan(world, loaded.setup, choice, budget_db)
+            plan = resolved or manual_plan(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
     if as_json:
         rows = msgspec.to_builtins(plan.effects)
         answer = {"purpose": plan.purpose.value, "budget_db": plan.budget_db, "effects": rows}
@@ -152,7 +153,8 @@ def paths(
     if loaded.radar.preset == "spad":
         raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
     wanted = PathFilter(hidden_only, kind, object_index, surface, strongest)
-    traced, power_mw, polylines = echo_paths(loaded, seed, PlanChoice(choice, budget_db, purpose), wanted)
+    with progress_bar("tracing"):
+        traced, power_mw, polylines = echo_paths(loaded, seed, PlanChoice(choice, budget_db, purpose), wanted)
     if plot is not None:
         from mirrorwave.plots.scene import draw_paths
 

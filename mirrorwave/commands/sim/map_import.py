@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, require_new_file, require_picture
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_table,
+    progress_bar,
+    require_new_file,
+    require_picture,
+)
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -56,10 +65,12 @@ def import_map(
     if plot is not None:
         require_picture(plot)
     pose, rules = MapPose(*_position(position), heading, metric), read_rules(materials or [])
-    footprints = read_map(file, metric)
+    with progress_bar(f"reading {file.name}"):
+        footprints = read_map(file, metric)
     name = f"{file.stem} at {position}, heading {heading:g} deg"
     try:
-        made = map_scene(footprints, pose, radius, rules, name, SceneRadar(height_m=height_m), ground)
+        with progress_bar("walls"):
+            made = map_scene(footprints, pose, radius, rules, name, SceneRadar(height_m=height_m), ground)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
     if made.broken and not skip_broken:

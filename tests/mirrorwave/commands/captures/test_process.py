@@ -224,7 +224,7 @@ def test_beams_that_are_missing_are_said(tmp_path: Path, capsys: pytest.CaptureF
 def test_a_scene_goes_by_its_name(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """On the terminal and in the recording, or in the truth beside a capture; not by the name of its file."""
     scene, out = tmp_path / "file.yaml", tmp_path / f"capture.{ending}"
-    scene.write_text(Path(SCENE).read_text(encoding="utf-8").replace("name: corner", "name: bend in the road"))
+    scene.write_text(Path(SCENE).read_text(encoding="utf-8").replace("name: bend", "name: bend in the road"))
     command = ["sim", "run", str(scene), "--out", str(out), "--seed", "3", "--chirps-per-beam", "1"]
     assert main([*command, "--effects", "basic"]) == 0
     assert capsys.readouterr().out == f"{out}: 1 scan of bend in the road, seed 3\n"
