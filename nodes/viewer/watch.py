@@ -86,6 +86,11 @@ class Watch:
                 self._facts = self._facts._replace(sensor=name, scan_period_s=scan_period_s(message))
 
     @property
+    def since_ns(self) -> int:
+        """Since when the graph runs, as far as known: earlier stamps are of what is played back."""
+        return self._views.since_ns
+
+    @property
     def past(self) -> tuple[Past, ...]:
         """The scans of the trails, the newest last."""
         return self._trails.past

@@ -318,7 +318,8 @@ function whyOld(age) {
   if (state.connection in CUTS) return CUTS[state.connection];
   const gone = state.nodes.find((node) => node.state === "stopping");
   if (isQuiet()) return gone ? `${gone.node} has ended` : "no new view comes";
-  return age === null ? "stamped by another clock" : "views come late, or are played back";
+  if (age === null) return "stamped by another clock";
+  return state.view.latency_ms === null ? "played back, measured before this graph began" : "views come late";
 }
 
 const isQuiet = () => viewerNow() - arrivals[arrivals.length - 1] > state.view.old_ms;
