@@ -53,7 +53,7 @@ class ScanAssembly:
         self._past: tuple[Past, ...] = ()
         #: Number of views so far: a page that misses some can count them, however often each was posted.
         self._number = 0
-        #: Of the newest view: latency on arrival, and the limits of its age.
+        #: Of the newest view: latency on arrival (None: not measured by this graph), and the limits of its age.
         self._facts: dict[str, Any] = {}
         #: Waits for the view of its scan, so that both change together.
         self._map: RangeAzimuthMap | None = None
@@ -66,21 +66,21 @@ class ScanAssembly:
         message: msgspec.Struct,
         now_ns: int,
         past: tuple[Past, ...] = (),
-        is_late: bool = False,
-        sensor: Setup | None = None,
-        since_ns: int = 0,
+        watch: Watch | None = None,
     ) -> None:
-        """Process one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view.
+        """Process one message of `TOPICS_SHOWN`; post what it completes. `past` comes with a view.
 
-        `since_ns`: since when the graph runs; the latency of what was measured earlier is not known.
+        `watch` has taken the message before, and tells of a live view how late it came.
         """
         match message:
             case BevFrame():
                 self._number += 1
-                self._frame, self._past, self._is_late = message, past, is_late
+                self._frame, self._past = message, past
+                since_ns, sensor = (0, None) if watch is None else (watch.since_ns, watch.sensor)
+                self._is_late = watch is not None and watch.is_late
                 is_ours = on_one_clock(message.stamp_ns, now_ns, since_ns)
                 latency_ms = age_ms(message.stamp_ns, now_ns) if is_ours else None
-                self._facts = {"latency_ms": latency_ms, **age_limits_ms(sensor, is_late)}
+                self._facts = {"latency_ms": latency_ms, **age_limits_ms(sensor, self._is_late)}
                 self._post_view(now_ns)
                 self._post_map(now_ns)
             case RangeAzimuthMap():
@@ -145,7 +145,7 @@ class Assembly:
         """Process one message of `TOPICS_SHOWN`; post what it completes."""
         watch = self._watching(now_ns)
         watch.take(message, now_ns)
-        self._scans.take(message, now_ns, watch.past, watch.is_late, watch.sensor, watch.since_ns)
+        self._scans.take(message, now_ns, watch.past, watch)
         if isinstance(message, BevFrame):
             self._post_warnings(now_ns)
         elif message is watch.sensor:

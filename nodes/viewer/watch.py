@@ -87,7 +87,7 @@ class Watch:
 
     @property
     def since_ns(self) -> int:
-        """Since when the graph runs, as far as known."""
+        """Since when the graph runs, as far as known: earlier stamps are of what is played back."""
         return self._views.since_ns
 
     @property

@@ -318,7 +318,8 @@ function whyOld(age) {
   if (state.connection in CUTS) return CUTS[state.connection];
   const gone = state.nodes.find((node) => node.state === "stopping");
   if (isQuiet()) return gone ? `${gone.node} has ended` : "no new view comes";
-  return age === null ? "stamped by another clock" : "views come late, or are played back";
+  if (age === null) return "stamped by another clock";
+  return state.view.latency_ms === null ? "played back, measured before this graph began" : "views come late";
 }
 
 const isQuiet = () => viewerNow() - arrivals[arrivals.length - 1] > state.view.old_ms;
@@ -1014,8 +1015,9 @@ function drawLabel(c, box, text, colour, taken) {
   const [left, top, right, bottom] = box;
   const [x, y, width, height] = [(left + right) / 2, (top + bottom) / 2, c.measureText(text).width + 12, 20];
   if (x < 0 || y < 0 || x > bev.clientWidth || y > bev.clientHeight) return;
-  const spots = [3, 27, 51].flatMap((gap) => [
-    [x - width / 2, top - gap - height], [x - width / 2, bottom + gap], [right + gap, y - height / 2], [left - gap - width, y - height / 2],
+  const within = Math.min(Math.max(x - width / 2, 1), bev.clientWidth - width - 1);
+  const spots = [3, 26, 49, 72].flatMap((gap) => [
+    [within, top - gap - height], [within, bottom + gap], [right + gap, y - height / 2], [left - gap - width, y - height / 2],
   ]).map(([u, v]) => [u, v, u + width, v + height]);
   const isFree = (spot) => spot[0] > 0 && spot[1] > 0 && spot[2] < bev.clientWidth && spot[3] < bev.clientHeight && !taken.some((other) => overlap(spot, other));
   const spot = spots.find(isFree) || spots[0];
@@ -1130,7 +1132,7 @@ function levelWindow() {
 
 // Share of the colour scale at a level: weak levels get more of it than strong ones.
 function shareAt(level, [low, high]) {
-  return Math.min(Math.max((level - low) / (high - low), 0), 1) ** 0.5;
+  return Math.min(Math.max((level - low) / (high - low), 0), 1) ** 0.4;
 }
 
 // Colour of each code of a tile within the window of levels.

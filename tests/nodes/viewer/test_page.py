@@ -242,6 +242,33 @@ def test_an_echo_shines_where_it_came_from(
     assert (x < other_x) == (azimuth_deg > 0)
 
 
+#: Ratio of light [pixel] of a map with an echo of some dB beside a wall of 80 dB to that of noise.
+LIGHT = """([range, azimuth]) => {
+  const canvas = document.getElementById('map');
+  const ratio = canvas.width / canvas.clientWidth;
+  const at = mirrorwave.mapToCanvas(range, azimuth).map((part) => Math.round(part * ratio));
+  const parts = [...canvas.getContext('2d').getImageData(...at, 1, 1).data].slice(0, 3).map((part) => part / 255);
+  const linear = parts.map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
+  return 0.05 + linear.reduce((sum, part, k) => sum + part * [0.2126, 0.7152, 0.0722][k], 0);
+}"""
+
+
+def test_an_echo_of_20_db_is_seen_beside_a_wall_of_80_db(server: ViewerServer, board: Board, open_page: Open) -> None:
+    """Three times as light as noise, as outlines are to be; noise alone, up to 10 dB, is as dark as nothing."""
+    ra_map = one_echo(20.0, 0.0)
+    values = np.ones_like(ra_map.values)
+    for range_m, level_db in ((20.0, 80.0), (35.0, 20.0), (45.0, 10.0)):
+        values[one_echo(range_m, 0.0).values != 1.0] = 10.0 ** (level_db / 20.0)
+    assembly = Assembly(board)
+    assembly.take(msgspec.structs.replace(ra_map, values=values), 0)
+    assembly.take(frame(0), 0)
+    page = open_page(server)
+    until(page, "mirrorwave.state.map")
+    wall, echo, noise, nothing = (page.evaluate(LIGHT, [range_m, 0.0]) for range_m in (20.0, 35.0, 45.0, 27.0))
+    assert wall > echo > 3.0 * nothing
+    assert noise == nothing
+
+
 def test_pause_holds_the_scan_and_counts_what_passes(server: ViewerServer, board: Board, open_page: Open) -> None:
     page = open_page(server)
     board_scan(board, 0)
@@ -386,8 +413,8 @@ def aged(board: Board, scan_id: int, age_s: float) -> None:
     """A view that is so old when it comes, of a slow radar: its pictures stay live for 39 s."""
     assembly = board.__dict__.setdefault("assembly", Assembly(board))
     if scan_id == 0:
-        assembly.take(RadarSetup(radar=RadarParams(scan_period_s=20.0)), 0)
-    now_ns = (1000 + 20 * scan_id) * 10**9
+        assembly.take(RadarSetup(radar=RadarParams(scan_period_s=20.0)), (10**9 - 100) * 10**9)
+    now_ns = (10**9 + 20 * scan_id) * 10**9
     assembly.take(msgspec.structs.replace(frame(scan_id), stamp_ns=now_ns - round(1e9 * age_s)), now_ns)
 
 
@@ -398,7 +425,7 @@ def aged(board: Board, scan_id: int, age_s: float) -> None:
         (19.7, "late", "late", ""),
         (59.0, "old", "not live", "Old picture, "),
         (61.0, "old", "not live", "Old picture, "),
-        (3.2e8, "old", "not live", "Old picture, 3704 days ago: views come late, or are played back"),
+        (3.2e8, "old", "not live", "Old picture, 3704 days ago: played back, measured before this graph began"),
         (-5.0, "old", "not live", "Old picture: stamped by another clock"),
     ],
 )

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
 from mirrorwave.replay.playback import Playback
@@ -18,6 +17,7 @@ from msgs.values.diagnostics import NodeState, NodeStatus, StageTime
 from msgs.values.vehicle import VehicleState
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
+from nodes.viewer.numeric_fields import numeric_fields
 from nodes.viewer.series import SeriesStore
 from nodes.viewer.server import ViewerServer
 from tests.mirrorwave.commands.captures.test_view import SCANS, write_recording
@@ -82,9 +82,7 @@ def status(scan: int, mean_ms: float) -> NodeStatus:
     )
 
 
-def run_graph(
-    board: Board, scans: range, has_node: bool = True, rcs_dbsm: Callable[[int], float] = lambda scan: 10.0
-) -> None:
+def run_graph(board: Board, scans: range, has_node: bool = True) -> None:
     """Views, a vehicle and a node; the viewer's own pace."""
     assembly = board.__dict__.setdefault("assembly", Assembly(board))
     for scan in scans:
@@ -93,8 +91,7 @@ def run_graph(
         assembly.take(VehicleState(stamp_ns=now_ns, speed_mps=float(scan)), now_ns)
         if has_node:
             assembly.take(status(scan, 3.0 + scan), now_ns)
-        view = msgspec.structs.replace(frame(scan, *places), visibility_rcs_dbsm=rcs_dbsm(scan))
-        assembly.take(view, now_ns)
+        assembly.take(frame(scan, *places), now_ns)
         assembly.post_table(now_ns)
 
 
@@ -176,9 +173,11 @@ def test_nothing_is_sent_to_a_page_that_plots_nothing(board: Board, server: View
 
 def test_a_gap_a_nan_and_an_infinity_interrupt_the_line(board: Board, server: ViewerServer, open_page: Open) -> None:
     odd = {3: math.nan, 4: math.inf, 5: -math.inf, 6: 1e300}
-    run_graph(board, range(10), rcs_dbsm=lambda scan: odd.get(scan, 2.0))
+    for scan in range(10):
+        board.series.take("odd", numeric_fields({"value": odd.get(scan, 2.0)}), scan * PERIOD_NS)
+    board.post_series()
     page = open_page(server)
-    plot(page, "perception/hidden_objects", "visibility_rcs_dbsm")
+    plot(page, "odd", "value")
     until(page, "mirrorwave.plots.shown[0].data")
     assert values_of(page) == [2.0] * 3 + [None] * 4 + [2.0] * 3
     scale = page.evaluate("(({ min, max }) => [min, max])(mirrorwave.plots.shown[0].chart.scales.y)")
