@@ -16,6 +16,10 @@ from msgs.values.vehicle import VehicleState
 Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
+#: Flag of a view whose networks were trained for another radar: other beams, another array or carrier.
+UNTRAINED_SETUP = "untrained_setup"
+
+
 class PathClass(IntEnum):
     """Kind of a return: direct, or a mirror image behind a wall."""
 
@@ -76,7 +80,7 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     peak_stamp_ns: np.ndarray
     #: Peak power over the map's noise, dB.
     snr_db: np.ndarray
-    #: Flags of the map that the peaks were found in.
+    #: Flags of the map that the peaks were found in, and `UNTRAINED_SETUP`.
     incoherent: bool = False
     missing_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
@@ -264,8 +268,8 @@ class BevFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     #: Of views that share beams with those before: objects measured after the `settled_stamp_ns` of the last view and
     #: up to this are new; None: all are.
     settled_stamp_ns: int | None = None
-    #: Conditions of this scan for a reader: "incoherent", "missing_beams", "saturated", and the names in
-    #: `msgs.values.radar.MAP_FAULTS`.
+    #: Conditions of this scan for a reader: "incoherent", "missing_beams", "saturated", "untrained_setup" (of the
+    #: networks), and the names in `msgs.values.radar.MAP_FAULTS`.
     flags: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
