@@ -82,9 +82,8 @@ class Perception:
         self._scans = 0
         self.setup = setup or RadarSetup()
         self.feed(self.setup)
-        if self._pipeline.chain.forming.former is None:
-            # refused: once more, for the error
-            self._pipeline.chain.forming.set_up(self.setup)
+        if self._pipeline.refusal:
+            raise ValueError(self._pipeline.refusal)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[View]:
         """Fold a beam; the last one of a scan brings its view. Raises `ValueError` where the beam does not fit."""
@@ -96,11 +95,17 @@ class Perception:
         """The view of one whole scan.
 
         `samples`: int16 I and Q codes [beams, chirps, samples, 2] in the order of the set-up's beams; `stamp_ns`: when
-        the first was measured, one scan period after the last scan's where None. Raises `ValueError` for another shape.
+        the first was measured, one scan period after the last scan's where None. Raises `ValueError` for another shape,
+        and for a scan that a stage refuses.
         """
         beams = scan_beams(samples, self.setup, scan_id=self._scans, stamp_ns=stamp_ns)
         self._scans += 1
-        return [view for beam in beams for view in self.add(beam, state)][-1]
+        seen = [view for beam in beams for view in self.add(beam, state)]
+        if not seen:
+            raise ValueError(
+                self._pipeline.refusal or "samples must bring a view: the last beam of the scan was refused"
+            )
+        return seen[-1]
 
     def feed(self, message: msgspec.Struct, offset_ns: int = 0) -> list[View]:
         """Take in anything that sensors and the vehicle say; return the views that it brings (`Pipeline.feed`)."""

@@ -85,5 +85,5 @@ class SharedParts:
             DetectionStage(lambda _: self.detector),
             ViewStage(placing, self.residual, self.confidence, placing.memory, predictor=self.predictor),
         )
-        chain.forming.set_up(self.setup)
+        chain.set_up(self.setup)
         return chain

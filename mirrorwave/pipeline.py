@@ -48,10 +48,16 @@ class Pipeline:
         self._refused_histograms = Refusals(_LOG, shed, "scan")
         self._refused_scans = Refusals(_LOG, shed)
         self._bias_log = BiasLog()
+        self._doubt = ""
         #: When the last beam came, while its scan may be unfinished.
         self._last_beam_ns: int | None = None
         #: Maps so far, and those that lack beams.
         self.scans = self.scans_with_loss = 0
+
+    @property
+    def refusal(self) -> str:
+        """Why the last set-up, beam or scan was refused; empty once another was taken."""
+        return self._refused_beams.reason or self._refused_scans.reason
 
     def feed(self, message: msgspec.Struct, offset_ns: int = 0) -> list[ScanView]:
         """Take in a message that was sent `offset_ns` after the first; return the views that it brings.
@@ -108,6 +114,9 @@ class Pipeline:
             return []
         self._refused_scans.accept()
         self._bias_log.note(self.chain.views.yaw_rate_bias)
+        if self.chain.doubt not in ("", self._doubt):
+            _LOG.warning("%s", self.chain.doubt)
+        self._doubt = self.chain.doubt
         return [result]
 
     def _set_up(self, setup: RadarSetup) -> None:
@@ -115,6 +124,7 @@ class Pipeline:
         for stage, refusals in (
             (self.chain.forming, self._refused_beams),
             (self.chain.detection, self._refused_scans),
+            (self.chain.views, self._refused_scans),
         ):
             try:
                 stage.set_up(setup)

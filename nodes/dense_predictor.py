@@ -83,7 +83,9 @@ class DensePredictorNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """Report DEGRADED while maps are refused."""
+        """Report DEGRADED while maps are refused, and of a radar that the network was not trained for."""
+        if not self._refusals.reason and self._setup is not None and self._stage.doubt:
+            return NodeState.DEGRADED, self._stage.doubt
         return self._refusals.health()
 
     def change_params(self, params: Params) -> None:

@@ -23,7 +23,7 @@ from msgs.values.arrays import require_within
 from msgs.values.diagnostics import NodeState
 from msgs.values.environment import WallPriors
 from msgs.values.perception import Peaks
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.refusals import Refusals
 from nodes.node import Node
@@ -69,7 +69,8 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 class GeometryNode(Node):
     """perception/peaks -> perception/hidden_objects, with tracks and the vehicle's motion at the time of the scan; an
-    object network needs radar/ra_map too. Walls on environment/walls, if any, are fused with those of the scans.
+    object network needs radar/setup and radar/ra_map too. Walls on environment/walls, if any, are fused with those of
+    the scans.
     """
 
     inputs: tuple[str, ...] = ("perception/peaks", "vehicle/state", "environment/walls")
@@ -81,7 +82,7 @@ class GeometryNode(Node):
         self._stage = view_stage(params, self.stages)
         self._memory = params.memory
         if self._stage.predictor is not None:
-            self.inputs = ("radar/ra_map", *self.inputs)
+            self.inputs = ("radar/setup", "radar/ra_map", *self.inputs)
         self._maps: deque[RangeAzimuthMap] = deque(maxlen=KEPT_MAPS)
         #: Peaks whose map has not arrived, oldest first, and when their wait is over.
         self._waiting: deque[tuple[Peaks, int]] = deque()
@@ -97,6 +98,8 @@ class GeometryNode(Node):
                     self._stage.add_state(state)
                 case WallPriors() as walls:
                     self._stage.add_walls(walls)
+                case RadarSetup() as setup:
+                    self._stage.set_up(setup)
                 case RangeAzimuthMap() as ra_map:
                     self._maps.append(ra_map)
                 case Peaks() as peaks:
@@ -124,7 +127,9 @@ class GeometryNode(Node):
         return now_ns >= give_up_ns or not self._needs_map(peaks) or self._map_of(peaks) is not None
 
     def health(self) -> tuple[NodeState, str]:
-        """Report DEGRADED while peaks are refused."""
+        """Report DEGRADED while peaks are refused, and of a radar that the object network was not trained for."""
+        if not self._refusals.reason and self._stage.doubt:
+            return NodeState.DEGRADED, self._stage.doubt
         return self._refusals.health()
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:

@@ -55,8 +55,19 @@ class Chain:
         """
         views = ViewStage(geometry, residual, confidence, memory, predictor=predictor)
         chain = cls(FormingStage(forming), DetectionStage(lambda _: detector), views)
-        chain.forming.set_up(setup)
+        chain.set_up(setup)
         return chain
+
+    def set_up(self, setup: RadarSetup) -> None:
+        """Go on with another set-up; `ValueError` for one that a stage cannot use."""
+        self.forming.set_up(setup)
+        self.detection.set_up(setup)
+        self.views.set_up(setup)
+
+    @property
+    def doubt(self) -> str:
+        """In what the radar is not the one that the networks were trained for, in one line; empty: in nothing."""
+        return self.detection.doubt or self.views.doubt
 
     def add_state(self, state: VehicleState) -> None:
         """Take in a state of the vehicle: its stamp says which beams and scans it counts for."""

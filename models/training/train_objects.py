@@ -17,6 +17,7 @@ from models.networks.object_unet import ObjectUNet, ObjectUNetConfig
 from models.perception.objects.answers import ANSWERS
 from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import HYPOTHESES
+from models.perception.trained_radar import TrainedRadar
 from models.training.data.object_samples import ObjectSample
 from models.training.data.object_store import count_samples, load_samples, shuffled
 from models.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
@@ -63,6 +64,7 @@ class ObjectRunConfig:
     encoding: ObjectEncoding
     #: Data sets with the hashes of their scenes; detector and its SHA-256.
     data: dict[str, str]
+    radar: TrainedRadar = field(default_factory=TrainedRadar)
 
     @property
     def network(self) -> ObjectUNetConfig:

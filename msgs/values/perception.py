@@ -32,6 +32,10 @@ from msgs.values.frames import Pose2
 from msgs.values.vehicle import VehicleState
 
 
+#: Flag of a view whose networks were trained for another radar: other beams, another array or carrier.
+UNTRAINED_SETUP = "untrained_setup"
+
+
 class PathClass(IntEnum):
     """Kind of a return: direct, or a mirror image behind a wall."""
 
@@ -81,7 +85,7 @@ class Peaks(Checked, frozen=True, kw_only=True, eq=False):
     peak_stamp_ns: Annotated[np.ndarray, Array("<i8", ("range_m",), 0, MAX_STAMP_NS)]
     #: Peak power over the map's noise, dB.
     snr_db: Annotated[np.ndarray, Array("<f8", ("range_m",), -300.0, 300.0)]
-    #: Flags of the map that the peaks were found in.
+    #: Flags of the map that the peaks were found in, and `UNTRAINED_SETUP`.
     incoherent: bool = False
     missing_beams: tuple[Count, ...] = ()
     saturated_share: Share = 0.0
@@ -262,8 +266,8 @@ class BevFrame(Checked, frozen=True, kw_only=True, eq=False):
     #: Of views that share beams with those before: objects measured after the `settled_stamp_ns` of the last view and
     #: up to this are new; None: all are.
     settled_stamp_ns: StampNs | None = None
-    #: Conditions of this scan for a reader: "incoherent", "missing_beams", "saturated", and the names in
-    #: `msgs.values.radar.MAP_FAULTS`.
+    #: Conditions of this scan for a reader: "incoherent", "missing_beams", "saturated", "untrained_setup" (of the
+    #: networks), and the names in `msgs.values.radar.MAP_FAULTS`.
     flags: tuple[str, ...] = ()
 
 

@@ -85,6 +85,7 @@ FLAG_WORDS = {
     "silent_beams": ("A beam hears nothing", "it was left out; nothing is seen in its direction"),
     "drowned_beams": ("Another transmitter disturbs a beam", "it was left out; nothing is seen in its direction"),
     "spurs": ("The radar disturbs itself", "echoes may appear where nothing is"),
+    "untrained_setup": ("The networks were trained for another radar", "objects may be missed or made up"),
     "array_error": ("The antenna is not as calibrated", "bearings may be wrong; calibrate the radar"),
     "i_stuck": ("The radar's I channel is dead", "half of what is shown is not there; check the wiring"),
     "q_stuck": ("The radar's Q channel is dead", "half of what is shown is not there; check the wiring"),

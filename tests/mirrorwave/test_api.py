@@ -13,7 +13,7 @@ from mirrorwave.api import Perception, View, scan_beams, views
 from mirrorwave.cli import main
 from mirrorwave.convert.result_lines import bev_to_json
 from msgs.recording.mcap import RecordingWriter
-from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.radar import PRESETS, RadarBeam, RadarParams, RadarSetup
 from nodes.player import Params, scene_player
 
 SCENE = "launch/scenes/corner.yaml"
@@ -92,6 +92,14 @@ def test_what_does_not_fit_is_refused_in_one_line(beams: tuple[RadarSetup, list[
     foreign = msgspec.structs.replace(one_scan[0], samples=np.zeros((4, 100, 2), np.int16))
     with pytest.raises(ValueError, match="100"):
         Perception(setup, "cfar").add(foreign)
+    other = RadarSetup(radar=RadarParams(bandwidth_hz=500e6, chirps_per_beam=1))
+    rule = (
+        r"^map\.grid\.range_bin_m \(c over twice the bandwidth\) must be 0\.2141375, as compact_unet\.int8 was trained"
+    )
+    with pytest.raises(ValueError, match=rule):
+        Perception(other).see(np.zeros((25, 1, 8192, 2), np.int16))
+    with pytest.raises(ValueError, match=r"encoding\.columns must be at least .* for an array of 57 columns"):
+        Perception(PRESETS["77ghz"])
     with pytest.raises(ValueError, match="unknown profile 'best'"):
         Perception(setup, "best")
     with pytest.raises(ValueError, match=r"nothing\.mcap: no such file"):

@@ -25,7 +25,7 @@ from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.perception import BevFrame, Peaks
-from msgs.values.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
@@ -235,12 +235,37 @@ def test_maps_and_setups_that_do_not_suit_the_network_are_refused_and_said() -> 
     assert node.step([received(fine, "radar/setup"), received(other, "radar/ra_map")], 0) == []
     state, reason = node.health()
     assert state is NodeState.DEGRADED
-    assert "map.grid must be" in reason
+    assert "map.grid.range_bins must be 512, as compact_unet was trained, got 64" in reason
     assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [
         ("setup", "refused", 1), ("map", "refused", 1),
     ]  # fmt: skip
     assert len(node.step([received(noise_map(), "radar/ra_map")], 0)) == 1
     assert node.health() == (NodeState.READY, "")
+
+
+def test_maps_of_a_radar_that_no_network_was_trained_for_are_flagged_and_said(tmp_path: Path) -> None:
+    """Three beams: each network says so in its node's health, and the view is flagged once. Beams of the radar in
+    training that were not asked for are as good as none; those that it alone has more are no fault.
+    """
+    detect = dense_predictor.create(dense_predictor.Params())
+    judge = geometry.create(geometry.Params(object_network=str(object_network(tmp_path / "objects.onnx"))))
+    few = RadarSetup(beams=BeamGrid(azimuth_deg=(-20.0, 0.0, 20.0)))
+    scans = (
+        (few, (), True),
+        (RadarSetup(), (), False),
+        (RadarSetup(), tuple(range(3, 25)), True),
+        (RadarSetup(), tuple(range(1, 25, 2)), False),
+    )
+    for scan, (setup, unused, doubts) in enumerate(scans):
+        ra_map = msgspec.structs.replace(noise_map(), scan_id=scan, unused_beams=unused)
+        inputs = [received(setup, "radar/setup"), received(ra_map, "radar/ra_map")]
+        (peaks,) = detect.step(inputs, 0)
+        (view,) = judge.step([*inputs, received(peaks.message, "perception/peaks")], 0)
+        assert view.message.flags == (("untrained_setup",) if doubts else ())  # type: ignore[attr-defined]
+        for node, network in ((detect, "compact_unet"), (judge, "objects")):
+            state, reason = node.health()
+            assert state is (NodeState.DEGRADED if doubts else NodeState.READY)
+            assert reason.startswith(f"{network} was trained for another radar: no beam within 5 deg of") is doubts
 
 
 def test_a_number_of_threads_no_machine_has_is_refused() -> None:

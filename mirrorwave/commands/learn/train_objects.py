@@ -54,6 +54,7 @@ def objects(
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.objects.encoding import ObjectEncoding
     from models.perception.objects.predictor import load_object_card
+    from models.perception.trained_radar import TrainedRadar
     from models.training.data.frames import DataSet
     from models.training.export.objects import export_objects_run
     from models.training.ranks import lone_device
@@ -75,6 +76,7 @@ def objects(
             start="" if start is None else str(start),
         ),
         encoding=ObjectEncoding(grid=scenes[0].grid, speeds=True),
+        radar=TrainedRadar.of(scenes[0].setup),
         data={
             "train": " ".join(map(str, data)),
             "validation": " ".join(map(str, validation)),

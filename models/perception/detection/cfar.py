@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
-from models.perception.detection.ridges import MAX_CELLS, RidgeParams, find_ridges, ridge_cells
+from models.perception.detection.ridges import MAX_CELLS, RidgeParams, beyond_the_map, find_ridges, ridge_cells
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.geometry.recovery import cartesian_covariance
@@ -161,11 +161,16 @@ def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     """Return the ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
 
+    Echoes from beyond the azimuths of a radar's map are left out: they would stand at its border.
+
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
     power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
     mask = photon_mask(power, params) if ra_map.mode == "photons" else cfar_mask(power, params)
     cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges)
+    if ra_map.mode != "photons":
+        inside = ~beyond_the_map(power, cells)
+        cells, fractional = cells[inside], fractional[inside]
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
     score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))
     path_class = np.full(len(cells), PathClass.LOS, np.uint8)

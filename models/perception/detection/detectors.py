@@ -17,7 +17,8 @@ from models.perception.detection.refinement import EchoRefiner, RefinementParams
 from models.perception.detection.ridge_matching import RidgeMatchingParams, ridge_matched_peaks
 from models.perception.detection.score_calibration import calibrated_peaks
 from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
-from msgs.values.perception import Peaks
+from models.perception.trained_radar import SetupCheck
+from msgs.values.perception import UNTRAINED_SETUP, Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 
 
@@ -63,7 +64,8 @@ class NetworkDetector:
     moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
     moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `calibrate` turns
     scores into probabilities by the table of the model's card. `params` None: the released settings with the card's
-    threshold. Raises ValueError for another word, and where the network's input is too coarse for the set-up's array.
+    threshold. Peaks of a radar that is not the one in training are flagged "untrained_setup", and `doubt` says in what
+    it differs. Raises ValueError for another word, and where the network's input is too coarse for the set-up's array.
     """
 
     def __init__(
@@ -92,14 +94,19 @@ class NetworkDetector:
         )
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
+        self._check = SetupCheck(self._predictor.card.name, self._predictor.card.radar, setup)
+        #: In what the radar of the last map is not the one in training; empty: in nothing.
+        self.doubt = self._check.doubt()
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the classified peaks of one map."""
+        self.doubt = self._check.doubt(ra_map.unused_beams)
         peaks = self._own_peaks(ra_map)
         if self._refiner is not None:
             peaks = refined_peaks(peaks, ra_map, self._refiner)
         peaks = calibrated_peaks(self._table, peaks)
-        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name)
+        faults = (*peaks.faults, UNTRAINED_SETUP) if self.doubt else peaks.faults
+        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name, faults=faults)
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the peaks before any refinement on the complex map."""

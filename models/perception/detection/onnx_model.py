@@ -16,6 +16,7 @@ from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.detection.peaks import Points, heatmap_points
 from models.perception.detection.score_calibration import ScoreTable, check_table
 from models.perception.onnx_session import MAX_MODEL_BYTES, session_of, wrong_checksum
+from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
@@ -78,6 +79,8 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     anchor_stride: int = 1
     encoding: Encoding
     grid: RangeAzimuthGrid
+    #: Radar of the maps in training.
+    radar: TrainedRadar = TrainedRadar()
     input_shape: tuple[int, ...]
     output_shape: tuple[int, ...]
     #: Threshold to pick peaks at; `scores` holds its line.
@@ -162,8 +165,7 @@ class DensePredictor:
 
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Return the network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
-        if ra_map.grid != self.card.grid:
-            raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
+        require_grid(self.card.name, self.card.grid, ra_map.grid)
         return self.infer(encode_map(self.card.encoding, ra_map))
 
     def infer(self, encoded: np.ndarray) -> np.ndarray:

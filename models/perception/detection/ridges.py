@@ -82,6 +82,21 @@ def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.where(peaked, inner + np.clip(shift, -1.0, 1.0), cells[:, 1])
 
 
+def beyond_the_map(power: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Return which cells [N, 2] are flanks of lobes whose vertex lies more than half a cell beyond the map; bool [N].
+
+    Only a cell of the first or last azimuth can be one: its echo comes from further out, nobody can say from where.
+    """
+    reach, last = 3, power.shape[1] - 1
+    inwards = np.where(cells[:, 1] == 0, reach, -reach)
+    three = [power[cells[:, 0], np.clip(cells[:, 1] + k * inwards, 0, last)] for k in range(3)]
+    here, near, far = 10.0 * np.log10(np.maximum(three, np.finfo(np.float32).tiny))
+    # the parabola through the three has its vertex -reach * slope / (2 curvature) cells further out
+    slope, curvature = 3.0 * here - 4.0 * near + far, here - 2.0 * near + far
+    at_border = (cells[:, 1] == 0) | (cells[:, 1] == last)
+    return np.asarray(at_border & (slope > 0.0) & (reach * slope > -curvature))
+
+
 def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: RidgeParams) -> np.ndarray:
     """Return which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its
     beam; [N].

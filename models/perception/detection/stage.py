@@ -36,6 +36,11 @@ class DetectionStage:
         self.detector = detector_for(setup or RadarSetup())
         self._photon_detector = photons or PhotonDetector()
 
+    @property
+    def doubt(self) -> str:
+        """In what the radar is not the one that the detector was made for, in one line; empty: in nothing."""
+        return getattr(self.detector, "doubt", "")
+
     def set_up(self, setup: RadarSetup) -> None:
         """Detect by another set-up; `ValueError` for one that cannot be used, which changes nothing."""
         self.detector = self._detector_for(setup)

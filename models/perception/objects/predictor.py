@@ -22,6 +22,7 @@ from models.perception.objects.encoding import ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import open_session
+from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
 from msgs.values.radar import RangeAzimuthMap
@@ -39,6 +40,8 @@ class ObjectCard(msgspec.Struct, frozen=True, kw_only=True):
     sha256: str
     parameters: int
     encoding: ObjectEncoding
+    #: Radar of the maps in training.
+    radar: TrainedRadar = TrainedRadar()
     input_shape: tuple[int, ...]
     output_shape: tuple[int, ...]
     #: Least probability that is reported: that of the least loss on the validation scans.
@@ -136,8 +139,9 @@ class ObjectPredictor:
 
         Raises `ValueError` for a map that does not suit the network, and for answers that are not finite.
         """
+        require_grid(self.card.name, self.card.encoding.grid, ra_map.grid)
         if not self.suits(ra_map):
-            raise ValueError(f"map.grid must be the {self.card.name} card's, got {ra_map.grid} of {ra_map.mode}")
+            raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
         cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
         answer = _begun(partial(self.answer, cells))
         table = self.card.calibration_of(moving)

@@ -15,9 +15,10 @@ from models.perception.state_history import StateHistory
 from models.perception.timing import Timed
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.yaw_rate_bias import BiasEstimate
+from models.perception.trained_radar import SetupCheck
 from msgs.values.environment import WallPriors
-from msgs.values.perception import BevFrame, Peaks
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.perception import UNTRAINED_SETUP, BevFrame, Peaks
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ class ViewStage:
         self._judged = judged_params(self._params, predictor)
         self._memory, self._states = ScanMemory(memory or MemoryParams()), StateHistory()
         self._timed = timed
+        self._setup: RadarSetup | None = None
+        self._check: SetupCheck | None = None
+        #: In what the radar of the last scan is not the one that the object network was trained for; empty: in nothing.
+        self.doubt = ""
         for used in {self._params, self._detections}:
             warm(used)
 
@@ -61,6 +66,14 @@ class ViewStage:
     def take_over(self, earlier: ViewStage) -> None:
         """Go on where another stage of the same `memory` is: with its tracks, walls and vehicle states."""
         self._memory, self._states = earlier._memory, earlier._states
+        if earlier._setup is not None:
+            self.set_up(earlier._setup)
+
+    def set_up(self, setup: RadarSetup) -> None:
+        """Compare the radar of the maps to come with the one that the object network was trained for."""
+        self._setup = setup
+        if self.predictor is not None:
+            self._check = SetupCheck(self.predictor.card.name, self.predictor.card.radar, setup)
 
     def add_state(self, state: VehicleState) -> None:
         """Take in a state of the vehicle."""
@@ -85,7 +98,11 @@ class ViewStage:
             frame = recover_bev(peaks, params, self._residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar, peaks.ego_compensated)
-        return msgspec.structs.replace(frame, ego=ego)
+        self.doubt = self._check.doubt(ra_map.unused_beams) if self._check and judge and ra_map else ""
+        flags = frame.flags
+        if self.doubt and UNTRAINED_SETUP not in flags:
+            flags = (*flags, UNTRAINED_SETUP)
+        return msgspec.structs.replace(frame, ego=ego, flags=flags)
 
     def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None, ego: VehicleState | None) -> ObjectJudge | None:
         """Return what sees the objects of a scan from a vehicle in a state; None: no network does.

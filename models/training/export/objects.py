@@ -121,6 +121,7 @@ def _draft(network: ObjectUNet, run: ObjectRunConfig, epoch: int, sha256: str, n
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
         encoding=run.encoding,
+        radar=run.radar,
         input_shape=(1, config.in_channels, config.rows, config.columns),
         output_shape=(1, config.hypotheses * config.answers, config.rows, config.columns),
         threshold=0.0,

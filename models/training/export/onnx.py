@@ -26,6 +26,7 @@ from models.perception.detection.peaks import PeakParams, pursued_points
 from models.perception.detection.pursuit import PursuitParams
 from models.perception.geometry.residual_model import ResidualCard
 from models.perception.objects.predictor import ObjectCard
+from models.perception.trained_radar import TrainedRadar
 from models.training.calibration import fit_table, peak_outcomes
 from models.training.data.frames import DataSet, Frame, fixed_splits
 from models.training.data.samples import point_labels
@@ -189,6 +190,7 @@ def export_run(
         export_onnx(model, reference, maps[:PARITY_MAPS])
         _convert(model, reference, file, config.precision, maps)
         draft = _draft(model, run, encoding, epoch, run_dir, config)
+        draft = msgspec.structs.replace(draft, radar=TrainedRadar.of(scenes.data.setup))
         for path in (reference, file):
             write_card(msgspec.structs.replace(draft, sha256=file_sha256(path)), path)
         report(f"scoring on {counted(len(scenes.tested), 'scene')}")
