@@ -26,6 +26,7 @@ from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
 from msgs.recording.mcap import whole_recording
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
+from msgs.values.wording import as_utf8
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
 FRAMES_PER_FILE = 50
@@ -86,7 +87,7 @@ def import_capture(
     held: list[ImportedFrame] = []
     for index, frame in enumerate(_frames(capture, config, params, layout.whole)):
         if index == 0:
-            _draw(frame, out / "ra_map.png", capture.name)
+            _draw(frame, out / "ra_map.png", as_utf8(capture.name))
         listed.append({"frame": index, "saturated_share": frame.saturated_share, "returns": frame.returns})
         held.append(frame)
         if len(held) == FRAMES_PER_FILE or index == layout.whole - 1:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, require_new_file, require_picture
-from msgs.values.wording import counted
+from msgs.values.wording import as_utf8, counted
 
 if TYPE_CHECKING:
     from sim_player.maps.map_scene import MapScene
@@ -57,7 +57,7 @@ def import_map(
         require_picture(plot)
     pose, rules = MapPose(*_position(position), heading, metric), read_rules(materials or [])
     footprints = read_map(file, metric)
-    name = f"{file.stem} at {position}, heading {heading:g} deg"
+    name = f"{as_utf8(file.stem)} at {position}, heading {heading:g} deg"
     try:
         made = map_scene(footprints, pose, radius, rules, name, SceneRadar(height_m=height_m), ground)
     except ValueError as error:
