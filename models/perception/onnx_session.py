@@ -92,7 +92,8 @@ def wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
 def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
     """Return a session for the bytes of a file; raises `ValueError` naming the file.
 
-    It has run once: it is warm, and what it allocates is within `MAX_RUN_BYTES`. The log says which kernels run an int8 network.
+    It has run once: it is warm, and what it allocates is within `MAX_RUN_BYTES`. The log says which kernels run an int8
+    network.
     """
     kernels = integer_kernels() if _QUANTISED in model else IntegerKernels.U8S8
     if _QUANTISED in model:
@@ -104,7 +105,7 @@ def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infe
             )
             shapes = {each.name: each.shape for each in session.get_inputs() if each.type == "tensor(float)"}
             is_known = all(isinstance(size, int) for shape in shapes.values() for size in shape)
-            if is_known and len(shapes) == len(session.get_inputs()):
+            if shapes and is_known and len(shapes) == len(session.get_inputs()):
                 session.run(None, {name: np.zeros(shape, np.float32) for name, shape in shapes.items()})
             return session
     except (*_NO_NETWORK, MemoryError) as error:
