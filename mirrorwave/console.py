@@ -17,7 +17,7 @@ import msgspec
 import typer
 
 from msgs.files.open_files import open_files_line
-from msgs.values.wording import duration_text
+from msgs.values.wording import as_utf8, duration_text
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -59,7 +59,7 @@ def print_json(value: Any) -> None:
 
 def printable(text: str) -> str:
     """`text` without control characters but tabs and line ends: what a file says must not steer a terminal."""
-    return text.translate(_CONTROL)
+    return as_utf8(text).translate(_CONTROL)
 
 
 def print_line(text: str) -> None:
@@ -285,7 +285,7 @@ def error_line(error: BaseException) -> str:
     if line := open_files_line(error):
         return line
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror or type(error).__name__}"
+        return printable(f"{error.filename}: {error.strerror or type(error).__name__}")
     if isinstance(error, ImportError):
         return f"a package is missing: {error}"
     return printable(" ".join(str(error).split())) or type(error).__name__

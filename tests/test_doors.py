@@ -372,7 +372,9 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         ),
         "message of a recording": _size(codec.MAX_INLINE_BYTES),
         "card of a network": _size(cards.MAX_CARD_BYTES),
-        "network": _size(onnx_session.MAX_MODEL_BYTES),
+        "network; its memory to load and run once": (
+            f"{_size(onnx_session.MAX_MODEL_BYTES)}; {_size(onnx_session.MAX_RUN_BYTES)} beside eight times its file"
+        ),
         "archive of arrays, unpacked": _size(array_files.MAX_UNPACKED_BYTES),
         "key file": _size(curve_keys.MAX_BYTES),
         "a node's log file": f"{_size(logs._FILE_BYTES)}, four of them",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
 from msgs.recording.mcap import whole_recording
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
+from msgs.values.wording import as_utf8
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
 FRAMES_PER_FILE = 50
@@ -62,8 +65,34 @@ class ImportedFrame:
     saturated_share: float
 
 
+#: Names of the files that the card's tool begins anew at 1 GB, anywhere in a frame.
+_RAW_NAME = re.compile(r"(?P<stem>.*_raw_)(?P<number>\d+)(?P<end>\.bin)", re.IGNORECASE)
+
+
+def capture_files(given: Sequence[Path], config: Dca1000Config) -> list[Path]:
+    """Return the files of one capture in order: those given, or `..._Raw_0.bin` with as many that follow as it needs.
+
+    Raises `ValueError` for a file that goes on where another ended, `OSError` where one cannot be read.
+    """
+    files = list(given)
+    met = _RAW_NAME.fullmatch(files[0].name)
+    if met is not None and int(met["number"]):
+        first = f"{met['stem']}0{met['end']}"
+        raise ValueError(
+            f"{files[0]}: goes on anywhere in a frame of the capture that begins with {first}: give that one, "
+            "or all files in their order"
+        )
+    wanted = config.frame.frames * config.frame_bytes
+    while met is not None and len(given) == 1:
+        following = files[0].with_name(f"{met['stem']}{len(files)}{met['end']}")
+        if not following.is_file() or 0 < wanted <= sum(file.stat().st_size for file in files):
+            break
+        files.append(following)
+    return files
+
+
 def import_capture(
-    capture: Path,
+    files: Sequence[Path],
     config_path: Path,
     config: Dca1000Config,
     out: Path,
@@ -80,13 +109,13 @@ def import_capture(
         raise ValueError(f"{config_path}: frameCfg.loops must be at least 2 to remove what stands still, got 1")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: must be a new or an empty folder")
-    provenance = _provenance(capture, config_path, config)
+    provenance = _provenance(files, config_path, config)
     out.mkdir(parents=True, exist_ok=True)
     listed: list[dict[str, Any]] = []
     held: list[ImportedFrame] = []
-    for index, frame in enumerate(_frames(capture, config, params, layout.whole)):
+    for index, frame in enumerate(_frames(files, config, params, layout.whole)):
         if index == 0:
-            _draw(frame, out / "ra_map.png", capture.name)
+            _draw(frame, out / "ra_map.png", as_utf8(files[0].name))
         listed.append({"frame": index, "saturated_share": frame.saturated_share, "returns": frame.returns})
         held.append(frame)
         if len(held) == FRAMES_PER_FILE or index == layout.whole - 1:
@@ -108,7 +137,7 @@ def import_capture(
 
 
 def write_recording(
-    capture: Path,
+    files: Sequence[Path],
     config_path: Path,
     config: Dca1000Config,
     out: Path,
@@ -121,11 +150,11 @@ def write_recording(
     Returns the number of beams. Raises `ValueError` where the board's row is none of a digital array.
     """
     setup, array = radar_setup(config, mirrored=params.mirrored), array_params(config, mirrored=params.mirrored)
-    provenance = {key: json.dumps(each) for key, each in _provenance(capture, config_path, config).items()}
+    provenance = {key: json.dumps(each) for key, each in _provenance(files, config_path, config).items()}
     period_ns, sequence = ns_from_s(1e-3 * config.frame.period_ms), 0
     with whole_recording(out, {"import": "dca1000", **provenance}) as writer:
         writer.write("radar/setup", setup, publisher="import", sequence=0, sent_ns=0)
-        for index, codes in enumerate(_codes(capture, config, layout.whole)):
+        for index, codes in enumerate(_codes(files, config, layout.whole)):
             stamp_ns = index * period_ns
             beams = row_beams(frame_samples(codes, config), setup, array)
             # sent when they have been measured, and so after the set-up
@@ -137,9 +166,11 @@ def write_recording(
     return sequence
 
 
-def _provenance(capture: Path, config_path: Path, config: Dca1000Config) -> dict[str, Any]:
+def _provenance(files: Sequence[Path], config_path: Path, config: Dca1000Config) -> dict[str, Any]:
+    parts = [{"name": as_utf8(file.name), "bytes": file.stat().st_size, "sha256": file_sha256(file)} for file in files]
     return {
-        "capture": {"name": capture.name, "bytes": capture.stat().st_size, "sha256": file_sha256(capture)},
+        "capture": parts[0],
+        **({"continued": parts[1:]} if parts[1:] else {}),
         "configuration": {
             "name": config_path.name,
             "sha256": file_sha256(config_path),
@@ -167,23 +198,28 @@ def _described(config: Dca1000Config) -> dict[str, Any]:
     }
 
 
-def _frames(capture: Path, config: Dca1000Config, params: ImportParams, count: int) -> Iterator[ImportedFrame]:
+def _frames(files: Sequence[Path], config: Dca1000Config, params: ImportParams, count: int) -> Iterator[ImportedFrame]:
     array, grid = array_params(config, params.remove_static, params.mirrored), map_grid(config)
     period_ns = ns_from_s(1e-3 * config.frame.period_ms)
-    for index, codes in enumerate(_codes(capture, config, count)):
+    for index, codes in enumerate(_codes(files, config, count)):
         formed = form_digital_map(frame_samples(codes, config), array, grid, index * period_ns, index)
         saturated = float(np.mean((codes == 32767) | (codes == -32768)))
         yield ImportedFrame(formed, strongest_returns(formed, params), saturated)
 
 
-def _codes(capture: Path, config: Dca1000Config, count: int) -> Iterator[np.ndarray]:
-    """Codes of each frame, int16 [frame_bytes / 2]."""
-    with capture.open("rb") as file:
+def _codes(files: Sequence[Path], config: Dca1000Config, count: int) -> Iterator[np.ndarray]:
+    """Codes of each frame, int16 [frame_bytes / 2]; a frame may begin in one file and end in the next."""
+    with contextlib.ExitStack() as stack:
+        parts = [stack.enter_context(file.open("rb")) for file in files]
         for index in range(count):
-            codes = np.fromfile(file, "<i2", config.frame_bytes // 2)
-            if len(codes) != config.frame_bytes // 2:
-                raise ValueError(f"{capture}: ends inside frame {index}: it was whole when it was opened")
-            yield codes
+            content = b""
+            while len(content) < config.frame_bytes and parts:
+                content += parts[0].read(config.frame_bytes - len(content))
+                if len(content) < config.frame_bytes:
+                    del parts[0]
+            if len(content) != config.frame_bytes:
+                raise ValueError(f"{files[-1]}: ends inside frame {index}: it was whole when it was opened")
+            yield np.frombuffer(content, "<i2")
 
 
 def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dict[str, float]]:

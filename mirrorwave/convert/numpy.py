@@ -20,6 +20,7 @@ import numpy as np
 
 from msgs.bus.topics import TOPICS as FACTS
 from msgs.recording.mcap import Recorded, RecordingReader
+from msgs.values.wording import as_utf8
 from nodes.bridges.shapes import Account, counted
 
 TOPICS = tuple(FACTS)
@@ -43,7 +44,12 @@ def write(
         for archive in archives.values():
             archive.abandon()
         raise
-    index = {"version": INDEX_VERSION, "source": reader.path.name, "metadata": reader.metadata, "topics": entries}
+    index = {
+        "version": INDEX_VERSION,
+        "source": as_utf8(reader.path.name),
+        "metadata": reader.metadata,
+        "topics": entries,
+    }
     (out / INDEX_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(index), indent=1) + b"\n")
 
 

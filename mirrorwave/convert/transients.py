@@ -14,6 +14,7 @@ from models.perception.transients.shape import HiddenShape, hidden_shape
 from models.sensors.confocal import read_confocal
 from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
+from msgs.values.wording import as_utf8
 
 
 def import_transients(
@@ -34,7 +35,7 @@ def import_transients(
     except ValueError as error:
         raise ValueError(f"{capture}: {error}") from None
     out.mkdir(parents=True, exist_ok=True)
-    draw_shape(shape, scan, out / "hidden.png", capture.name)
+    draw_shape(shape, scan, out / "hidden.png", as_utf8(capture.name))
     with whole(out / "hidden.npz") as part, part.open("wb") as file:
         np.savez(file, brightness=shape.brightness, depth_m=shape.depth_m, wall_m=scan.wall_m)
     summary = {

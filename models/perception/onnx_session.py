@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import logging
+import resource
+import threading
 import zlib
+from collections.abc import Iterator
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -23,6 +27,13 @@ _NO_NETWORK = tuple(
 )
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
+#: Memory that a network may take to be loaded and to run, beside eight times its file: those of this project take a
+#: tenth, and a file of a hundred bytes may ask for all that there is.
+MAX_RUN_BYTES = 1 << 30
+#: The limit is of the process: it is set by one at a time.
+_LIMITING = threading.Lock()
+#: ONNX Runtime logs what it also raises.
+_FATAL_ONLY = 4
 #: Operator that every int8 file holds.
 _QUANTISED = b"QuantizeLinear"
 #: A `QLinearConv` of 16 channels whose weights are all 127 and whose output scale is 2032, so that an input of 255
@@ -81,21 +92,47 @@ def wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
 def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
     """Return a session for the bytes of a file; raises `ValueError` naming the file.
 
-    The log says which kernels run an int8 network.
+    It has run once: it is warm, and what it allocates is within `MAX_RUN_BYTES`. The log says which kernels run an int8
+    network.
     """
     kernels = integer_kernels() if _QUANTISED in model else IntegerKernels.U8S8
     if _QUANTISED in model:
         _LOG.info("%s: %s", model_path.name, kernels)
     try:
-        return onnxruntime.InferenceSession(model, _options(threads, kernels), providers=["CPUExecutionProvider"])
-    except _NO_NETWORK as error:
-        raise ValueError(f"{model_path} must be a whole ONNX file: {' '.join(str(error).split())}") from None
+        with _limited_memory(MAX_RUN_BYTES + 8 * len(model)):
+            session = onnxruntime.InferenceSession(
+                model, _options(threads, kernels), providers=["CPUExecutionProvider"]
+            )
+            shapes = {each.name: each.shape for each in session.get_inputs() if each.type == "tensor(float)"}
+            is_known = all(isinstance(size, int) for shape in shapes.values() for size in shape)
+            if shapes and is_known and len(shapes) == len(session.get_inputs()):
+                session.run(None, {name: np.zeros(shape, np.float32) for name, shape in shapes.items()})
+            return session
+    except (*_NO_NETWORK, MemoryError) as error:
+        reason = " ".join(str(error).split())[:300] or type(error).__name__
+        limit = f"it may take {MAX_RUN_BYTES >> 20} MiB to run"
+        raise ValueError(f"{model_path} must be a whole ONNX file: {reason} ({limit})") from None
+
+
+@contextlib.contextmanager
+def _limited_memory(more_bytes: int) -> Iterator[None]:
+    """Have allocations of this process fail beyond `more_bytes` of what it holds."""
+    with _LIMITING:
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        held = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * resource.getpagesize()
+        limit = held + more_bytes if soft == resource.RLIM_INFINITY else min(soft, held + more_bytes)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _options(threads: int, kernels: IntegerKernels) -> onnxruntime.SessionOptions:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
+    options.log_severity_level = _FATAL_ONLY
     # a spinning worker would keep its core from the other nodes between two maps
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.x64quantprecision", kernels.value)

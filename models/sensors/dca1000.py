@@ -449,7 +449,9 @@ class FileFrames(NamedTuple):
     @property
     def loss(self) -> str | None:
         """Description of what is missing; None if the file is complete."""
-        partial = f", {counted(self.left_bytes, 'byte')} of one that is cut left out" if self.left_bytes else ""
+        verb = "is" if self.left_bytes == 1 else "are"
+        cut = f", {counted(self.left_bytes, 'byte')} of one that is cut {verb} left out"
+        partial = cut if self.left_bytes else ""
         lanes = "two of four lanes were not taken, so that only the nearer half of the ranges is unambiguous"
         if self.wanted is not None and self.whole < self.wanted:
             partial = f"whole frames: {self.whole} of {self.wanted}{partial}"

@@ -19,6 +19,7 @@ import numpy as np
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.topics import TOPICS, Topic, topic_facts
 from msgs.values.arrays import DTYPES, MAX_NDIM
+from msgs.values.wording import as_utf8
 
 Buffer = bytes | memoryview
 StructType = TypeVar("StructType", bound=msgspec.Struct)
@@ -73,6 +74,14 @@ def encode(envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
     topic = _topic_of(envelope)
     if type(message) is not topic.type:
         raise CodecError(f"{topic.name} carries {topic.type.__name__}, got {type(message).__name__}")
+    try:
+        return _frames(topic, envelope, message)
+    except UnicodeEncodeError:
+        # a path in a parameter or a reason; looked for where it fails alone, as most messages have none
+        return _frames(topic, envelope, _with_utf8(message))
+
+
+def _frames(topic: Topic, envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
     arrays: list[Buffer] = []
 
     def array_head(array: np.ndarray) -> dict[str, Any]:
@@ -107,7 +116,10 @@ def decode(frames: Sequence[Buffer]) -> Received:
 
 def encode_inline(message: msgspec.Struct) -> bytes:
     """Return one msgpack map with the arrays inside, for recordings."""
-    return _pack(message, _inline_array)
+    try:
+        return _pack(message, _inline_array)
+    except UnicodeEncodeError:
+        return _pack(_with_utf8(message), _inline_array)
 
 
 def decode_inline(message_type: type[StructType], data: Buffer) -> StructType:
@@ -237,8 +249,26 @@ def _require_size(topic: Topic, frames: Sequence[Buffer]) -> None:
 def _pack(value: object, array_form: Callable[[np.ndarray], object]) -> bytes:
     try:
         return msgspec.msgpack.encode(value, enc_hook=_encoder_hook(array_form))
+    except UnicodeEncodeError:
+        raise
     except _TROUBLE as error:
         raise CodecError(error) from error
+
+
+def _with_utf8(value: Any) -> Any:
+    """Return a value whose texts can be written as UTF-8."""
+    if isinstance(value, str):
+        return as_utf8(value)
+    if isinstance(value, msgspec.Struct):
+        fields = {name: getattr(value, name) for name in value.__struct_fields__}
+        return msgspec.structs.replace(value, **{name: _with_utf8(each) for name, each in fields.items()})
+    if isinstance(value, list | tuple):
+        # a named tuple takes its items one by one
+        items = [_with_utf8(each) for each in value]
+        return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+    if isinstance(value, dict):
+        return {_with_utf8(key): _with_utf8(each) for key, each in value.items()}
+    return value
 
 
 def _encoder_hook(array_form: Callable[[np.ndarray], object]) -> Callable[[Any], object]:

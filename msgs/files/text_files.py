@@ -12,6 +12,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from msgs.values.wording import as_utf8
+
 #: Marks and their encodings; that of UTF-32 begins as that of UTF-16 does.
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -58,14 +60,16 @@ def read_text(path: Path, errors: str = "strict") -> str:
 
 @contextlib.contextmanager
 def without_mark(path: Path) -> Iterator[Path]:
-    """Yield a file, or a copy of it without its UTF-8 mark for readers that take the mark for a part of the text.
+    """Yield a file, or a copy of it for readers that take its UTF-8 mark for text, or a name that is no UTF-8 for none.
 
     A `ValueError` that names the copy names the file instead.
     """
     with path.open("rb") as file:
         if file.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
-            yield path
-            return
+            file.seek(0)
+            if as_utf8(str(path)) == str(path):
+                yield path
+                return
         with tempfile.NamedTemporaryFile(suffix=path.suffix) as copy:
             shutil.copyfileobj(file, copy)
             copy.flush()

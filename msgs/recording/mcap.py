@@ -169,6 +169,8 @@ class RecordingWriter:
         self._plain_topics = () if archive else (RAW_TOPIC,)
         _keep_large_blocks()
         with contextlib.ExitStack() as stack:
+            if not overwrite:
+                stack.callback(Path(path).unlink, missing_ok=True)
             stack.callback(self._file.close)
             self._mcap = McapFile(self._file, METADATA_NAME, ARCHIVE_ZSTD_LEVEL if archive else ZSTD_LEVEL)
             self._mcap.add_metadata(METADATA_NAME, metadata)

@@ -36,6 +36,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from msgs.recording.crc32 import crc32_of_both
+from msgs.values.wording import as_utf8
 
 CHUNK_BYTES = 1 << 20
 #: Compression that keeps up with a running graph.
@@ -131,7 +132,8 @@ class McapFile:
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record at once."""
-        record, offset = _record(Metadata(name, values)), self._size
+        values = {as_utf8(key): as_utf8(value) for key, value in values.items()}
+        record, offset = _record(Metadata(as_utf8(name), values)), self._size
         self._append([record])
         self._metadata.append(MetadataIndex(offset=offset, length=len(record), name=name))
 

@@ -31,7 +31,6 @@ from msgs.values.arrays import (
 from msgs.values.frames import Pose2
 from msgs.values.vehicle import VehicleState
 
-
 #: Flag of a view whose networks were trained for another radar: other beams, another array or carrier.
 UNTRAINED_SETUP = "untrained_setup"
 

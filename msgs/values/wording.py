@@ -1,4 +1,4 @@
-"""Numbers in sentences."""
+"""Numbers in sentences, and names of files in texts."""
 
 from __future__ import annotations
 
@@ -29,3 +29,17 @@ def duration_text(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def as_utf8(text: str) -> str:
+    r"""Return a text that can be written as UTF-8: bytes of a file's name that are none, which Python keeps as lone
+    surrogates, as `\xNN`.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        try:
+            return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+        except UnicodeEncodeError:
+            return text.encode("utf-8", "backslashreplace").decode()
+    return text

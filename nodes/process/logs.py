@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from msgs.values.diagnostics import LogRecord
-from msgs.values.wording import counted
+from msgs.values.wording import as_utf8, counted
 
 #: First character of a line that is a JSON record (RFC 7464); all other lines of a child are plain text.
 RECORD_SEPARATOR = "\x1e"
@@ -85,8 +85,7 @@ class BusLogHandler(logging.Handler):
                 stamp_ns=time.monotonic_ns(),
                 node=self._node,
                 level=record.levelname.lower(),
-                # a file name may hold lone surrogates, which cannot be encoded
-                text=text[:BUS_TEXT_LIMIT].encode("utf-8", "replace").decode(),
+                text=as_utf8(text[:BUS_TEXT_LIMIT]),
             )
         )
 

@@ -68,8 +68,16 @@ class ParamServer:
         return ""
 
     def _values(self, request: str = "", error: str = "") -> NodeParams:
-        text = msgspec.json.encode(self._params, enc_hook=str).decode()
+        text = params_text(self._params)
         return NodeParams(stamp_ns=self._bus.now_ns(), node=self._name, params=text, request=request, error=error)
+
+
+def params_text(params: Any) -> str:
+    """Return parameters as JSON; bytes of a path that are no UTF-8 stay what they are."""
+    try:
+        return msgspec.json.encode(params, enc_hook=str).decode()
+    except UnicodeEncodeError:
+        return json.dumps(msgspec.to_builtins(params, enc_hook=str))
 
 
 def _builtins(params: msgspec.Struct) -> dict[str, Any]:

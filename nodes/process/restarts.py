@@ -12,7 +12,7 @@ from msgs.bus.zmq import ZmqBus
 from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.wording import did_you_mean
 from nodes.process.launch_file import SUPERVISOR, NodeEntry
-from nodes.process.param_server import REQUESTS, VALUES, parse_mapping
+from nodes.process.param_server import REQUESTS, VALUES, params_text, parse_mapping
 from nodes.process.validation import merged
 
 
@@ -62,7 +62,7 @@ class RestartServer:
             self.current = None
 
     def _say(self, request: str, params: Mapping[str, Any], error: str) -> None:
-        text = msgspec.json.encode(params).decode()
+        text = params_text(params)
         self._answer = NodeParams(
             stamp_ns=self._bus.now_ns(), node=SUPERVISOR, params=text, request=request, error=error
         )

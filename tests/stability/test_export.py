@@ -111,9 +111,33 @@ def network_of_another_type(model: Path) -> None:
     put(model, helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
 
 
+def network_that_fills_the_memory(operator: str) -> Callable[[Path], None]:
+    """A constant, or a repeated input, of 3 GiB in a file of some hundred bytes; its sum is added to the output."""
+
+    def harm(model: Path) -> None:
+        ends = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+            for name, shape in (("encoded", (1, 5, 32, 8)), ("confidence", (1, 5, 32, 8)))
+        ]
+        repeats = (1, 1, 32_000, 25_000) if operator == "ConstantOfShape" else (1, 1, 1_000, 630)
+        nodes = [
+            helper.make_node(operator, ["encoded", "repeats"][operator == "ConstantOfShape" :], ["large"]),
+            helper.make_node("ReduceMax", ["large"], ["sum"], keepdims=0),
+            helper.make_node("Add", ["encoded", "sum"], ["confidence"]),
+        ]
+        shape = helper.make_tensor("repeats", TensorProto.INT64, [4], repeats)
+        graph = helper.make_graph(nodes, "large", ends[:1], ends[1:], [shape])
+        opset = [helper.make_opsetid("", 17)]
+        put(model, helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+
+    return harm
+
+
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
+        (network_that_fills_the_memory("ConstantOfShape"), r"net\.onnx must be a whole .*may take 1024 MiB"),
+        (network_that_fills_the_memory("Tile"), r"net\.onnx must be a whole .*may take 1024 MiB"),
         (cut, r"net\.onnx: sha256 must be [0-9a-f]{64} as its card says, got [0-9a-f]{64}"),
         (cut_with_its_card, r"net\.onnx must be a whole ONNX file: .*"),
         (empty_with_its_card, r"net\.onnx must be a whole ONNX file: .*"),

@@ -86,7 +86,10 @@ def xradarnlos(
 
 @app.command()
 def dca1000(
-    capture: Annotated[Path, typer.Argument(metavar="SOURCE", help="Raw samples as the DCA1000 stored them.")],
+    capture: Annotated[
+        list[Path],
+        typer.Argument(metavar="SOURCE...", help="Raw samples as the DCA1000 stored them, in one file or several."),
+    ],
     config: Annotated[
         Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg or .json, or a .lua of mmWave Studio.")
     ],
@@ -104,21 +107,24 @@ def dca1000(
     as_json: AsJson = False,
 ) -> int:
     """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
-    from mirrorwave.convert.dca1000 import ImportParams, import_capture, write_recording
+    from mirrorwave.convert.dca1000 import ImportParams, capture_files, import_capture, write_recording
     from models.sensors.config_file import read_config
     from models.sensors.dca1000 import frames_of
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
     chirps = read_config(config, device.value if device else None)
-    layout = frames_of(capture.stat().st_size, chirps, str(capture))
+    files = capture_files(capture, chirps)
+    for file in files[len(capture) :]:
+        typer.echo(f"mirrorwave: {capture[0]}: goes on in {file}", err=True)
+    layout = frames_of(sum(file.stat().st_size for file in files), chirps, str(capture[0]))
     if recording is not None:
         require_new_file(recording)
         with progress_bar("scans", layout.whole) as advance:
-            write_recording(capture, config, chirps, recording, params, layout, advance)
+            write_recording(files, config, chirps, recording, params, layout, advance)
     with progress_bar("frames", layout.whole) as advance:
-        summary = import_capture(capture, config, chirps, out, params, layout, advance)
+        summary = import_capture(files, config, chirps, out, params, layout, advance)
     if layout.loss:
-        typer.echo(f"mirrorwave: {capture}: {layout.loss}", err=True)
+        typer.echo(f"mirrorwave: {capture[0]}: {layout.loss}", err=True)
     if as_json:
         print_json({"folder": str(out), **summary})
     else:

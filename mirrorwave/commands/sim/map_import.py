@@ -18,7 +18,7 @@ from mirrorwave.console import (
     require_new_file,
     require_picture,
 )
-from msgs.values.wording import counted
+from msgs.values.wording import as_utf8, counted
 
 if TYPE_CHECKING:
     from sim_player.maps.map_scene import MapScene
@@ -67,7 +67,7 @@ def import_map(
     pose, rules = MapPose(*_position(position), heading, metric), read_rules(materials or [])
     with progress_bar(f"reading {file.name}"):
         footprints = read_map(file, metric)
-    name = f"{file.stem} at {position}, heading {heading:g} deg"
+    name = f"{as_utf8(file.stem)} at {position}, heading {heading:g} deg"
     try:
         with progress_bar("walls"):
             made = map_scene(footprints, pose, radius, rules, name, SceneRadar(height_m=height_m), ground)

@@ -138,7 +138,6 @@ class DensePredictor:
         if flip_test and self.card.head != "heatmap":
             raise ValueError(f"{model_path}: flip_test must go with a heatmap, the network answers at {self.card.head}")
         self._input = self._session.get_inputs()[0].name
-        self.infer(np.zeros(self.card.input_shape[1:], np.float32))
 
     def predict(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Return the probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -261,6 +262,40 @@ def test_a_capture_until_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFi
     (tmp_path / "cut").mkdir()
     assert main([*write(tmp_path / "cut", one * 2 + one[:7], short), "--json"]) == 3
     assert "7 bytes of one that is cut are left out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("names", [("a_Raw_0.bin", "a_Raw_1.bin", "a_Raw_2.bin"), ("x.bin", "b.bin", "c.bin")])
+def test_a_capture_in_several_files(tmp_path: Path, capsys: pytest.CaptureFixture[str], names: tuple[str, ...]) -> None:
+    """Cut within both frames: each frame holds its point. What follows is found by its name, or given in order."""
+    words = write(tmp_path, FRAME * 2)
+    cuts = 0, len(FRAME) // 2 + 2, len(FRAME) + 6, 2 * len(FRAME)
+    for name, (start, end) in zip(names, itertools.pairwise(cuts), strict=True):
+        (tmp_path / name).write_bytes((FRAME * 2)[start:end])
+    # of a longer capture that was made here before
+    (tmp_path / "a_Raw_3.bin").write_bytes(FRAME)
+    given = names[:1] if "Raw_0" in names[0] else names
+    words[2:3] = [str(tmp_path / name) for name in given]
+    recording = tmp_path / "beams.mcap"
+    assert main([*words, "--json", "--recording", str(recording)]) == 0
+    captured = capsys.readouterr()
+    said = json.loads(captured.out)
+    assert said["frames"] == 2
+    for frame in said["per_frame"]:
+        assert_is_the_point(frame["returns"][0])
+    assert [each["name"] for each in said["provenance"]["continued"]] == list(names[1:])
+    assert captured.err.count("goes on in") == 3 - len(given)
+    with RecordingReader(recording) as reader:
+        assert sum(item.topic == "radar/beam" for item in reader.messages()) > 0
+
+
+def test_a_file_that_goes_on_is_no_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = write(tmp_path, FRAME)
+    (tmp_path / "capture.bin").rename(tmp_path / "a_Raw_1.bin")
+    words[2] = str(tmp_path / "a_Raw_1.bin")
+    assert main(words) == 2
+    assert "a_Raw_1.bin: goes on anywhere in a frame of the capture that begins with a_Raw_0.bin" in (
+        capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def fake_runtime(monkeypatch: pytest.MonkeyPatch, exact: set[str]) -> list[str]:
         kernels = options.get_session_config_entry("session.x64quantprecision")
         if model is not onnx_session._PROBE:
             opened.append(kernels)
-        return SimpleNamespace(run=lambda _, cells: [np.where(kernels in exact, cells["x"], 129)])
+        return SimpleNamespace(get_inputs=list, run=lambda _, cells: [np.where(kernels in exact, cells["x"], 129)])
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", session)
     return opened
