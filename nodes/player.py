@@ -498,14 +498,13 @@ def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterato
             yield recorded
 
 
-def _with_offset(event: Event, offset_ns: int) -> Event:
-    """Return a vehicle state on the radar's clock; everything else as it is."""
-    topic, message = event.outgoing
-    if not isinstance(message, VehicleState):
-        return event
-    return event._replace(
-        outgoing=Outgoing(topic, msgspec.structs.replace(message, stamp_ns=message.stamp_ns + offset_ns))
-    )
+def _with_offset(events: Iterator[Event], offset_ns: int) -> Iterator[Event]:
+    """Yield vehicle states on the radar's clock, without those from before that began; everything else as it is."""
+    for event in events:
+        if not isinstance(event.outgoing.message, VehicleState):
+            yield event
+        elif event.outgoing.message.stamp_ns + offset_ns >= 0:
+            yield event._replace(outgoing=Outgoing(event.outgoing.topic, moved(event.outgoing.message, offset_ns)))
 
 
 def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
@@ -588,7 +587,7 @@ def events_of(params: Params, backlog: Backlog | None = None) -> Iterator[Event]
     if not params.publish_vehicle_state:
         return (event for event in events if event.outgoing.topic != "vehicle/state")
     if params.vehicle_clock_offset_s:
-        return (_with_offset(event, ns_from_s(params.vehicle_clock_offset_s)) for event in events)
+        return _with_offset(events, ns_from_s(params.vehicle_clock_offset_s))
     return events
 
 

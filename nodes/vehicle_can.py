@@ -220,7 +220,11 @@ class VehicleCanNode(Node):
             for frame, stamp_ns in self._source.frames(now_ns):
                 states.append(self._reporter.frame(decode_frame(self._decoder, frame, stamp_ns), stamp_ns))
         states.append(self._reporter.tick(self._source.stamp_ns(now_ns), self._source.trouble))
-        return [Outgoing("vehicle/state", self._on_radar_clock(state)) for state in states if state is not None]
+        return [
+            Outgoing("vehicle/state", moved)
+            for state in states
+            if state is not None and (moved := self._on_radar_clock(state)) is not None
+        ]
 
     def health(self) -> tuple[NodeState, str]:
         """Return DEGRADED with the reason of the last state."""
@@ -232,9 +236,11 @@ class VehicleCanNode(Node):
         """Close the bus."""
         self._source.close()
 
-    def _on_radar_clock(self, state: VehicleState) -> VehicleState:
+    def _on_radar_clock(self, state: VehicleState) -> VehicleState | None:
+        """Return a state with its stamp on the radar's clock, None from before that began."""
         self._noted(state)
-        return msgspec.structs.replace(state, stamp_ns=state.stamp_ns + self._clock_offset_ns)
+        stamp_ns = state.stamp_ns + self._clock_offset_ns
+        return None if stamp_ns < 0 else msgspec.structs.replace(state, stamp_ns=stamp_ns)
 
     def _noted(self, state: VehicleState) -> None:
         was_valid = self._last is not None and self._last.valid

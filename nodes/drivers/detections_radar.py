@@ -72,6 +72,8 @@ class DetectionsRadarNode(Node):
             ended = [each for frame in self._source.frames(now_ns) for each in self._add(frame)]
             ended += self._reader.tick(now_ns)
         self._count()
+        # on the other clock the first may come from before its begin
+        ended = [each for each in ended if each.stamp_ns + self._offset_ns >= 0]
         return [Outgoing("radar/detections", self._stamped(each)) for each in ended]
 
     def health(self) -> tuple[NodeState, str]:

@@ -247,6 +247,18 @@ def test_a_car_that_was_heard_long_before_the_radar_is_played_in_time(tmp_path: 
     assert due_ns == 30_000_000 + 510_000_000
 
 
+@pytest.mark.parametrize(("offset_s", "first_ns"), [(0.5, 500_000_000), (-0.055, 5_000_000)])
+def test_states_from_before_the_radars_clock_began_are_left_out(tmp_path: Path, offset_s: float, first_ns: int) -> None:
+    path = tmp_path / "drive.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for index in range(20):
+            state = VehicleState(stamp_ns=20_000_000 * index, speed_mps=float(index))
+            writer.write("vehicle/state", state, publisher="car", sequence=index, sent_ns=state.stamp_ns)
+    messages = played(Params(capture=str(path), vehicle_clock_offset_s=offset_s))[0]
+    stamps_ns = [message.stamp_ns for message in messages]
+    assert stamps_ns == list(range(first_ns, 380_000_000 + round(offset_s * 1e9) + 1, 20_000_000))
+
+
 def test_speeds_override_the_scene() -> None:
     scene = scene_of(params(object_speed_mps=5.0, ego_speed_mps=8.0))
     assert {thing.speed_mps for thing in scene.objects} == {5.0}
