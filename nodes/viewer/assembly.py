@@ -67,16 +67,18 @@ class ScanAssembly:
         now_ns: int,
         past: tuple[Past, ...] = (),
         watch: Watch | None = None,
+        since_ns: int = 0,
     ) -> None:
         """Process one message of `TOPICS_SHOWN`; post what it completes. `past` comes with a view.
 
-        `watch` has taken the message before, and tells of a live view how late it came.
+        `watch` has taken the message before, and tells of a live view how late it came. Without one, `since_ns` is when
+        the graph's first node started: the latency of what was measured earlier is not known.
         """
         match message:
             case BevFrame():
                 self._number += 1
                 self._frame, self._past = message, past
-                since_ns, sensor = (0, None) if watch is None else (watch.since_ns, watch.sensor)
+                since_ns, sensor = (since_ns, None) if watch is None else (watch.since_ns, watch.sensor)
                 self._is_late = watch is not None and watch.is_late
                 is_ours = on_one_clock(message.stamp_ns, now_ns, since_ns)
                 latency_ms = age_ms(message.stamp_ns, now_ns) if is_ours else None
