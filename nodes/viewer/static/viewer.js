@@ -35,7 +35,7 @@ const COLOUR_NAMES = [
 
 const state = {
   connection: "waiting", title: "", recording: false, colours: [],
-  paused: false, missed: 0, number: null, updates: 0, announced: "",
+  paused: false, missed: 0, number: null, announced: "",
   // what is shown, and what came while paused
   sensor: null, view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
   held: { view: null, map: null }, labels: [],
@@ -154,7 +154,6 @@ function greet(message) {
 }
 
 function take({ kinds, got, now_ms: now }) {
-  state.updates += 1;
   for (let at = 0; at < got.length; at += 1) {
     const message = JSON.parse(got[at]);
     const tile = got[at + 1] instanceof ArrayBuffer ? readTile(got[(at += 1)]) : null;
