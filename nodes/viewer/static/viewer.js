@@ -1015,7 +1015,7 @@ function drawLabel(c, box, text, colour, taken) {
   const [x, y, width, height] = [(left + right) / 2, (top + bottom) / 2, c.measureText(text).width + 12, 20];
   if (x < 0 || y < 0 || x > bev.clientWidth || y > bev.clientHeight) return;
   const within = Math.min(Math.max(x - width / 2, 1), bev.clientWidth - width - 1);
-  const spots = [3, 26, 49, 72].flatMap((gap) => [
+  const spots = [3, 26, 49, 72, 95].flatMap((gap) => [
     [within, top - gap - height], [within, bottom + gap], [right + gap, y - height / 2], [left - gap - width, y - height / 2],
   ]).map(([u, v]) => [u, v, u + width, v + height]);
   const isFree = (spot) => spot[0] > 0 && spot[1] > 0 && spot[2] < bev.clientWidth && spot[3] < bev.clientHeight && !taken.some((other) => overlap(spot, other));
