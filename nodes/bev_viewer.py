@@ -32,7 +32,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Open the page in the default browser of this machine.
     open_browser: bool = False
     max_clients: int = 16
-    title: str = "live"
+    title: str = "graph"
     #: Keeps the page's token while the node is restarted, so that open pages reconnect; a launch fills it in.
     token_file: str | None = None
 

@@ -176,6 +176,7 @@ class Assembly:
         is_shed = self._sheds and self._watching(now_ns).is_late and self._series_posted_ns is not None
         if not is_shed or now_ns - (self._series_posted_ns or 0) >= LATE_MAP_PERIOD_NS:
             self._series_posted_ns = now_ns
+            self._board.series.advance(now_ns)
             self._board.post_series()
 
     def _post_warnings(self, now_ns: int) -> None:

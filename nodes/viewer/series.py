@@ -94,8 +94,14 @@ class SeriesStore:
                 series.shorten(self._keeps_all)
             self.version += 1
 
+    def advance(self, now_ns: int) -> None:
+        """Let time pass without samples: the newest are then not of now."""
+        if self._start_ns is not None:
+            self._now_s = max(self._now_s, s_from_ns(now_ns - self._start_ns))
+            self.version += 1
+
     def set_zero(self, zero_ns: int) -> None:
-        """Set the time from which a page counts; without one it counts back from the newest sample."""
+        """Set the time from which a page counts; without one it counts back from now."""
         self._zero_ns = zero_ns
 
     def fields_json(self) -> dict[str, Any]:

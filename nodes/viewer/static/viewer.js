@@ -35,7 +35,7 @@ const COLOUR_NAMES = [
 
 const state = {
   connection: "waiting", title: "", recording: false, colours: [],
-  paused: false, missed: 0, number: null, updates: 0, announced: "",
+  paused: false, missed: 0, number: null, announced: "",
   // what is shown, and what came while paused
   sensor: null, view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
   held: { view: null, map: null }, labels: [],
@@ -154,7 +154,6 @@ function greet(message) {
 }
 
 function take({ kinds, got, now_ms: now }) {
-  state.updates += 1;
   for (let at = 0; at < got.length; at += 1) {
     const message = JSON.parse(got[at]);
     const tile = got[at + 1] instanceof ArrayBuffer ? readTile(got[(at += 1)]) : null;
@@ -1016,7 +1015,7 @@ function drawLabel(c, box, text, colour, taken) {
   const [x, y, width, height] = [(left + right) / 2, (top + bottom) / 2, c.measureText(text).width + 12, 20];
   if (x < 0 || y < 0 || x > bev.clientWidth || y > bev.clientHeight) return;
   const within = Math.min(Math.max(x - width / 2, 1), bev.clientWidth - width - 1);
-  const spots = [3, 26, 49, 72].flatMap((gap) => [
+  const spots = [3, 26, 49, 72, 95].flatMap((gap) => [
     [within, top - gap - height], [within, bottom + gap], [right + gap, y - height / 2], [left - gap - width, y - height / 2],
   ]).map(([u, v]) => [u, v, u + width, v + height]);
   const isFree = (spot) => spot[0] > 0 && spot[1] > 0 && spot[2] < bev.clientWidth && spot[3] < bev.clientHeight && !taken.some((other) => overlap(spot, other));

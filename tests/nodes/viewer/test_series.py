@@ -22,11 +22,14 @@ def samples(store: SeriesStore, group: str, field: str) -> tuple[list[float], li
     return series["t"], series["v"]
 
 
-def test_live_times_count_back_from_the_newest_sample() -> None:
+def test_live_times_count_back_from_now() -> None:
     store = SeriesStore()
     for scan in range(3):
         store.take("views", [("latency_ms", 10.0 * scan)], 7 * 10**9 + scan * PERIOD_NS)
     assert samples(store, "views", "latency_ms") == ([-0.6, -0.3, 0.0], [0.0, 10.0, 20.0])
+    # nothing more comes: what was measured grows old
+    store.advance(7 * 10**9 + 2 * PERIOD_NS + 5 * 10**9)
+    assert samples(store, "views", "latency_ms") == ([-5.6, -5.3, -5.0], [0.0, 10.0, 20.0])
 
 
 def test_times_of_a_recording_count_from_its_first_scan() -> None:
