@@ -263,7 +263,7 @@ def test_points_on_walls_and_edges_stay_finite() -> None:
 def test_a_bound_is_over_the_field_of_every_target_and_not_far(
     n: float, to_source: float, to_target: tuple[float, float]
 ) -> None:
-    """Legs of 10 and 7 m: at every turn between the two, all faces perfect, the terms of `wedge_terms` add up to less."""
+    """Legs of 10 and 7 m: at every turn between the two, all faces perfect, `wedge_terms` add up to less."""
     edge = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, n])
     bound = mirrored_diffraction._bound(edge, to_source, to_target, (10.0, 7.0), 1.0, RADAR.wavelength_m)
     turns = np.linspace(*to_target, 31)
