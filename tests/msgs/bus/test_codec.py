@@ -349,12 +349,12 @@ def test_first_frame_must_be_a_topic(frames: list[bytes]) -> None:
 
 def test_summary_of_arrays_stays_small_and_valid_json() -> None:
     values = np.full(GRID.shape, 3.0 - 4.0j, np.complex64)
-    values[0, 0] = np.nan
+    values[0, 0], values[0, 1], values[1, 1] = np.nan, 0.0, 10.0
     assert json.loads(json.dumps(to_builtins(_Any(values)), allow_nan=False))["array"] == {
         "dtype": "<c8",
         "shape": [6, 4],
-        "min": 5.0,
-        "max": 5.0,
+        "min": 0.0,
+        "max": 10.0,
         "mean": 5.0,
     }
 

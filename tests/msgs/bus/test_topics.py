@@ -25,3 +25,12 @@ def test_a_queue_of_beams_outlasts_a_pause_of_one_scan() -> None:
 def test_a_queue_takes_a_message_larger_than_its_history() -> None:
     topic = Topic(name="x", type=RadarSetup, rate_hz=1.0, max_bytes=8, history_bytes=4)
     assert topic.history_messages == 1
+
+
+def test_what_comes_once_a_scan_comes_at_the_radars_rate() -> None:
+    """Maps, peaks, views and truth: one scan per 0.3 s, and so many beams in it."""
+    setup = RadarSetup()
+    scans_hz = 1.0 / setup.radar.scan_period_s
+    for name in ("radar/ra_map", "lidar/histograms", "perception/peaks", "perception/hidden_objects", "sim/truth"):
+        assert TOPICS[name].rate_hz == pytest.approx(scans_hz), name
+    assert TOPICS["radar/beam"].rate_hz == pytest.approx(len(setup.beams) * scans_hz)
