@@ -23,8 +23,8 @@ _NO_NETWORK = tuple(
 )
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
-#: Operator that every int8 file holds.
-_QUANTISED = b"QuantizeLinear"
+#: Parts of the names of integer operators, of which every int8 file holds one.
+_INTEGER_OPERATORS = (b"QuantizeLinear", b"QLinear", b"Integer")
 #: A `QLinearConv` of 16 channels whose weights are all 127 and whose output scale is 2032, so that an input of 255
 #: gives 255; sums of two products that are cut off at 16 bits give 129.
 _PROBE = zlib.decompress(
@@ -83,8 +83,9 @@ def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infe
 
     The log says which kernels run an int8 network.
     """
-    kernels = integer_kernels() if _QUANTISED in model else IntegerKernels.U8S8
-    if _QUANTISED in model:
+    kernels = IntegerKernels.U8S8
+    if any(name in model for name in _INTEGER_OPERATORS):
+        kernels = integer_kernels()
         _LOG.info("%s: %s", model_path.name, kernels)
     try:
         return onnxruntime.InferenceSession(model, _options(threads, kernels), providers=["CPUExecutionProvider"])
