@@ -34,8 +34,8 @@ MAX_RUN_BYTES = 1 << 30
 _LIMITING = threading.Lock()
 #: ONNX Runtime logs what it also raises.
 _FATAL_ONLY = 4
-#: Operator that every int8 file holds.
-_QUANTISED = b"QuantizeLinear"
+#: Parts of the names of integer operators, of which every int8 file holds one.
+_INTEGER_OPERATORS = (b"QuantizeLinear", b"QLinear", b"Integer")
 #: A `QLinearConv` of 16 channels whose weights are all 127 and whose output scale is 2032, so that an input of 255
 #: gives 255; sums of two products that are cut off at 16 bits give 129.
 _PROBE = zlib.decompress(
@@ -95,8 +95,9 @@ def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infe
     It has run once: it is warm, and what it allocates is within `MAX_RUN_BYTES`. The log says which kernels run an int8
     network.
     """
-    kernels = integer_kernels() if _QUANTISED in model else IntegerKernels.U8S8
-    if _QUANTISED in model:
+    kernels = IntegerKernels.U8S8
+    if any(name in model for name in _INTEGER_OPERATORS):
+        kernels = integer_kernels()
         _LOG.info("%s: %s", model_path.name, kernels)
     try:
         with _limited_memory(MAX_RUN_BYTES + 8 * len(model)):

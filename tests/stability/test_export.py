@@ -16,10 +16,12 @@ from onnx import TensorProto, helper
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import DensePredictor, ModelCard, card_path
+from models.perception.onnx_session import session_of
 from models.training.export.onnx import Exported, export_onnx, parity, write_card
 from models.training.export.quantize import quantize_int8
 from msgs.files.shipped import CHECKOUT
 from msgs.values.radar import RangeAzimuthGrid
+from tests.stability.catalogue import Errors
 
 CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 
@@ -204,3 +206,28 @@ def test_files_hold_no_path_of_the_machine_that_wrote_them(exported: bytes) -> N
     root = str(CHECKOUT).encode()
     assert root not in exported
     assert all(not node.doc_string for node in onnx.load_from_string(exported).graph.node)
+
+
+@pytest.mark.hard(where="models.perception.onnx_session", naive="pairs of products added up in 16 bits", bound=0.0,
+                  unit="steps of 8 bits", source="integers are exact")  # fmt: skip
+def test_sums_of_integer_products_are_exact_on_this_processor(errors: Errors) -> None:
+    """16 products of 255 and 127: two of them pass 32,767, where the fast kernels of AVX2 cut them off."""
+    products = np.full(16, 255 * 127)
+    pairs = np.clip(products[::2] + products[1::2], -(1 << 15), (1 << 15) - 1)
+    exact, scale = products.sum(), 16 * 127
+    constants = {
+        "weights": np.full((16, 16, 1, 1), 127, np.int8), "unit": np.float32(1.0), "scale": np.float32(scale),
+        "zero": np.uint8(0), "middle": np.int8(0),
+    }  # fmt: skip
+    graph = helper.make_graph(
+        [helper.make_node("QLinearConv", ["x", "unit", "zero", "weights", "unit", "middle", "scale", "zero"], ["y"])],
+        "sums",
+        [helper.make_tensor_value_info("x", TensorProto.UINT8, (1, 16, 4, 4))],
+        [helper.make_tensor_value_info("y", TensorProto.UINT8, (1, 16, 4, 4))],
+        [onnx.numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    session = session_of(Path("sums.onnx"), model.SerializeToString(), 1)
+    (answer,) = session.run(None, {"x": np.full((1, 16, 4, 4), 255, np.uint8)})
+    naive, ours = np.array([round(pairs.sum() / scale)]), answer.astype(int)
+    errors(naive=np.abs(naive - exact / scale).max(), ours=np.abs(ours - exact / scale).max())

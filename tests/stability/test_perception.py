@@ -43,6 +43,7 @@ from models.training.export.quantize import quantize_int8
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, SceneTruth, TruthObject
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.models.perception.detection.test_cfar import echo_map
 from tests.stability.catalogue import Errors
 
 RADAR = np.zeros(2)
@@ -804,3 +805,19 @@ def test_attention_with_points_far_away(errors: Errors) -> None:
         naive, ours = ((answer.double() - exact).norm() / exact.norm()
                        for answer in (network.decoder(feature), network(image, patch, state)))  # fmt: skip
     errors(naive=naive.item() if torch.isfinite(naive) else math.inf, ours=ours.item())
+
+
+@pytest.mark.hard(where="models.perception.detection.ridges", naive="the strongest azimuth of the map", bound=0.5,
+                  unit="deg", source="a cell of the map")  # fmt: skip
+def test_echoes_beyond_the_azimuths_of_a_map(errors: Errors) -> None:
+    """From 60 to 89 degrees an echo's lobe, and from 70 on its lobe at the other end, rises to the map's border."""
+    azimuths_deg = np.array([60.0, 63.0, 70.0, 75.0, 89.0])
+    naive, ours = [], [0.0]
+    for azimuth_deg in azimuths_deg:
+        ra_map = echo_map(azimuth_deg)
+        strongest = np.unravel_index(np.abs(ra_map.values).argmax(), ra_map.grid.shape)[1]
+        naive.append(abs(math.degrees(ra_map.grid.azimuth_rad[strongest]) - azimuth_deg))
+        peaks = detect(ra_map, CfarParams())
+        ours += np.abs(np.degrees(peaks.azimuth_rad) - azimuth_deg).tolist()
+    assert len(ours) == 2, "of the one at 60 degrees alone a peak is left"
+    errors(naive=max(naive), ours=max(ours))

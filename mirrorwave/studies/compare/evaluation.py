@@ -57,7 +57,8 @@ def found_peaks(sight: Sight) -> Peaks:
     ra_map = sight.ra_map
     power = echo_power(ra_map)
     range_m = ra_map.grid.range_m
-    cells, fractional = find_ridges(power, power > sight.threshold, ra_map.noise_power_mw, range_m, sight.ridges)
+    loud, has_lobes = power > sight.threshold, ra_map.mode != "photons"
+    cells, fractional = find_ridges(power, loud, ra_map.noise_power_mw, range_m, sight.ridges, has_lobes)
     score = power[cells[:, 0], cells[:, 1]] / ra_map.noise_power_mw
     return peaks_at(ra_map, cells, fractional, score, np.full(len(cells), PathClass.LOS, np.uint8), sight.peaks)
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
-from models.perception.detection.ridges import MAX_CELLS, RidgeParams, beyond_the_map, find_ridges, ridge_cells
+from models.perception.detection.ridges import MAX_CELLS, RidgeParams, find_ridges, ridge_cells
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.geometry.recovery import cartesian_covariance
@@ -167,10 +167,8 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     """
     power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
     mask = photon_mask(power, params) if ra_map.mode == "photons" else cfar_mask(power, params)
-    cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges)
-    if ra_map.mode != "photons":
-        inside = ~beyond_the_map(power, cells)
-        cells, fractional = cells[inside], fractional[inside]
+    has_lobes = ra_map.mode != "photons"
+    cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges, has_lobes)
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
     score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))
     path_class = np.full(len(cells), PathClass.LOS, np.uint8)

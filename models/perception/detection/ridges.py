@@ -14,6 +14,9 @@ from msgs.values.arrays import require_positive, require_within
 
 #: Largest number of cells along either side of a map.
 MAX_CELLS = 8192
+#: An echo from beyond the map is so much stronger, at most, than its flank at the border: 9 dB at 90 degrees, half the
+#: way from one end of a map of 60 degrees to the other through the period of an array of half a wavelength.
+BEYOND_DB = 10.0
 
 
 class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,10 +41,15 @@ class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 def find_ridges(
-    power: np.ndarray, allowed: np.ndarray, noise_power_mw: float, range_m: np.ndarray, params: RidgeParams
+    power: np.ndarray,
+    allowed: np.ndarray,
+    noise_power_mw: float,
+    range_m: np.ndarray,
+    params: RidgeParams,
+    has_lobes: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first, lobes
-    left out.
+    left out, and echoes from beyond the map with theirs if the sensor's beams have lobes.
 
     `power` [range, azimuth] in milliwatt, `range_m` [range].
     """
@@ -50,7 +58,9 @@ def find_ridges(
     candidates = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
     level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float32).tiny))
     cells = ridge_cells(np.where(candidates, level_db, -np.inf), params.spacing)
-    cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
+    outside = beyond_the_map(level_db, cells) if has_lobes else np.zeros(len(cells), bool)
+    heard_db = level_db[cells[:, 0], cells[:, 1]] + BEYOND_DB * outside
+    cells = cells[~side_lobes(cells, heard_db, params) & ~outside]
     fractional = cells.astype(np.float64)
     fractional[:, 1] = lobe_azimuth(level_db, cells)
     return cells, fractional
@@ -82,15 +92,14 @@ def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.where(peaked, inner + np.clip(shift, -1.0, 1.0), cells[:, 1])
 
 
-def beyond_the_map(power: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def beyond_the_map(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Return which cells [N, 2] are flanks of lobes whose vertex lies more than half a cell beyond the map; bool [N].
 
     Only a cell of the first or last azimuth can be one: its echo comes from further out, nobody can say from where.
     """
-    reach, last = 3, power.shape[1] - 1
+    reach, last = 3, level_db.shape[1] - 1
     inwards = np.where(cells[:, 1] == 0, reach, -reach)
-    three = [power[cells[:, 0], np.clip(cells[:, 1] + k * inwards, 0, last)] for k in range(3)]
-    here, near, far = 10.0 * np.log10(np.maximum(three, np.finfo(np.float32).tiny))
+    here, near, far = (level_db[cells[:, 0], np.clip(cells[:, 1] + k * inwards, 0, last)] for k in range(3))
     # the parabola through the three has its vertex -reach * slope / (2 curvature) cells further out
     slope, curvature = 3.0 * here - 4.0 * near + far, here - 2.0 * near + far
     at_border = (cells[:, 1] == 0) | (cells[:, 1] == last)

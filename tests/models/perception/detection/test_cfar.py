@@ -2,15 +2,24 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from models.perception.detection.cfar import CfarParams, cfar_mask, cfar_peaks, classify_behind_walls, detect
+from models.perception.detection.cfar import (
+    PHOTON_CFAR,
+    CfarParams,
+    cfar_mask,
+    cfar_peaks,
+    classify_behind_walls,
+    detect,
+)
 from models.perception.detection.ridges import RidgeParams, side_lobes
+from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import PathClass, Peaks
-from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
 
@@ -55,6 +64,35 @@ def test_scale_of_the_map_does_not_matter(kind):
     power = np.square(np.abs(noise(2)))
     params = CfarParams(kind=kind, false_alarm_rate=1e-3)
     np.testing.assert_array_equal(cfar_mask(power, params), cfar_mask(power * 2.0**-40, params))
+
+
+def echo_map(azimuth_deg: float, mode: str = "coherent") -> RangeAzimuthMap:
+    """Return the map of a point echo of 40 dB as the beams of the default radar see it, whatever its azimuth."""
+    setup = RadarSetup()
+    coefficients = np.exp(-1j * coefficient_phases(setup) * math.sin(math.radians(azimuth_deg)))
+    beams = np.zeros((25, 512), np.complex64)
+    beams[:, 100] = 100.0 * beam_matrix(setup) @ coefficients
+    values, _ = AzimuthInterpolator(setup).interpolate(beams, 1.0)
+    return msgspec.structs.replace(ra_map(values + 0.1 * noise(4)), mode=mode)
+
+
+@pytest.mark.parametrize("azimuth_deg", [55.0, -55.0, 59.0, -59.6, 60.0])
+def test_an_echo_up_to_the_border_of_the_map_is_where_it_is(azimuth_deg: float) -> None:
+    """Cells are 0.47 degrees wide."""
+    peaks = detect(echo_map(azimuth_deg), CfarParams())
+    np.testing.assert_allclose(np.degrees(peaks.azimuth_rad), [azimuth_deg], atol=0.3)
+
+
+@pytest.mark.parametrize("azimuth_deg", [61.0, -61.0, 65.0, 70.0, -75.0, 85.0])
+def test_an_echo_from_beyond_the_map_does_not_stand_at_its_border(azimuth_deg: float) -> None:
+    """Nor at the other one, where the array's period of 2 in the sine shows it from 70 degrees on."""
+    assert len(detect(echo_map(azimuth_deg), CfarParams())) == 0
+
+
+def test_a_lidar_sees_to_the_border_of_its_map() -> None:
+    """Its pixels have no lobes: what rises towards the border is there."""
+    peaks = detect(echo_map(65.0, mode="photons"), PHOTON_CFAR)
+    assert np.degrees(peaks.azimuth_rad).max() == pytest.approx(60.0)
 
 
 def test_detects_and_refines_one_target():
