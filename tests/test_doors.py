@@ -242,7 +242,7 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(monkeypatch: pytest.Monk
     packed.seek(0)
     assert load_arrays(packed)["zeros"].nbytes == MIB
     packed.seek(0)
-    monkeypatch.setattr(array_files, "MAX_UNPACKED_BYTES", MIB)
+    monkeypatch.setattr(array_files, "FREE_UNPACKED_BYTES", MIB)
     with pytest.raises(ValueError, match="unpacks to"):
         load_arrays(packed)
 
@@ -375,7 +375,10 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "network; its memory to load and run once": (
             f"{_size(onnx_session.MAX_MODEL_BYTES)}; {_size(onnx_session.MAX_RUN_BYTES)} beside eight times its file"
         ),
-        "archive of arrays, unpacked": _size(array_files.MAX_UNPACKED_BYTES),
+        "archive of arrays, unpacked": (
+            f"{_size(array_files.MAX_UNPACKED_BYTES)}; beyond {_size(array_files.FREE_UNPACKED_BYTES)} "
+            f"{array_files.MAX_UNPACKED_RATIO} times the file"
+        ),
         "key file": _size(curve_keys.MAX_BYTES),
         "a node's log file": f"{_size(logs._FILE_BYTES)}, four of them",
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,8 @@ def _import_bag(source: Path, out: Path, given: Path | None, topic: str | None, 
         sink = _Sink(source, mapping)
         provenance = _provenance(source, used) | {"topic": bag.topic, "type": bag.kind}
         with bar("messages", bag.count) as advance, whole_recording(out, provenance) as writer:
-            sink.write(writer, bag.scans(mapping.columns.values(), sink.left_out, advance))
+            scans = bag.scans(mapping.columns.values(), sink.left_out, advance)
+            sink.write(writer, scans, lambda: bag.loss)
         return sink.summary(bag.loss) | {"topic": bag.topic}
 
 
@@ -66,13 +67,17 @@ class _Sink:
         self.scans = self.detections = 0
         self.left_out: Counter[str] = Counter()
 
-    def write(self, writer: RecordingWriter, scans: Iterator[ScanRows]) -> None:
-        """Write all scans, without steps of their clock; raises `ValueError` naming the file where none comes out."""
+    def write(self, writer: RecordingWriter, scans: Iterator[ScanRows], loss: Callable[[], str] = lambda: "") -> None:
+        """Write all scans, without steps of their clock.
+
+        Raises `ValueError` naming the file, what was left out and its loss, where none comes out.
+        """
         for rows, time_ns in Bridged(scans, lambda rows: rows.stamp_ns, f"{self._source}: the clock", noun="scan"):
             self._take(writer, rows._replace(stamp_ns=time_ns))
         if not self.detections:
             reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
-            raise ValueError(f"{self._source}: gives no detection" + (f"; left out: {reasons}" if reasons else ""))
+            said = (f"; left out: {reasons}" if reasons else "") + (f"; {loss()}" if loss() else "")
+            raise ValueError(f"{self._source}: gives no detection{said}")
 
     def _take(self, writer: RecordingWriter, rows: ScanRows) -> None:
         count = len(next(iter(rows.columns.values()), ()))

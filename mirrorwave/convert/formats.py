@@ -35,7 +35,7 @@ SUFFIXES = {
 }
 
 #: Opens a progress bar: (name, total) -> context with what advances it.
-Bar = Callable[[str, int], AbstractContextManager[Callable[[], None]]]
+Bar = Callable[[str, int | None], AbstractContextManager[Callable[[], None]]]
 
 
 class Conversion(msgspec.Struct, frozen=True, kw_only=True):

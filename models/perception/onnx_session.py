@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import hashlib
 import logging
-import resource
-import threading
 import zlib
-from collections.abc import Iterator
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -18,6 +14,7 @@ import numpy as np
 import onnxruntime
 
 from models.perception.cards import read_learned
+from msgs.files.unpacking import limited_memory
 
 _LOG = logging.getLogger(__name__)
 #: Errors that a session raises for bytes that are no network.
@@ -30,8 +27,6 @@ MAX_MODEL_BYTES = (1 << 31) - 1
 #: Memory that a network may take to be loaded and to run, beside eight times its file: those of this project take a
 #: tenth, and a file of a hundred bytes may ask for all that there is.
 MAX_RUN_BYTES = 1 << 30
-#: The limit is of the process: it is set by one at a time.
-_LIMITING = threading.Lock()
 #: ONNX Runtime logs what it also raises.
 _FATAL_ONLY = 4
 #: Parts of the names of integer operators, of which every int8 file holds one.
@@ -100,7 +95,7 @@ def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infe
         kernels = integer_kernels()
         _LOG.info("%s: %s", model_path.name, kernels)
     try:
-        with _limited_memory(MAX_RUN_BYTES + 8 * len(model)):
+        with limited_memory(MAX_RUN_BYTES + 8 * len(model)):
             session = onnxruntime.InferenceSession(
                 model, _options(threads, kernels), providers=["CPUExecutionProvider"]
             )
@@ -113,20 +108,6 @@ def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infe
         reason = " ".join(str(error).split())[:300] or type(error).__name__
         limit = f"it may take {MAX_RUN_BYTES >> 20} MiB to run"
         raise ValueError(f"{model_path} must be a whole ONNX file: {reason} ({limit})") from None
-
-
-@contextlib.contextmanager
-def _limited_memory(more_bytes: int) -> Iterator[None]:
-    """Have allocations of this process fail beyond `more_bytes` of what it holds."""
-    with _LIMITING:
-        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        held = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * resource.getpagesize()
-        limit = held + more_bytes if soft == resource.RLIM_INFINITY else min(soft, held + more_bytes)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-        try:
-            yield
-        finally:
-            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _options(threads: int, kernels: IntegerKernels) -> onnxruntime.SessionOptions:

@@ -29,7 +29,7 @@ def cloud_columns(cloud: Any, wanted: Collection[str | int]) -> dict[str | int, 
                 raise ValueError(fault)
         else:
             sound.append(field)
-    layout = {
+    layout: Any = {
         "names": [field.name for field in sound],
         "formats": [order + _TYPES[field.datatype] for field in sound],
         "offsets": [field.offset for field in sound],

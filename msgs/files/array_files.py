@@ -18,8 +18,9 @@ from typing import IO
 
 import numpy as np
 
-#: No archive of this project comes near; one that unpacks to more would exhaust memory.
-MAX_UNPACKED_BYTES = 1 << 33
+#: No archive of this project comes near; one that unpacks to more would exhaust memory. One of zeros is a thousandth of
+#: what it unpacks to: beyond the first size it may be so many times the file.
+MAX_UNPACKED_BYTES, FREE_UNPACKED_BYTES, MAX_UNPACKED_RATIO = 1 << 33, 1 << 29, 100
 #: Exceptions of numpy, zip and their decompressors for bytes of another format.
 _TROUBLE = (
     ValueError, TypeError, KeyError, EOFError, SyntaxError, SystemError, ArithmeticError, MemoryError, RecursionError,
@@ -45,8 +46,10 @@ def load_arrays(source: Path | IO[bytes], only: Collection[str] | None = None) -
         with zipfile.ZipFile(source) as archive:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             unpacked = sum(info.file_size for info in infos.values())
-            if unpacked > MAX_UNPACKED_BYTES:
-                raise ValueError(f"unpacks to {unpacked} bytes, at most {MAX_UNPACKED_BYTES} are read")
+            stored = sum(info.compress_size for info in infos.values())
+            limit = min(MAX_UNPACKED_BYTES, max(FREE_UNPACKED_BYTES, MAX_UNPACKED_RATIO * stored))
+            if unpacked > limit:
+                raise ValueError(f"unpacks to {unpacked} bytes, at most {limit} are read of {stored} stored ones")
             return {name: _member(archive, info) for name, info in infos.items() if only is None or name in only}
     except _TROUBLE as error:
         raise ValueError(_reason(error)) from None

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import resource
+import threading
 import zlib
+from collections.abc import Iterator
 from io import BufferedIOBase, BytesIO, RawIOBase
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import lz4.frame
 import zstandard
 
+#: A limit of memory is of the process: it is set by one at a time.
+_LIMITING = threading.Lock()
 #: Exceptions of the decompressors for bytes that are not theirs.
 UNPACKING_ERRORS = (zstandard.ZstdError, RuntimeError, zlib.error, EOFError, MemoryError)
 
@@ -77,3 +84,17 @@ class UnpackedFile(RawIOBase):
         self._budget.spend(len(data), self._stored.tell())
         buffer[: len(data)] = data
         return len(data)
+
+
+@contextlib.contextmanager
+def limited_memory(more_bytes: int) -> Iterator[None]:
+    """Have allocations of this process fail beyond `more_bytes` of what it holds."""
+    with _LIMITING:
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        held = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * resource.getpagesize()
+        limit = held + more_bytes if soft == resource.RLIM_INFINITY else min(soft, held + more_bytes)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

@@ -47,6 +47,25 @@ def test_what_was_sent_is_in_the_recording(tmp_path: Path) -> None:
     assert {(message.topic, message.publisher) for message in messages} == {("vehicle/state", "tick")}
 
 
+def test_names_that_are_no_utf8(tmp_path: Path) -> None:
+    """Of the file, and in what the recorder writes about the run."""
+    path = tmp_path / "r\udcfc.mcap"
+    recorder = create(Params(path=str(path), metadata={"launch": "/k\udcfc.yaml"}))
+    recorder.close()
+    with RecordingReader(path) as reader:
+        assert reader.metadata["launch"] == "/k\\xfc.yaml"
+
+
+def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(28, "no space")
+
+    monkeypatch.setattr(mcap_file.McapFile, "add_metadata", refuse)
+    with pytest.raises(OSError, match="no space"):
+        create(Params(path=str(tmp_path / "a.mcap")))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_restarted_recorder_writes_beside_the_first(tmp_path: Path) -> None:
     _record(tmp_path / "a.mcap")
     first = (tmp_path / "a.mcap").read_bytes()

@@ -21,7 +21,7 @@ from msgs.bus.interface import Envelope
 from msgs.bus.topics import TOPICS
 from msgs.values.arrays import DTYPES, MAX_SPEED_MPS, MAX_STAMP_NS
 from msgs.values.detections import RadarDetections
-from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.node_params import NodeParams, ParamRequest
@@ -192,6 +192,19 @@ def test_round_trip_on_the_wire(topic: str, message: msgspec.Struct) -> None:
     received = decode(encode(envelope(topic, sequence=4), message))
     assert received.envelope == envelope(topic, sequence=4)
     assert_same(message, received.message)
+
+
+def test_a_text_that_is_no_utf8_travels_as_one_that_is() -> None:
+    """The name of a file in a list of a status, and in a message with arrays, whose frames come once."""
+    name, plain = "/k\udcfc/a.mcap", "/k\\xfc/a.mcap"
+    shed = (ShedCount(what=name, reason="b", count=3),)
+    status = NodeStatus(stamp_ns=1, node="a", pid=2, state=NodeState.DEGRADED, reason=name, shed=shed)
+    found = decode(encode(envelope("diagnostics/node"), status)).message
+    assert (found.reason, found.shed[0].what) == (plain, plain)
+    seen = msgspec.structs.replace(EXAMPLES["radar/detections"][0], sensor=name)
+    expected = msgspec.structs.replace(seen, sensor=plain)
+    assert_same(decode(encode(envelope("radar/detections"), seen)).message, expected)
+    assert_same(decode_inline(type(seen), encode_inline(seen)), expected)
 
 
 @pytest.mark.parametrize(("topic", "message"), CASES)

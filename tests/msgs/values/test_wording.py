@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from msgs.files.shipped import CHECKOUT
-from msgs.values.wording import counted
+from msgs.values.wording import as_utf8, counted
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,15 @@ from msgs.values.wording import counted
 )
 def test_one_is_singular(words: tuple[int, str], text: str) -> None:
     assert counted(*words) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [("a", "a"), ("ü", "ü"), ("k\udcfc\udcc3.log", "k\\xfc\\xc3.log"), ("ü\udcfc", "ü\\xfc"), ("\ud800", "\\ud800")],
+)
+def test_any_name_of_a_file_can_be_written_as_utf8(text: str, plain: str) -> None:
+    assert as_utf8(text) == plain
+    assert as_utf8(plain) == plain
 
 
 #: Position of the noun in calls by the last part of their name.

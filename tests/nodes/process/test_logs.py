@@ -96,7 +96,7 @@ def test_what_is_not_for_all_is_not_on_the_bus() -> None:
     handler.emit(secret)
     handler.emit(logging.LogRecord("n", logging.INFO, "", 0, "read a\udcff.mcap", None, None))
     Heartbeat(network.bus("x"), "x", handler).beat(NodeState.READY)
-    assert [one.message.text for one in listener.receive(0.0)] == ["page at port 1", "read a?.mcap"]
+    assert [one.message.text for one in listener.receive(0.0)] == ["page at port 1", "read a\\xff.mcap"]
 
 
 def test_a_group_s_record_is_of_the_node_it_names_and_of_no_other() -> None:

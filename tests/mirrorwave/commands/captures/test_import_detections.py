@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import IndexType, Writer
 
 from mirrorwave.cli import main
 from msgs.recording.mcap import RecordingReader
@@ -352,6 +354,31 @@ def test_a_topic_is_asked_for_where_it_is_not_the_only_one(tmp_path: Path, capsy
 
 
 @needs_rosbags
+def test_a_bag_of_mcap_needs_neither_summary_nor_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a bag without an index all scans, and of one that is cut off those before, with its loss."""
+    whole = next(bag(tmp_path / "bag").glob("*.mcap"))
+    words = "--topic", "/radar/scan"
+    assert call(whole, tmp_path / "a.mcap", *words) == 0
+    path = tmp_path / "b.mcap"
+    with path.open("wb") as file, whole.open("rb") as source:
+        writer = Writer(file, index_types=IndexType.NONE, repeat_channels=False, repeat_schemas=False)
+        writer.start("ros2")
+        for schema, channel, raw in make_reader(source).iter_messages():
+            kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+            number = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(number, raw.log_time, raw.data, raw.publish_time)
+        writer.finish()
+    assert call(path, tmp_path / "c.mcap", *words) == 0
+    path.write_bytes(path.read_bytes()[:-20])
+    capsys.readouterr()
+    assert call(path, tmp_path / "d.mcap", *words) == 3
+    assert "b.mcap: cut off at byte" in capsys.readouterr().err
+    expected = [scan.range_m.tolist() for scan in imported(tmp_path / "a.mcap")]
+    for name in ("c.mcap", "d.mcap"):
+        assert [scan.range_m.tolist() for scan in imported(tmp_path / name)] == expected
+
+
+@needs_rosbags
 def test_bags_that_cannot_be_read_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = bag(tmp_path / "whole.bag").read_bytes()
     for name, content in {
@@ -360,7 +387,8 @@ def test_bags_that_cannot_be_read_are_one_line(tmp_path: Path, capsys: pytest.Ca
     }.items():  # fmt: skip
         assert call(put(tmp_path, content, name), tmp_path / "out.mcap") == 2, name
         said = capsys.readouterr().err
-        assert f"{name}: no ROS bag that can be read" in said
+        rule = "is not an MCAP recording" if name == "words.mcap" else "no ROS bag that can be read"
+        assert f"{name}: {rule}" in said
         assert len(said.splitlines()) == 1
     (tmp_path / "folder").mkdir()
     assert call(tmp_path / "folder", tmp_path / "out.mcap") == 2
