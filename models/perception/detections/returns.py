@@ -65,7 +65,7 @@ def returns_of(detections: RadarDetections, speed_mps: np.ndarray, sensor: Detec
     elevation_std_rad = column(detections.elevation_std_rad, count, np.radians(sensor.elevation_std_deg))
     order = np.argsort(-snr_of(detections, sensor), kind="stable")
     return Returns(
-        range_m=np.abs(detections.range_m) * np.cos(flat_rad),
+        range_m=detections.range_m * np.cos(flat_rad),
         azimuth_rad=detections.azimuth_rad,
         covariance=filled_covariance(detections, sensor),
         snr_db=snr_of(detections, sensor),
@@ -77,7 +77,7 @@ def returns_of(detections: RadarDetections, speed_mps: np.ndarray, sensor: Detec
 
 
 def filled_covariance(detections: RadarDetections, sensor: DetectionSensor) -> np.ndarray:
-    """Return the covariances [N, 2, 2] with the sensor's variances where a detection has none or no possible ones.
+    """Return the covariances [N, 2, 2] with the sensor's variances where a detection has none, or a singular one.
 
     An array measures the sine of an azimuth: its error grows with one over the cosine.
     """
@@ -87,10 +87,8 @@ def filled_covariance(detections: RadarDetections, sensor: DetectionSensor) -> n
     own[:, 0, 0] = sensor.range_std_m**2
     own[:, 1, 1] = (np.radians(sensor.azimuth_std_deg) / cosine) ** 2
     variance = covariance[:, [0, 1], [0, 1]]
-    scale = np.sqrt(np.abs(variance.prod(axis=1)))
-    possible = (variance > 0.0).all(axis=1) & (np.abs(covariance[:, 0, 1]) < scale)
-    possible &= np.abs(covariance[:, 0, 1] - covariance[:, 1, 0]) <= 1e-6 * scale
-    return np.where(possible[:, None, None], covariance, own)
+    is_given = np.abs(covariance[:, 0, 1]) < np.sqrt(variance.prod(axis=1))
+    return np.where(is_given[:, None, None], covariance, own)
 
 
 def snr_of(detections: RadarDetections, sensor: DetectionSensor) -> np.ndarray:
@@ -98,7 +96,7 @@ def snr_of(detections: RadarDetections, sensor: DetectionSensor) -> np.ndarray:
     count = len(detections)
     snr_db = column(detections.snr_db, count)
     sensitivity_db = sensor.sensitivity_db if sensor.reference_range_m else sensor.threshold_db
-    lost_db = 40.0 * np.log10(np.maximum(np.abs(detections.range_m), 1.0)) if sensor.reference_range_m else 0.0
+    lost_db = 40.0 * np.log10(np.maximum(detections.range_m, 1.0)) if sensor.reference_range_m else 0.0
     of_rcs_db = sensitivity_db + column(detections.rcs_dbsm, count) - lost_db
     snr_db = np.where(np.isnan(snr_db), of_rcs_db, snr_db)
     return np.where(np.isnan(snr_db), sensor.threshold_db, snr_db)

@@ -11,14 +11,12 @@ import numpy as np
 
 from models.perception.geometry.observability import visibility_at
 from models.perception.tracking.estimate import Estimate, symmetric
-from msgs.values.frames import Pose2
+from msgs.values.frames import Pose2, wrap_angle
 from msgs.values.perception import BevFrame, HiddenObject, RadialSpeed, Visibility
 from msgs.values.units import s_from_ns
 
 #: An object measured further from its scan's stamp does not belong to that scan.
 LONGEST_SCAN_NS = 2_000_000_000
-#: Largest coordinate [m] and standard deviation [m] of an object: far beyond any sensor, and their squares are finite.
-MAX_POSITION_M, MAX_STD_M = 1e7, 1e6
 #: Road users are slower.
 MAX_SPEED_MPS = 100.0
 #: Scores are probabilities that an object exists; none is a certainty.
@@ -56,24 +54,16 @@ class Sighting:
 
 
 def sightings(frame: BevFrame, radar: Pose2 | RadarPath, place_std_m: float) -> list[Sighting]:
-    """Return the valid hidden objects of a scan in the odometry frame.
+    """Return the hidden objects of a scan in the odometry frame; without those of another time.
 
     `radar`: `odom_from_radar` at the scan's stamp; of a scan whose ego motion was not compensated the radar's path,
     because each object then lies in the radar's axes at its own stamp.
     """
-    valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
-    return [_sighting(item, frame, radar, place_std_m) for item in valid]
+    return [_sighting(item, frame, radar, place_std_m) for item in frame.objects if _is_timely(item, frame.stamp_ns)]
 
 
-def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
-    """Return whether an object has a finite position, a valid covariance and a time near its scan's."""
-    covariance = np.array(item.cov_m2)
-    if not np.isfinite([item.x_m, item.y_m, item.score, *covariance.ravel()]).all():
-        return False
-    if max(abs(item.x_m), abs(item.y_m)) > MAX_POSITION_M or np.abs(covariance).max() > MAX_STD_M**2:
-        return False
-    timely = item.stamp_ns == 0 or abs(item.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
-    return timely and bool(np.linalg.eigvalsh(symmetric(covariance))[0] >= 0.0)
+def _is_timely(item: HiddenObject, stamp_ns: int) -> bool:
+    return item.stamp_ns == 0 or abs(item.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
 
 
 def _sighting(item: HiddenObject, frame: BevFrame, radar: Pose2 | RadarPath, place_std_m: float) -> Sighting:
@@ -92,12 +82,10 @@ def _sighting(item: HiddenObject, frame: BevFrame, radar: Pose2 | RadarPath, pla
 
 
 def _turned(radial: RadialSpeed | None, odom_from_radar: Pose2) -> RadialSpeed | None:
-    """Return a radial speed in the odometry frame; None for one that nothing moves at, or that is no number."""
-    if radial is None or not all(map(math.isfinite, (radial.azimuth_rad, radial.speed_mps, radial.std_mps))):
+    """Return a radial speed in the odometry frame; None for one that nothing moves at."""
+    if radial is None or abs(radial.speed_mps) > MAX_SPEED_MPS or not 0.0 < radial.std_mps <= MAX_SPEED_MPS:
         return None
-    if abs(radial.speed_mps) > MAX_SPEED_MPS or not 0.0 < radial.std_mps <= MAX_SPEED_MPS:
-        return None
-    return msgspec.structs.replace(radial, azimuth_rad=radial.azimuth_rad + odom_from_radar.yaw_rad)
+    return msgspec.structs.replace(radial, azimuth_rad=wrap_angle(radial.azimuth_rad + odom_from_radar.yaw_rad))
 
 
 def detection_probabilities(

@@ -25,8 +25,8 @@ def test_a_detection_without_covariance_has_that_of_the_sensor() -> None:
     np.testing.assert_allclose(returns.covariance[2, 1, 1], 2.0 * np.radians(SENSOR.azimuth_std_deg) ** 2, rtol=0.02)
 
 
-@pytest.mark.parametrize("wrong", [[[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]]])
-def test_an_impossible_covariance_counts_as_none(wrong: list[list[float]]) -> None:
+@pytest.mark.parametrize("wrong", [[[1.0, 2.0], [2.0, 4.0]], [[0.0, 0.0], [0.0, 1.0]]])
+def test_a_singular_covariance_counts_as_none(wrong: list[list[float]]) -> None:
     message = detections(POINTS, covariance=np.stack([np.array(wrong)] * 3))
     returns = returns_of(message, UNKNOWN, SENSOR)
     assert (returns.covariance[:, 0, 0] == SENSOR.range_std_m**2).all()

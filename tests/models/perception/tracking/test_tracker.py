@@ -374,7 +374,9 @@ def rolling(step: int, *objects: HiddenObject) -> BevFrame:
     """View `step` of rolling scans: 60 ms after the last, of the newest 300 ms, settled 24 ms before its end."""
     stamp_ns = 1_000_000_000 + step * 60_000_000
     view = frame(0, *objects)
-    return msgspec.structs.replace(view, stamp_ns=stamp_ns, scan_id=step // 5, settled_stamp_ns=stamp_ns + 264_000_000)
+    return msgspec.structs.replace(
+        view, stamp_ns=stamp_ns, scan_id=step // 5 + 1, settled_stamp_ns=stamp_ns + 264_000_000
+    )
 
 
 def test_views_that_share_beams_measure_an_object_once_a_sweep():
