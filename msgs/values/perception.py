@@ -89,8 +89,8 @@ class Peaks(Checked, frozen=True, kw_only=True, eq=False):
     missing_beams: tuple[Count, ...] = ()
     saturated_share: Share = 0.0
     faults: tuple[str, ...] = ()
-    #: Beam power over noise of an isotropic 0 dBsm target at 1 m, dB: the observability mask needs it.
-    sensitivity_db: LevelDb = 0.0
+    #: Beam power over noise of an isotropic 0 dBsm target at 1 m, dB: the observability mask needs it. -1000: unknown.
+    sensitivity_db: Annotated[float, Meta(ge=-1000.0, le=300.0)] = 0.0
     #: Checksum of the network that found them and its method of placing them, "SHA256/WAY"; empty without a network.
     detector: str = ""
     #: Pose of the radar on the vehicle with which the map was formed.
