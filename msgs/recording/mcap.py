@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import logging
 import os
 import struct
 import zlib
@@ -36,6 +37,8 @@ from msgs.files.unpacking import UNPACKING_ERRORS, unpack
 from msgs.files.whole_files import whole
 from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, ZSTD_LEVEL, McapFile
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+
+_LOG = logging.getLogger(__name__)
 
 #: 350 MB/s of noise, which does not compress and must not cost time while it arrives; all else is compressed.
 RAW_TOPIC = "radar/beam"
@@ -295,6 +298,7 @@ class RecordingReader:
         self._channels = self._walk.channels
         self._schemas = self._walk.schemas
         self._damage: dict[int, str] = {}
+        self._is_set_back = False
         self._searched = False
         self.skipped: dict[str, int] = {}
 
@@ -424,14 +428,32 @@ class RecordingReader:
         if topics is not None:
             chunks = [chunk for chunk in chunks if self._may_hold(chunk, topics)]
         waiting: list[tuple[int, int, int, Channel, Message]] = []
+        placed: dict[int, tuple[int, int]] = {}
+
+        def first() -> tuple[Channel, Message]:
+            _, offset, at, channel, raw = heapq.heappop(waiting)
+            if (offset, at) < placed.get(channel.id, (0, 0)):
+                self._note_set_back(channel.topic)
+            placed[channel.id] = offset, at
+            return channel, raw
+
         for chunk in sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
             while waiting and waiting[0][0] < chunk.start_ns:
-                yield heapq.heappop(waiting)[3:]
+                yield first()
             for at, (channel, raw) in enumerate(self._chunk_messages([chunk])):
                 if start <= raw.log_time < end and (topics is None or channel.topic in topics):
                     heapq.heappush(waiting, (raw.log_time, chunk.offset, at, channel, raw))
         while waiting:
-            yield heapq.heappop(waiting)[3:]
+            yield first()
+
+    def _note_set_back(self, topic: str) -> None:
+        """Say once that what one publisher sent comes in another order than it was written in."""
+        if not self._is_set_back:
+            self._is_set_back = True
+            _LOG.warning(
+                "%s: the clock was set back while %s was recorded: messages come by their times, not as they were sent",
+                self.path, topic,
+            )  # fmt: skip
 
     def _may_hold(self, chunk: _Chunk, topics: Collection[str]) -> bool:
         """Return whether a chunk has to be read for these topics: raw beams are a thousand times all else."""

@@ -246,6 +246,23 @@ def test_log_time_order_across_chunks(tmp_path: Path) -> None:
     assert [message.sequence for message in messages] == [1, 5, 3, 4, 0, 2], "equal times in order of writing"
 
 
+@pytest.mark.parametrize("back_ns", [0, 500])
+def test_a_clock_that_was_set_back_while_recording_is_said(
+    back_ns: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of one publisher: what several send may be written in another order than it was sent."""
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for index in range(10):
+            sent_ns = 1000 + 100 * index - back_ns * (index >= 6)
+            writer.write("vehicle/state", state(index), publisher="car", sequence=index, sent_ns=sent_ns)
+            writer.write("vehicle/state", state(index), publisher="other", sequence=index, sent_ns=sent_ns - 150)
+    with RecordingReader(path) as reader:
+        assert len(list(reader.messages())) == len(list(reader.messages())) == 20
+    said = f"{path}: the clock was set back while vehicle/state was recorded"
+    assert caplog.text.count(said) == (1 if back_ns else 0)
+
+
 def test_equal_times_keep_the_order_of_writing(tmp_path: Path) -> None:
     """Also between raw beams and all else, which stand in chunks of their own; other readers agree."""
     path = tmp_path / "a.mcap"
