@@ -32,6 +32,13 @@ PLY_BYTES = {
 PLY_WORDS = {"ply", "format", "comment", "obj_info", "element", "property", "end_header"}
 #: open3d cuts lines of a PCD here.
 LONGEST_LINE = 1000
+_NUMBER = rb"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf(?:inity)?)"
+#: A line of text that is not three numbers and more, nor a remark; and one that is not numbers alone.
+_NO_POINT = re.compile(
+    rb"^(?![ \t\r]*(?:$|#|//|" + rb"[ \t]+".join([_NUMBER] * 3) + rb"(?:[ \t\r]|$)))[^\n]+",
+    re.IGNORECASE | re.MULTILINE,
+)
+_NO_NUMBERS = re.compile(rb"^(?![ \t\r]*(?:" + _NUMBER + rb"(?:[ \t\r]+|$))*$)[^\n]+", re.IGNORECASE | re.MULTILINE)
 _WORD = re.compile(rb"[^ \t\r]+")
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 #: Largest numbers of a PCD header, and how much LZF can pack at most.
@@ -116,6 +123,7 @@ def _refuse_promises(path: Path) -> None:
     kind, content = path.suffix.lower(), path.read_bytes()
     if kind == ".xyz":
         _require_tractable(path, content.count(b"\n"))
+        _require_numbers(path, _NO_POINT, content, 0)
         return
     end = b"\nend_header" if kind == ".ply" else b"\nDATA"
     start = content.find(b"\n", content.find(end) + 1) + 1
@@ -131,6 +139,16 @@ def _refuse_promises(path: Path) -> None:
     held = len(content) - start if row_bytes else _lines_of(words, content[start:])
     if held < count * max(row_bytes, 1):
         raise ValueError(f"{path}: header promises {counted(count, 'point')}, the file ends before: it is cut off")
+    if kind == ".pcd" and not row_bytes:
+        _require_numbers(path, _NO_NUMBERS, content, start)
+
+
+def _require_numbers(path: Path, odd: re.Pattern[bytes], content: bytes, start: int) -> None:
+    """ValueError for the first line from `start` on that is `odd`: open3d leaves it out, or takes 1,5 for 1."""
+    if line := odd.search(content, start):
+        number = content.count(b"\n", 0, line.start()) + 1
+        text = line[0].decode("latin-1").strip()[:80]
+        raise ValueError(f"{path}: line {number}: must be numbers with blanks between them, got {text!r}")
 
 
 def _lines_of(words: int, text: bytes) -> int:

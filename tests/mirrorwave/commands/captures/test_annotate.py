@@ -198,6 +198,20 @@ def test_small_clouds_of_text_are_read(tmp_path: Path) -> None:
         assert read_cloud(tmp_path / name)[0].tolist() == [[0, 0, 1], [4, 4, 4], [1, 2, 3]]
 
 
+@pytest.mark.parametrize("suffix", ["xyz", "pcd"])
+@pytest.mark.parametrize("line", ["1,5 2 3", "1.5m 2 3", "1; 2 3", "1_0 2 3", "one 2 3", "1 2 0x3"])
+def test_a_line_that_is_no_point_is_named(tmp_path: Path, suffix: str, line: str) -> None:
+    """open3d leaves such a line of an XYZ out, and takes the beginnings of its words in a PCD; both without a word."""
+    head = {"xyz": "// X Y Z\n# a remark\n", "pcd": PCD.decode().partition("0 0 1")[0]}[suffix]
+    path = tmp_path / f"a.{suffix}"
+    path.write_text(f"{head}-1.5e0 2. .5\r\n4 5 nan\n7 8 9")
+    assert read_cloud(path)[0].tolist() == [[-1.5, 2.0, 0.5], [7.0, 8.0, 9.0]]
+    path.write_text(f"{head}1 2 3\n{line}\n7 8 9\n")
+    number = head.count("\n") + 2
+    with pytest.raises(ValueError, match=rf"a\.{suffix}: line {number}: must be numbers with blanks .*, got '{line}'"):
+        read_cloud(path)
+
+
 def test_pulses_without_echo_and_strays_are_left_out(tmp_path: Path) -> None:
     """Zeros where a scanner got no echo, one point beyond all numbers and one that is none."""
     odd = np.array([[0.0, 0.0, 0.0], [1e30, 0.0, 0.0], [np.nan, 1.0, 1.0]])
