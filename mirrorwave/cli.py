@@ -62,12 +62,6 @@ _PANELS = {
 _NAME = "mirrorwave"
 _EXAMPLES = {name: example for panel in _PANELS.values() for name, example in panel.items()}
 _NAME_WIDTH = max(map(len, _EXAMPLES))
-#: Options by the names that they had, of each verb.
-_FORMER_NAMES = {
-    "compare": {"--jobs": "--workers"},
-    "eval": {"--places": "--count"},
-    "tradeoff": {"--frames": "--count"},
-}
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
     "demo": "mirrorwave.commands.graph.demo:demo",
@@ -193,13 +187,11 @@ def _verb(argv: list[str]) -> str:
 
 
 def _understood(words: list[str]) -> list[str]:
-    """Return a command line with `help` before, between or behind its verbs as --help, and options by their names."""
+    """Return a command line with `help` before, between or behind its verbs as --help."""
     at = words.index("help") if "help" in words[:3] else None
     if at is not None and (words[0] in _GROUPS or (at < 2 and set(words[:at]) <= _VERBS.keys())):
-        words = [*words[:at], *words[at + 1 :], "--help"]
-    names = _FORMER_NAMES.get(words[0], {}) if words else {}
-    pairs = (word.partition("=") for word in words)
-    return [f"{names.get(name, name)}{equals}{value}" for name, equals, value in pairs]
+        return [*words[:at], *words[at + 1 :], "--help"]
+    return words
 
 
 def _load(target: str) -> Any:

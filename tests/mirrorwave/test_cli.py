@@ -99,13 +99,16 @@ def test_the_whole_help_lists_each_verb_once_with_an_example_that_its_parser_tak
 
 def test_options_are_taken_by_their_former_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "--jobs", "0"]) == 2
-    assert "'--workers'" in capsys.readouterr().err
+    assert "'--jobs'" in capsys.readouterr().err
     assert main(["tradeoff", "--frames=0"]) == 2
-    assert "'--count'" in capsys.readouterr().err
+    assert "'--frames'" in capsys.readouterr().err
     assert main(["eval", "--places", "3", "--data", "d"]) == 2
     assert capsys.readouterr().err == "mirrorwave: --count must not be given with --data\n"
     assert main(["sim", "dataset", "--places", "nowhere", "--count", "1", "--out", "d"]) == 2
     assert "'--places'" in capsys.readouterr().err, "the kind of place, in another verb"
+    for verb, former in (("compare", "--jobs"), ("tradeoff", "--frames"), ("eval", "--places")):
+        assert main([verb, "--help"]) == 0
+        assert former not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

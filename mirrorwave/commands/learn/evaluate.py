@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.completion import complete_object_sets, complete_profiles
-from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def evaluate(
     count: Annotated[
         int | None, typer.Option(min=1, help="With --objects and no --set: places of the series --seed [100].")
     ] = None,
+    places: Annotated[int | None, former_name("places")] = None,
     moving: Annotated[
         bool, typer.Option("--moving", help="With --objects and no --set: radar and road users move.")
     ] = False,
@@ -129,13 +130,13 @@ def evaluate(
 
         evaluate_objects(
             ObjectRequest(
-                sets=sets or [], profiles=profile or ["default"], places=count, moving=moving, effects=effects,
-                seed=seed, draws=draws, workers=workers, false_cost=false_cost, out=out,
+                sets=sets or [], profiles=profile or ["default"], places=count or places, moving=moving,
+                effects=effects, seed=seed, draws=draws, workers=workers, false_cost=false_cost, out=out,
             ),
             as_json,
         )  # fmt: skip
         return
-    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count, "--moving": moving or None})
+    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count or places, "--moving": moving or None})
     if data is None:
         raise ValueError("--data must name a data set, or --objects ask for random places")
     from mirrorwave.studies.evaluate.report import Context, make_report, write_report

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 
 if TYPE_CHECKING:
     from mirrorwave.studies.tradeoff.report import Report
@@ -36,6 +36,7 @@ def tradeoff(
         typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles."),
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
+    places: Annotated[int | None, former_name("frames")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the places, and of the order of the stages.")] = 11,
     simulator: Annotated[bool, typer.Option("--simulator", help="The simulator's own choices instead.")] = False,
@@ -54,7 +55,7 @@ def tradeoff(
 
     rows = _selected_rows(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
     usual, often = FULL if full else QUICK
-    plan = Plan(rows=rows, frames=count or usual, repeats=repeats or often, seed=seed)
+    plan = Plan(rows=rows, frames=count or places or usual, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
         if busy := busy_reason(load_per_core()):
             tick.print(f"mirrorwave: the machine is busy, times will not count: {busy}")

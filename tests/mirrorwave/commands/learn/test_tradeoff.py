@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import msgspec
@@ -17,16 +18,19 @@ from typer.testing import CliRunner
 from mirrorwave.commands.learn.tradeoff import tradeoff
 from mirrorwave.node_chain import STAGE_PARAMS
 from mirrorwave.studies.evaluate.objects import ObjectPlan, ObjectSet, run_objects
-from mirrorwave.studies.report import Interval, Times
+from mirrorwave.studies.report import Interval, Times, busy_reason
+from mirrorwave.studies.tradeoff import runner
 from mirrorwave.studies.tradeoff.report import (
     Report,
     Row,
     latency_ms,
+    make_report,
+    markdown,
     measuring_ms,
     read_report,
     with_front,
 )
-from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, Plan, peak_memory_mib, run_plan
+from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, FrameResult, Plan, peak_memory_mib, run_plan
 from mirrorwave.studies.tradeoff.settings import Setting, profile_setting, read_settings
 from models.evaluation.object_metrics import ObjectScores, object_measures
 from models.perception.cards import WEIGHTS
@@ -213,6 +217,24 @@ def test_the_front_is_what_none_beats_in_both() -> None:
         [row("a", 10.0, 0.5), row("b", 20.0, 0.7), row("c", 20.0, 0.6), row("d", 30.0, 0.7), row("e", 9.0, 0.1)]
     )
     assert [one.name for one in rows if one.pareto] == ["a", "b", "e"]
+
+
+def test_times_of_a_busy_machine_do_not_count() -> None:
+    """A load before the run, or sections that were timed while other programs had the core: here a sleep."""
+    assert busy_reason(0.1, 0.05) == ""
+    assert busy_reason(0.8) == "0.80 processes wanted each core before it began (limit 0.5)"
+    assert busy_reason(0.1, 0.25) == "it waited for a core 25 % of the time (limit 10 %)"
+    timing = runner._Pass()
+    with timing.timed("forming", "a"):
+        time.sleep(0.02)
+    assert timing.waited > 0.5
+    result = FrameResult(
+        frame=0, counts={}, distances={}, objects={}, times_ms={}, failed={"a: 1": "x"}, waited=timing.waited
+    )
+    row = Setting(switch="a", value="1")
+    report = make_report(Plan(rows=[row], frames=1, repeats=1), [result], {}, "mirrorwave tradeoff")
+    assert report.busy.startswith("it waited for a core ")
+    assert f"**The times do not count**: the machine was busy. {report.busy}." in markdown(report)
 
 
 def test_the_documented_schema_is_that_of_the_report() -> None:
