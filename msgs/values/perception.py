@@ -151,8 +151,8 @@ class HiddenPoint(Checked, frozen=True, kw_only=True):
     #: Its apparent position behind the wall.
     image_x_m: Metres
     image_y_m: Metres
-    #: Index into `BevFrame.walls`.
-    wall: Count
+    #: Index into `BevFrame.walls`; -1: none.
+    wall: Annotated[int, Meta(ge=-1, le=1 << 31)]
 
 
 class RadialSpeed(Checked, frozen=True, kw_only=True):

@@ -392,7 +392,7 @@ class RangeAzimuthMap(Checked, frozen=True, kw_only=True, eq=False):
     #: Acquisition time of each azimuth column, int64 [azimuth].
     azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("grid.azimuth_bins",), 0, MAX_STAMP_NS)]
     #: Mean noise power in milliwatt per bin, measured beyond the map's range.
-    noise_power_mw: Annotated[float, msgspec.Meta(ge=0.0, le=1e30)]
+    noise_power_mw: Annotated[float, msgspec.Meta(ge=0.0, le=1e60)]
     #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
     incoherent: Annotated[np.ndarray, Array("|b1", ("grid.range_bins",))]
     #: Indices of beams that are missing or were left out as silent or interfered, and of those that were not asked for.

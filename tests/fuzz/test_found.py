@@ -23,7 +23,7 @@ from msgs.values.lidar import SpadParams
 from msgs.values.perception import MAX_PEAKS, Peaks
 from msgs.values.radar import PRESETS, ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, orthogonal_beams
 from msgs.values.vehicle import VehicleState
-from nodes import geometry, lidar_former, player, ra_former
+from nodes import dense_predictor, geometry, lidar_former, player, ra_former
 from nodes.node import Node, load_node
 from tests.fuzz.cases import SETUP, SPAD, beam, lidar_talk, peaks, ra_map
 
@@ -109,6 +109,12 @@ def test_a_setup_that_would_stall_the_lidar_is_refused(changes: dict[str, Any]) 
 def test_a_grid_that_reaches_beyond_all_numbers_is_refused() -> None:
     with pytest.raises(ValueError, match=r"grid\.range_bin_m must lie in 1e-09\.\.1e\+09, got 1\.7e\+308"):
         RangeAzimuthGrid(range_bin_m=1.7e308)
+
+
+def test_noise_beyond_float32() -> None:
+    node = dense_predictor.create(dense_predictor.Params(method="cfar"))
+    (found,) = told(node, ("radar/ra_map", msgspec.structs.replace(ra_map(0, 0), noise_power_mw=1e39)))
+    assert len(found.range_m) == 0  # type: ignore[attr-defined]
 
 
 def crowd(count: int) -> Peaks:

@@ -54,7 +54,7 @@ def test_as_many_as_a_message_holds_leave_as_many_as_peaks_may_be() -> None:
     points = RNG.uniform([0.0, -60.0], [99.0, 60.0], (MAX_DETECTIONS, 2))
     assert len(through(detections(points))[0]) == MAX_PEAKS
     with pytest.raises(ValueError, match=r"detections\.count"):
-        detections(np.zeros((MAX_DETECTIONS + 1, 2)))
+        detections(np.full((MAX_DETECTIONS + 1, 2), 9.0))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])

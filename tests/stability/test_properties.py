@@ -512,7 +512,7 @@ def assert_same_scan(found: FoldedScan, wanted: FoldedScan, turn: Callable[[np.n
 @given(streets(), st.floats(-math.pi, math.pi))
 def test_recovered_places_turn_with_the_peaks(peaks: Peaks, turn_rad: float) -> None:
     params = GeometryParams()
-    turned = msgspec.structs.replace(peaks, azimuth_rad=peaks.azimuth_rad + turn_rad)
+    turned = msgspec.structs.replace(peaks, azimuth_rad=np.angle(np.exp(1j * (peaks.azimuth_rad + turn_rad))))
     assert_same_scan(fold_scan(turned, params), fold_scan(peaks, params), Pose2(0.0, 0.0, turn_rad).rotate)
 
 

@@ -64,8 +64,8 @@ def test_silence(mode: str, state: VehicleState | None) -> None:
 
 
 @pytest.mark.parametrize("mode", ["coherent", "welch"])
-@pytest.mark.parametrize(("chirps", "beams"), [(1, 25), (3, 1), (1, 1)])
-def test_one_chirp_one_beam(mode: str, chirps: int, beams: int) -> None:
+@pytest.mark.parametrize(("chirps", "beams"), [(1, 25), (3, 2), (1, 2)])
+def test_one_chirp_two_beams(mode: str, chirps: int, beams: int) -> None:
     setup = _setup(chirps=chirps, beams=beams)
     samples = np.random.default_rng(3).integers(-100, 100, (chirps, 2048, 2)).astype(np.int16)
     formed = _form(setup, samples, mode=mode)
@@ -447,7 +447,7 @@ def test_odd_chirps_and_a_small_grid() -> None:
     samples = np.broadcast_to(np.rint(np.stack([beat.real, beat.imag], axis=-1)).astype(np.int16), (5, 300, 2))
     former = RaFormer(setup, grid=RangeAzimuthGrid(range_bins=64, azimuth_bins=5))
     beam = RadarBeam(
-        stamp_ns=0, scan_id=0, beam_index=12, beam_count=25, azimuth_rad=0.0, samples=samples, full_scale_dbm=-20.0
+        stamp_ns=10**9, scan_id=0, beam_index=12, beam_count=25, azimuth_rad=0.0, samples=samples, full_scale_dbm=-20.0
     )
     former.add(beam)
     formed = former.flush()[0]

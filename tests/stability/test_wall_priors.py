@@ -128,7 +128,7 @@ def test_sources_that_contradict_each_other_do_not_average() -> None:
     assert measured == FACADE
 
 
-@pytest.mark.parametrize("stamp_ns", [-(1 << 62), 1, (1 << 62) - 1])
+@pytest.mark.parametrize("stamp_ns", [1, 1 << 62])
 def test_stamps_at_the_ends_of_time(stamp_ns: int) -> None:
     """Messages of other clocks are neither used nor in the way of those that are."""
     wall = PriorWall(ends_m=((20.0, 1.0), (20.0, 9.0)), **STDS, end_std_m=0.1)
