@@ -13,6 +13,7 @@ import numpy as np
 
 from msgs.bus.codec import CodecError, decode_inline
 from msgs.bus.topics import topic_facts
+from msgs.files.array_files import load_array
 from msgs.values.known_names import with_known_names
 from msgs.values.wording import did_you_mean
 
@@ -72,11 +73,9 @@ def _array_of(where: str, value: Any) -> Any:
 
 def _loaded(where: str, path: Path) -> np.ndarray:
     try:
-        with path.open("rb") as file:
-            array: np.ndarray = np.lib.format.read_array(file, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+        return load_array(path)
+    except ValueError as error:
         raise ValueError(f"{where}: {path} must hold an array, as numpy.save writes it: {error}") from None
-    return array
 
 
 def _inline(array: np.ndarray) -> dict[str, Any]:

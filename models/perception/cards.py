@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from msgs.files.shipped import WEIGHTS
+from msgs.files.text_files import decode_text
 from msgs.values.known_names import with_known_names
 
 Card = TypeVar("Card")
@@ -29,16 +30,17 @@ def card_path(model_path: Path) -> Path:
 
 def read_card(path: Path, kind: type[Card]) -> Card:
     """Return a card of a type; raises `ValueError` naming the file and all fields that are missing or wrong."""
-    text = read_learned(path, MAX_CARD_BYTES)
+    content = read_learned(path, MAX_CARD_BYTES)
     try:
+        text = decode_text(content)
         return msgspec.json.decode(text, type=kind)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {'; '.join(_wrong_fields(text, kind)) or error}") from None
-    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _wrong_fields(text: bytes, kind: Any) -> list[str]:
+def _wrong_fields(text: str, kind: Any) -> list[str]:
     """Return all errors of a card, field by field: msgspec stops at the first."""
     values = msgspec.json.decode(text)
     if not isinstance(values, dict):

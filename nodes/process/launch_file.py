@@ -14,10 +14,13 @@ import yaml
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
-from msgs.values.wording import did_you_mean
+from msgs.values.wording import as_utf8, did_you_mean
 from nodes.node import NODE_NAME
 from nodes.process.validation import convert_at, merged
 
+#: Characters without a meaning of their own that YAML takes, for bytes of a path, which it does not.
+_STAND_IN = {0xDC00 + byte: 0xF700 + byte for byte in range(128, 256)}
+_BYTES = {stand_in: byte for byte, stand_in in _STAND_IN.items()}
 #: Larger files are no launch files.
 MAX_BYTES = 1 << 20
 #: The supervisor's own name on the bus.
@@ -237,13 +240,27 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse_yaml(text: str | bytes, where: str) -> Any:
-    """Return one YAML document of plain values; duplicate keys, aliases and deep nesting are refused."""
+    """Return one YAML document of plain values; duplicate keys, aliases and deep nesting are refused.
+
+    Bytes of a path on the command line that are no UTF-8 stay what they are.
+    """
+    if isinstance(text, str) and as_utf8(text) != text:
+        return _with_bytes(parse_yaml(text.translate(_STAND_IN), where))
     try:
         return yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"{where}: {_yaml_reason(error)}") from None
     except (ValueError, RecursionError, UnicodeError) as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def _with_bytes(value: Any) -> Any:
+    """Return a value with the bytes that characters stand in for."""
+    if isinstance(value, str):
+        return value.translate(_BYTES)
+    if isinstance(value, dict):
+        return {_with_bytes(key): _with_bytes(item) for key, item in value.items()}
+    return [_with_bytes(item) for item in value] if isinstance(value, list) else value
 
 
 def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> LaunchFile:

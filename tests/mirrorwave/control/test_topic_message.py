@@ -72,7 +72,15 @@ def test_what_does_not_fit_is_refused_by_one_line(topic: str, changes: dict[str,
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"no array", b"PK\x03\x04"])
+#: Of an array of 8 TB, of which nothing follows.
+_PROMISE = (
+    b"\x93NUMPY\x01\x00v\x00"
+    + b"{'descr': '<f8', 'fortran_order': False, 'shape': (10**12,)}".replace(b"10**12", b"1000000000000").ljust(117)
+    + b"\n"
+)
+
+
+@pytest.mark.parametrize("content", [b"", b"no array", b"PK\x03\x04", _PROMISE])
 def test_a_file_that_holds_no_array_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "range.npy"
     path.write_bytes(content)

@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.annotate.clouds import read_cloud
+from models.perception.cards import read_card
+from models.perception.detection.onnx_model import ModelCard
 from models.sensors.config_file import read_config
+from msgs.files.shipped import WEIGHTS
 from msgs.files.text_files import AS_CP1252, decode_text, read_text, without_mark
 from msgs.recording.sigmf import _load_metadata
 from nodes.can.bus import load_dbc
@@ -58,9 +61,10 @@ def test_bytes_of_no_encoding() -> None:
         ("a.yaml", "- {key: building, value: a, material: brick}\n", lambda path: read_rules([str(path)])[0]),
         ("a.dbc", DBC, lambda path: len(load_dbc(path).messages)),
         ("a.sigmf-meta", (DATA / "sigmf_alley" / "alley.sigmf-meta"), _load_metadata),
+        ("a.json", WEIGHTS / "compact_unet.json", lambda path: read_card(path, ModelCard)),
         ("a.cfg", CFG, lambda path: read_config(path, None)),
     ],
-    ids=["geojson", "launch", "scene", "walls", "dbc", "sigmf", "cfg"],
+    ids=["geojson", "launch", "scene", "walls", "dbc", "sigmf", "card", "cfg"],
 )  # fmt: skip
 @pytest.mark.parametrize("encoding", ENCODINGS[1:3])
 def test_every_reader_takes_a_mark(

@@ -85,6 +85,10 @@ def test_plain_values_follow_yaml_1_2() -> None:
     ]  # fmt: skip
 
 
+def test_a_path_on_the_command_line_keeps_its_bytes() -> None:
+    assert parse_yaml("{a: [/k\udcfc/x.mcap, 1, \u00fc]}", "-p a") == {"a": ["/k\udcfc/x.mcap", 1, "\u00fc"]}
+
+
 def test_files_are_bounded_in_size(tmp_path: Path) -> None:
     path = tmp_path / "big.yaml"
     path.write_bytes(b"#" * (MAX_BYTES + 1))
