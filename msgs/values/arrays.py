@@ -25,8 +25,8 @@ MAX_STAMP_NS = 1 << 62
 COVARIANCE_ROUNDING = 1e-6
 MAX_VARIANCE = 1e12
 
-#: Nanoseconds of acquisition.
-StampNs = Annotated[int, Meta(ge=0, le=MAX_STAMP_NS)]
+#: Nanoseconds of acquisition. Negative on the clock of a host that started later than the one that measured.
+StampNs = Annotated[int, Meta(ge=-MAX_STAMP_NS, le=MAX_STAMP_NS)]
 Count = Annotated[int, Meta(ge=0, le=1 << 62)]
 #: A score, a share or a probability.
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -132,16 +132,16 @@ def limits_of(hint: Any) -> str:
         case Array(covariances=True):
             return "Positive semi-definite."
         case Array(least=low, greatest=high, or_nan=or_nan) if high < math.inf:
-            return f"{low:g}..{_shortest(high)}{' or NaN' if or_nan else ''}."
+            return f"{_shortest(low)}..{_shortest(high)}{' or NaN' if or_nan else ''}."
         case Meta(ge=low, le=high) if low is not None and high is not None:
-            return f"{low:g}..{_shortest(high)}."
+            return f"{_shortest(low)}..{_shortest(high)}."
         case Meta(gt=low, le=high) if low is not None and high is not None:
             return f"Above {low:g}, at most {high:g}."
     return ""
 
 
 def _shortest(limit: float) -> str:
-    return "2^62" if limit == MAX_STAMP_NS else f"{limit:g}"
+    return f"{'-' * (limit < 0)}2^62" if abs(limit) == MAX_STAMP_NS else f"{limit:g}"
 
 
 def _range_check(name: str, rule: Meta) -> _Check | None:
@@ -154,7 +154,9 @@ def _range_check(name: str, rule: Meta) -> _Check | None:
     def check(_: Any, value: float) -> None:
         # NaN is in no range
         if not low <= value <= high or (is_open and value == low):
-            end = f"more than {low:g} and at most {high:g}" if is_open else f"within {low:g}..{_shortest(high)}"
+            end = (
+                f"more than {low:g} and at most {high:g}" if is_open else f"within {_shortest(low)}..{_shortest(high)}"
+            )
             raise ValueError(f"{name} must be {end}, got {value!r}")
 
     return check
@@ -187,7 +189,7 @@ def require_range(name: str, array: np.ndarray, least: float, greatest: float, o
         return
     bad = low if not least <= low else high
     unless = " or NaN" if or_nan else ""
-    raise ValueError(f"{name} must be within {least:g}..{_shortest(greatest)}{unless}, got {bad.item()!r}")
+    raise ValueError(f"{name} must be within {_shortest(least)}..{_shortest(greatest)}{unless}, got {bad.item()!r}")
 
 
 def require_covariances(name: str, covariance: np.ndarray) -> None:

@@ -200,4 +200,4 @@ class PhotonHistograms(Checked, frozen=True, kw_only=True, eq=False):
     #: Photons per azimuth and time bin of the period, uint32 [azimuth, bins].
     counts: Annotated[np.ndarray, Array("<u4", (None, None))]
     #: Start of the measurement of each azimuth, int64 [azimuth].
-    azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("counts",), 0, MAX_STAMP_NS)]
+    azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("counts",), -MAX_STAMP_NS, MAX_STAMP_NS)]

@@ -81,7 +81,7 @@ class Peaks(Checked, frozen=True, kw_only=True, eq=False):
     #: Polar covariance (range [m], azimuth [rad]), float64 [N, 2, 2].
     covariance: Annotated[np.ndarray, Array("<f8", ("range_m", 2, 2), covariances=True)]
     #: Acquisition time of each peak's azimuth, int64 [N].
-    peak_stamp_ns: Annotated[np.ndarray, Array("<i8", ("range_m",), 0, MAX_STAMP_NS)]
+    peak_stamp_ns: Annotated[np.ndarray, Array("<i8", ("range_m",), -MAX_STAMP_NS, MAX_STAMP_NS)]
     #: Peak power over the map's noise, dB.
     snr_db: Annotated[np.ndarray, Array("<f8", ("range_m",), -300.0, 300.0)]
     #: Flags of the map that the peaks were found in, and `UNTRAINED_SETUP`.

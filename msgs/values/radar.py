@@ -390,7 +390,7 @@ class RangeAzimuthMap(Checked, frozen=True, kw_only=True, eq=False):
     #: complex64 [range, azimuth]; float32-valued (zero imaginary part) unless coherent.
     values: Annotated[np.ndarray, Array("<c8", ("grid.range_bins", "grid.azimuth_bins"))]
     #: Acquisition time of each azimuth column, int64 [azimuth].
-    azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("grid.azimuth_bins",), 0, MAX_STAMP_NS)]
+    azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("grid.azimuth_bins",), -MAX_STAMP_NS, MAX_STAMP_NS)]
     #: Mean noise power in milliwatt per bin, measured beyond the map's range.
     noise_power_mw: Annotated[float, msgspec.Meta(ge=0.0, le=1e60)]
     #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].

@@ -62,7 +62,7 @@ def test_a_wall_that_cannot_be_is_refused(changes: dict[str, Any], rule: str) ->
         ({"source": ""}, "wall_priors.source must have 1..64 characters, got 0"),
         ({"source": "m" * (MAX_SOURCE_LENGTH + 1)}, "wall_priors.source must have 1..64 characters, got 65"),
         ({"walls": (wall(),) * (MAX_PRIOR_WALLS + 1)}, "wall_priors.walls must be at most 256, got 257"),
-        ({"stamp_ns": 1 << 63}, f"wall_priors.stamp_ns must be within 0..2^62, got {1 << 63}"),
+        ({"stamp_ns": 1 << 63}, f"wall_priors.stamp_ns must be within -2^62..2^62, got {1 << 63}"),
     ],
 )
 def test_a_message_that_cannot_be_is_refused(changes: dict[str, Any], rule: str) -> None:
