@@ -303,7 +303,7 @@ class Stand:
         self._next_s = time.monotonic() + PERIOD_S
         self._count += 1
         now_ns = self._player.now_ns()
-        state = VehicleState(stamp_ns=now_ns, speed_mps=float(self._count), steering_rad=0.5 * self._count)
+        state = VehicleState(stamp_ns=now_ns, age_s=float(self._count), reason=str(self._count))
         self._player.publish(TOPIC, state)
         self._player.publish(SECRET_TOPIC, LogRecord(stamp_ns=now_ns, node=PLAYER, level="debug", text=SECRET))
 
@@ -312,12 +312,12 @@ class Stand:
         assert isinstance(state, VehicleState)
         if state.reason == INJECTED:
             self.injected += 1
-        elif state.steering_rad != 0.5 * state.speed_mps or not 1 <= state.speed_mps <= self._count:
+        elif state.reason != f"{state.age_s:.0f}" or not 1 <= state.age_s <= self._count:
             self.altered += 1
-        elif state.speed_mps <= self._newest:
+        elif state.age_s <= self._newest:
             self.stale += 1
         else:
-            self._newest = int(state.speed_mps)
+            self._newest = int(state.age_s)
 
 
 def free_port() -> int:
