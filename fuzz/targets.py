@@ -429,7 +429,7 @@ def _can_log(parts: Parts, box: Box) -> None:
     out = box.new("out.mcap")
     found = import_can(CanSource(log=log, dbc=dbc, mapping=mapping), out)
     assert found["states"] == sum(one.messages for one in info(out).topics)
-    assert not any(frame.stamp_ns is None for frame in itertools.islice(read_log(log, "0"), 3))
+    assert not any(frame.stamp_ns is None for frame in itertools.islice(read_log(log), 3))
 
 
 def _viewer_client(parts: Parts, box: Box) -> None:

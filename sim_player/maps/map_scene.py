@@ -153,14 +153,14 @@ def _once(file: FootprintFile) -> list[Footprint]:
     An outline and its multipolygon are both buildings to some tools.
     """
     digits = CORNER_DIGITS if file.metric else CORNER_DIGITS_DEG
-    chosen: dict[frozenset[Point], Footprint] = {}
+    by_outline: dict[frozenset[Point], Footprint] = {}
     for footprint in file.footprints:
         outline = frozenset((round(x, digits), round(y, digits)) for x, y in footprint.outer)
-        if (same := chosen.get(outline)) is not None:
+        if (same := by_outline.get(outline)) is not None:
             first, second = sorted((same, footprint), key=lambda each: len(each.holes), reverse=True)
             footprint = replace(first, tags={**second.tags, **first.tags})
-        chosen[outline] = footprint
-    return list(chosen.values())
+        by_outline[outline] = footprint
+    return list(by_outline.values())
 
 
 def _ground(material: str) -> str:

@@ -46,7 +46,7 @@ class _Reader:
     def __init__(self) -> None:
         self.points = 0
         #: Footprints, or why there is none, of each element.
-        self._found: dict[str, list[Footprint | str]] = {}
+        self._footprints: dict[str, list[Footprint | str]] = {}
         #: Tags of the ways that are buildings.
         self._tags_of_ways: dict[int, dict[str, str]] = {}
         #: Outer ways of each multipolygon.
@@ -56,15 +56,19 @@ class _Reader:
 
     def file(self) -> FootprintFile:
         """Return all footprints; outlines that are those of a multipolygon are not given again."""
-        found = [each for field, items in self._found.items() if field not in self._in_multipolygons for each in items]
-        footprints = tuple(each for each in found if isinstance(each, Footprint))
-        broken = tuple(each for each in found if isinstance(each, str))
+        kept = [
+            each for field, items in self._footprints.items() if field not in self._in_multipolygons for each in items
+        ]
+        footprints = tuple(each for each in kept if isinstance(each, Footprint))
+        broken = tuple(each for each in kept if isinstance(each, str))
         return FootprintFile(footprints, broken, False, dict(self.left_out), ATTRIBUTION)
 
     def note_outline(self, entity: Any) -> None:
         """Note the tags of a way, or the outer ways of a relation: an area may come before both."""
         if entity.is_relation():
-            self._outlines[entity.id] = [way.ref for way in entity.members if way.type == "w" and way.role != "inner"]
+            self._outlines[entity.id] = [
+                member.ref for member in entity.members if member.type == "w" and member.role != "inner"
+            ]
         elif is_building(tags := {tag.k: tag.v for tag in entity.tags}):
             self._tags_of_ways[entity.id] = tags
 
@@ -81,7 +85,7 @@ class _Reader:
 
     def _multipolygon(self, area: Any, tags: dict[str, str]) -> None:
         outlines = self._outlines.get(area.orig_id(), [])
-        of_ways = [self._tags_of_ways.get(way, {}) for way in outlines]
+        of_ways = [self._tags_of_ways.get(number, {}) for number in outlines]
         if (is_building(tags) or not tags.keys() - _NO_OBJECT) and outlines and all(of_ways):
             # until 2016 the tags of a multipolygon stood on its outer ways; heights often still do
             tags = of_ways[0] | tags
@@ -90,22 +94,22 @@ class _Reader:
         rings = [(outer, tuple(area.inner_rings(outer))) for outer in area.outer_rings()]
         field = f"relation {area.orig_id()}"
         self._take(field, tags, rings)
-        if not any(isinstance(each, str) for each in self._found[field]):
+        if not any(isinstance(each, str) for each in self._footprints[field]):
             # ways may come after the area that they make
-            self._in_multipolygons.update(f"way {way}" for way in outlines)
+            self._in_multipolygons.update(f"way {number}" for number in outlines)
 
     def _take(self, field: str, tags: dict[str, str], rings: list[tuple[Any, tuple[Any, ...]]]) -> None:
         """Note the footprints of one element, or why it has none."""
         if reason := why_no_wall(tags):
             self.left_out[reason] += 1
-            self._found[field] = []
+            self._footprints[field] = []
             return
         try:
             if not rings:
                 raise ValueError(f"{field}: must be closed rings that do not cross, got ways that make none")
-            self._found[field] = [self._footprint(field, outer, holes, tags) for outer, holes in rings]
+            self._footprints[field] = [self._footprint(field, outer, holes, tags) for outer, holes in rings]
         except ValueError as error:
-            self._found[field] = [str(error)]
+            self._footprints[field] = [str(error)]
 
     def _footprint(self, field: str, outer: Any, holes: tuple[Any, ...], tags: dict[str, str]) -> Footprint:
         rings = [ring_of(field, self._positions(field, ring), False) for ring in (outer, *holes)]
