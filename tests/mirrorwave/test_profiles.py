@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import typer
+from msgspec.structs import replace
 from typer.testing import CliRunner
 
 import mirrorwave.commands.graph.launch as launch_verb
@@ -21,10 +23,12 @@ from models.perception.detection.detectors import CfarDetector, NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.geometry.confidence import FittedConfidences, load_confidence
 from msgs.files.shipped import LAUNCH, WEIGHTS
-from msgs.values.radar import RadarSetup
+from msgs.values.perception import HiddenObject
+from msgs.values.radar import RadarBeam, RadarSetup
 from nodes.geometry import Params, parts_of
+from nodes.player import Params as PlayerParams
+from nodes.player import scene_player
 from nodes.process.launch_file import LaunchFile, read_launch_file
-from sim_player.dataset.labelled_beams import LabelledPlace
 from tests.captures import DATA, needs
 
 ALLEY = DATA / "sigmf_alley"
@@ -69,17 +73,24 @@ def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytes
     assert over_default(read_launch_file(LAUNCH / "two_hosts_sensor.yaml")).nodes.keys()
 
 
-def test_default_is_what_was_chosen() -> None:
-    """As `balanced`, by the committed object network."""
-    default, balanced = (SharedParts.of(read_profile(name), RadarSetup()) for name in ("default", "balanced"))
-    beams = list(LabelledPlace(5, 1, "basic").beams())
-    chains = [parts.chain() for parts in (default, balanced)]
-    objects = [[one for beam in beams for view in chain.add(beam) for one in view.frame.objects] for chain in chains]
-    assert objects[0] == objects[1]
-    assert objects[0]
-    assert all(item.object_class for item in objects[0])
-    assert default.predictor is not None
-    assert SharedParts.of(read_profile("clustered"), RadarSetup()).predictor is None
+def objects_of(parts: SharedParts, beams: Iterable[RadarBeam]) -> list[HiddenObject]:
+    chain = parts.chain()
+    return [item for beam in beams for view in chain.add(beam) for item in view.frame.objects]
+
+
+@pytest.mark.parametrize("profile", ["default", "accurate"])
+def test_left_and_right_are_alike(profile: str) -> None:
+    """The samples of a scan in mirrored order are the mirrored scene, up to the rounding of phases: objects come out
+    mirrored, with their scores. Those of `balanced`, with one look, are 0.27 m and 0.28 off here.
+    """
+    player = scene_player(PlayerParams(scene="launch/scenes/corner.yaml", chirps_per_beam=8))
+    beams = [player.beam(0, index) for index in range(25)]
+    mirrored = [replace(beam, samples=other.samples) for beam, other in zip(beams, reversed(beams), strict=True)]
+    parts = SharedParts.of(read_profile(profile), player.setup)
+    (here,), (there,) = objects_of(parts, beams), objects_of(parts, mirrored)
+    assert math.hypot(there.x_m - here.x_m, there.y_m + here.y_m) < 0.2
+    assert there.score == pytest.approx(here.score, abs=0.1)
+    assert here.object_class
 
 
 @pytest.mark.parametrize(
@@ -138,7 +149,7 @@ def test_one_object_within_15_cm_in_the_alley_of_another_simulator(tmp_path: Pat
 
 @pytest.mark.slow
 @needs(ALLEY)
-@pytest.mark.parametrize(("profile", "limit_m"), [("accurate", 0.15), ("default", 0.2)])
+@pytest.mark.parametrize(("profile", "limit_m"), [("accurate", 0.15), ("default", 0.15), ("balanced", 0.2)])
 def test_the_object_network_sees_the_same_car_in_the_alley(tmp_path: Path, profile: str, limit_m: float) -> None:
     """It reports the car alone, too: with two looks within the goal of 0.15 m, with one look 0.16 m off."""
     _, away_m = in_the_alley(tmp_path, "--profile", profile)
