@@ -15,6 +15,7 @@ from models.perception.forming.sweep import LOBE_BEAMS, Sweep, _indices, _shifte
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
 
+START_NS = 10**10
 SETUP = RadarSetup(
     radar=RadarParams(samples_per_chirp=1024, chirps_per_beam=8), beams=BeamGrid(azimuth_deg=(-10.0, 0.0, 10.0))
 )
@@ -39,13 +40,13 @@ def test_a_beam_without_a_set_up_and_one_of_another_clock_are_refused() -> None:
         stage.add(beam(4, 0, 0))
     stage.set_up(SETUP)
     assert stage.is_between_scans
-    stage.add(beam(4, 0, 0))
+    stage.add(beam(4, 0, START_NS))
     assert not stage.is_between_scans
-    for stamp_ns, said in ((LONGEST_SCAN_NS + 1, r"\+2 s within scan 4"), (-LONGEST_SCAN_NS - 1, "-2 s within scan 4")):
+    for later_ns, said in ((LONGEST_SCAN_NS + 1, r"\+2 s within scan 4"), (-LONGEST_SCAN_NS - 1, "-2 s within scan 4")):
         with pytest.raises(ValueError, match=said):
-            stage.add(beam(4, 1, stamp_ns))
-    stage.add(beam(4, 1, LONGEST_SCAN_NS))
-    assert [ra_map.scan_id for ra_map in stage.add(beam(4, 2, 24_000_000))] == [4]
+            stage.add(beam(4, 1, START_NS + later_ns))
+    stage.add(beam(4, 1, START_NS + LONGEST_SCAN_NS))
+    assert [ra_map.scan_id for ra_map in stage.add(beam(4, 2, START_NS + 24_000_000))] == [4]
     assert stage.is_between_scans
     stage.add(beam(5, 0, 100 * LONGEST_SCAN_NS))
 

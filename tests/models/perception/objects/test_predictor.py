@@ -8,10 +8,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from scipy.special import logit
 
 from models.perception.cards import card_path
 from models.perception.geometry.stage import GeometryParams, direct_structure, recover_bev
 from models.perception.geometry.stage import made_up_peaks as street_peaks
+from models.perception.objects.answers import ANSWERS, OBJECT
+from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.predictor import ObjectPredictor, load_object_card
 from models.perception.tracking.stage import ViewStage
 from models.training.export.onnx import write_card
@@ -215,3 +218,27 @@ def test_answers_that_are_no_numbers_are_refused(network: Path, tmp_path: Path) 
     """Weights of infinity make NaN of zeros: known at start, not at the first scan."""
     with pytest.raises(ValueError, match="answers must be finite"):
         ObjectPredictor(object_network(tmp_path / "endless.onnx", gain=float("inf")))
+
+
+@pytest.mark.parametrize(("threshold", "reported"), [(0.46, True), (0.47, False)])
+def test_the_threshold_is_a_calibrated_probability(
+    network: Path, monkeypatch: pytest.MonkeyPatch, threshold: float, reported: bool
+) -> None:
+    """Answers of 0.7 that the table calls 0.7 / 0.9 * 0.6 = 0.467."""
+    card = load_object_card(network)
+    write_card(msgspec.structs.replace(card, calibration=((0.0, 0.0), (0.9, 0.6), (1.0, 0.61))), network)
+    try:
+        predictor = ObjectPredictor(network, threshold=threshold)
+    finally:
+        write_card(card, network)
+
+    def unsure(cells: np.ndarray) -> np.ndarray:
+        said = answer(cells).reshape(HYPOTHESES, ANSWERS, *cells.shape[1:]).copy()
+        said[:, OBJECT] = np.minimum(said[:, OBJECT], logit(0.7))
+        return said.reshape(-1, *cells.shape[1:])
+
+    answer = predictor.answer
+    monkeypatch.setattr(predictor, "answer", unsure)
+    scores = [item.score for item in view(predictor).objects]
+    assert scores == ([pytest.approx(0.7 / 0.9 * 0.6, abs=1e-5)] * len(scores) if reported else [])
+    assert bool(scores) == reported

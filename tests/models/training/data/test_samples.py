@@ -249,3 +249,15 @@ def test_test_scenes_are_in_nothing_that_is_loaded(held: Path) -> None:
     expected = former.sample(scan_of(echoes(splits.validation[0]), 1.0))
     assert len(loaded.validation) == 1
     np.testing.assert_array_equal(loaded.validation[0].columns, expected.columns)
+
+
+def test_added_noise_is_even_in_decibels_from_none_on() -> None:
+    """No more noise is none; over 300 scans up to 6 dB, their mean 3 dB to within 4 sqrt(36 / 12 / 300)."""
+    scan = scan_of(np.ones((3, 4), np.complex64), 2.0)
+    same = perturb_scan(scan, Perturbation(extra_noise_db=0.0), np.random.default_rng(5))
+    assert same.noise_power_mw == 2.0
+    rng = np.random.default_rng(6)
+    raised_db = [10.0 * np.log10(perturb_scan(scan, Perturbation(), rng).noise_power_mw / 2.0) for _ in range(300)]
+    assert 0.0 < min(raised_db) < 0.3
+    assert 5.7 < max(raised_db) <= 6.0
+    assert np.mean(raised_db) == pytest.approx(3.0, abs=0.4)
