@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import stat
 import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import can
 import lz4.frame
@@ -24,11 +26,12 @@ from mirrorwave.annotate.manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
 from models.sensors.config_file import read_config
-from msgs.files import array_files
+from msgs.files import array_files, yaml_loader
 from msgs.files.array_files import load_arrays
 from msgs.files.shipped import CHECKOUT
 from msgs.recording import mcap as recording
 from msgs.recording.mcap import RecordingReader
+from msgs.recording.sigmf import SigmfCapture
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import MAX_DBC_BYTES, load_dbc
 from nodes.can.log_file import MAX_LINE, MAX_OBJECT_BYTES, read_log
@@ -130,6 +133,31 @@ def test_a_scene_may_not_repeat_itself_by_reference() -> None:
 def test_a_scene_nested_without_end_is_refused() -> None:
     with pytest.raises(ValueError, match="nested deeper than 32 levels"):
         scene_from_yaml("[" * 100_000)
+
+
+@pytest.mark.parametrize("text", ["[" + "1," * 2000 + "1]", "\n" + "- 1\n" * 2000], ids=["flow", "block"])
+def test_a_scene_of_too_many_values_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As far as it is allowed to be read: a megabyte of these takes a quarter of a minute."""
+    monkeypatch.setattr(yaml_loader, "MAX_NODES", 1000)
+    with pytest.raises(ValueError, match="more than 1000 keys and values"):
+        scene_from_yaml(f"surfaces: {text}")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "rule"),
+    [
+        ("zeros.gltf", {"accessors": [{"componentType": 5126, "count": 1 << 28, "type": "VEC3"}]}, "without data"),
+        ("copies.gltf", {"nodes": [{"mesh": 0}] * 100_000}, "nodes: at most 1000 are read, got 100000"),
+        ("parts.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "usemtl a\nf 1 2 3\n" * 2000, "1000 changes of material"),
+    ],
+    ids=["zeros", "copies", "parts"],
+)
+def test_a_mesh_may_not_promise_more_than_it_holds(tmp_path: Path, name: str, content: Any, rule: str) -> None:
+    """Less than 3 MB each: they would take gigabytes or minutes."""
+    path = tmp_path / name
+    path.write_text(content if isinstance(content, str) else json.dumps({"asset": {"version": "2.0"}, **content}))
+    with pytest.raises(ValueError, match=f"{name}: not a readable .*{rule}"):
+        load_mesh(path)
 
 
 def test_a_mesh_takes_its_buffers_from_its_own_folder_only(tmp_path: Path) -> None:
@@ -247,6 +275,18 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(monkeypatch: pytest.Monk
         load_arrays(packed)
 
 
+@pytest.mark.parametrize("name", ["captures", "annotations"])
+def test_metadata_may_not_list_more_than_the_data_hold(tmp_path: Path, name: str) -> None:
+    """Half a million of them took twenty seconds to be looked at."""
+    (tmp_path / "a.sigmf-data").write_bytes(bytes(2048))
+    segments: dict[str, list[Any]] = {"captures": [], "annotations": []}
+    segments[name] = [{"core:sample_start": 0}] * 10_003
+    (tmp_path / "a.sigmf-meta").write_text(json.dumps({"global": {}, **segments}))
+    rule = f"{name} must be at most 10002 for 2048 bytes of data, got 10003"
+    with pytest.raises(ValueError, match=rule):
+        SigmfCapture.open(tmp_path / "a.sigmf-meta")
+
+
 def test_a_pickle_is_never_loaded() -> None:
     packed = io.BytesIO()
     np.savez(packed, evil=np.array([zlib.compress], dtype=object))
@@ -309,7 +349,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from msgs.bus import codec
     from msgs.bus import sequencing as tally
     from msgs.bus.topics import TOPICS
-    from msgs.files import unpacking, yaml_loader
+    from msgs.files import unpacking
     from msgs.link import curve as curve_link
     from msgs.link import exporter as curve_exporter
     from msgs.link import keys as curve_keys
@@ -346,10 +386,10 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "message from ROS 2": f"{_size(ros2_link.MAX_INPUT_BYTES)}, {ros2_topics.INPUT_DEPTH} waiting",
         "numbers that a page can plot; samples of each": f"{series.MAX_SERIES}; {series.MAX_SAMPLES}",
         "launch, parameter, profile, CAN or detection mapping or annotation file": (
-            f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
+            f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels, {yaml_loader.MAX_NODES:,} values"
         ),
-        "scene": f"{_size(scene.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels",
-        "mesh": f"{_size(meshes.MAX_BYTES)}, {meshes.MAX_FACES:,} faces",
+        "scene": f"{_size(scene.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels, {yaml_loader.MAX_NODES:,} values",
+        "mesh": f"{_size(meshes.MAX_BYTES)}, {meshes.MAX_FACES:,} faces, {meshes.MAX_PARTS:,} parts",
         "DBC": _size(MAX_DBC_BYTES),
         "line of a table of detections; its columns": (
             f"{_size(detection_tables.MAX_LINE)}; {detection_tables.MAX_COLUMNS}"
@@ -364,7 +404,10 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
         "confocal transients, packed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
-        "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
+        "metadata of a SigMF capture; its captures and annotations": (
+            f"{_size(sigmf_capture._MAX_META_BYTES)}; {sigmf_capture._FREE_SEGMENTS:,} and one a "
+            f"{_size(sigmf_capture._SEGMENT_BYTES)} of data, which are exactly as large as they say"
+        ),
         "record of a recording": _size(recording._MAX_RECORD_BYTES),
         "packed chunk of a recording, unpacked; all of its chunks": (
             f"{_size(recording._MAX_UNPACKED_CHUNK_BYTES)}; {_size(recording._FREE_UNPACKED_BYTES)}, "

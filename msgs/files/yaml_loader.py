@@ -12,6 +12,8 @@ import yaml
 
 #: No file of this project is deeper, and deep files are slow to parse.
 MAX_DEPTH = 32
+#: Keys and values of one file: a scene of ten thousand walls has 80,000, which take a second or two to parse.
+MAX_NODES = 100_000
 
 
 _WORDS = {type(None): "nothing", bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list"}
@@ -23,9 +25,9 @@ def in_words(value: object) -> str:
 
 
 class BoundedLoader(yaml.SafeLoader):
-    """`SafeLoader` without aliases and tags, `MAX_DEPTH` levels deep at most."""
+    """`SafeLoader` without aliases and tags, of `MAX_NODES` keys and values and `MAX_DEPTH` levels at most."""
 
-    _depth = 0
+    _depth = _nodes = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return a node of the tree; raises `yaml.MarkedYAMLError` for a refused one."""
@@ -36,6 +38,9 @@ class BoundedLoader(yaml.SafeLoader):
             # PyYAML raises KeyError, IndexError and others for values that do not match their tag
             raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
         self._depth += 1
+        self._nodes += 1
+        if self._nodes > MAX_NODES:
+            raise yaml.MarkedYAMLError(problem=f"more than {MAX_NODES} keys and values")
         if self._depth > MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem=f"nested deeper than {MAX_DEPTH} levels")
         try:

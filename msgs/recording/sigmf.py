@@ -29,6 +29,7 @@ from msgs.files.text_files import decode_text
 from msgs.files.whole_files import whole, write_whole
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import ns_from_s
+from msgs.values.wording import counted
 
 EXTENSION = "mirrorwave"
 DATATYPE = "ci16_le"
@@ -39,6 +40,8 @@ _META_SUFFIX, _DATA_SUFFIX = ".sigmf-meta", ".sigmf-data"
 _BACKGROUND_SUFFIX = ".background.npy"
 #: Some 100,000 beams; no capture of this project is larger.
 _MAX_META_BYTES = 1 << 26
+#: Captures, and annotations, in any metadata; and bytes of data a further one: less than the shortest beam has.
+_FREE_SEGMENTS, _SEGMENT_BYTES = 10_000, 1 << 10
 _MAX_ANGLE_ERROR_DEG = 1e-6
 #: Tolerance between a beam's azimuth and its setup's, when written.
 _MAX_ANGLE_ERROR_RAD = 1e-9
@@ -386,8 +389,21 @@ def _load_metadata(meta_path: Path) -> dict[str, Any]:
         metadata: dict[str, Any] = json.loads(decode_text(meta_path.read_bytes()), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{meta_path}: must be JSON: {error}") from error
+    _require_few(metadata, meta_path)
     _require_valid(metadata, meta_path)
     return metadata
+
+
+def _require_few(metadata: object, meta_path: Path) -> None:
+    """Raise `ValueError` for more segments than the data can hold: each is looked at for a while."""
+    data_path = meta_path.with_suffix(".sigmf-data")
+    data_bytes = data_path.stat().st_size if data_path.is_file() else 0
+    limit = _FREE_SEGMENTS + data_bytes // _SEGMENT_BYTES
+    for name in ("captures", "annotations"):
+        segments = metadata.get(name) if isinstance(metadata, dict) else None
+        if isinstance(segments, list) and len(segments) > limit:
+            rule = f"must be at most {limit} for {counted(data_bytes, 'byte')} of data, got {len(segments)}"
+            raise ValueError(f"{meta_path}: {name} {rule}")
 
 
 def _require_valid(metadata: dict[str, Any], meta_path: Path) -> None:

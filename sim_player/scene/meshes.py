@@ -7,6 +7,7 @@ its box.
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +27,8 @@ UP_AXIS: dict[str, UpAxis] = {".obj": "z", ".ply": "z", ".stl": "z", ".glb": "y"
 EXTENT_M = (0.05, 40.0)
 MAX_FACES = 1_000_000
 MAX_BYTES = 256 * 2**20
+#: Placements of parts in a glTF, and changes of material in an OBJ.
+MAX_PARTS = 1000
 #: Vertices nearer than this share of the longest extent are one.
 WELD_SHARE = 1e-7
 #: A triangle whose height is less than this share of its longest edge counts as degenerate.
@@ -232,6 +235,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"{path}: size: at most {MAX_BYTES // 2**20} MiB are read, got {size / 2**20:.0f}")
     try:
         _refuse_cut_obj(path)
+        _refuse_promises(path)
         # glTF is JSON, which has no mark, and names files beside it
         with contextlib.nullcontext(path) if path.suffix.lower() == ".gltf" else without_mark(path) as plain:
             whole = trimesh.load_scene(plain, process=False, skip_materials=True).to_mesh()
@@ -251,6 +255,36 @@ def _refuse_cut_obj(path: Path) -> None:
         last = file.read().split(b"\n")[-1].split()
     if last and last[0] == b"f" and len(last) < 4:
         raise ValueError("cut off within its last face")
+
+
+def _refuse_promises(path: Path) -> None:
+    """Raise ValueError where a file asks its reader for far more than it holds."""
+    if path.suffix.lower() == ".obj":
+        # the reader looks through all corners of the file for each change of material
+        parts = path.read_bytes().count(b"usemtl")
+        if parts > MAX_PARTS:
+            raise ValueError(f"at most {MAX_PARTS} changes of material are read, got {parts}")
+    elif path.suffix.lower() in (".gltf", ".glb"):
+        tree = _gltf_tree(path)
+        nodes = len(tree.get("nodes", ()))
+        if nodes > MAX_PARTS:
+            raise ValueError(f"nodes: at most {MAX_PARTS} are read, got {nodes}")
+        for number, accessor in enumerate(tree.get("accessors", ())):
+            # zeros that no buffer holds
+            count = accessor.get("count", 0)
+            if "bufferView" not in accessor and count > MAX_FACES:
+                raise ValueError(f"accessors[{number}].count: at most {MAX_FACES} without data, got {count}")
+
+
+def _gltf_tree(path: Path) -> dict[str, Any]:
+    """Return the JSON of a glTF file, of a binary one that of its first chunk."""
+    data = path.read_bytes()
+    if path.suffix.lower() == ".glb":
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    tree = json.loads(data)
+    if not isinstance(tree, dict):
+        raise ValueError(f"must be a JSON object, got {type(tree).__name__}")
+    return tree
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
