@@ -167,7 +167,7 @@ def _type_text(hint: Any) -> str:
     if isinstance(hint, type) and not get_args(hint):
         return "np.ndarray" if hint.__name__ == "ndarray" else hint.__name__
     text = re.sub(r"\b(?:msgs(?:\.\w+)*|typing)\.", "", str(hint)).replace("numpy.", "np.")
-    return _cell(re.sub(r"^Optional\[(.*)\]$", r"\1 | None", text))
+    return re.sub(r"^Optional\[(.*)\]$", r"\1 | None", text)
 
 
 @cache

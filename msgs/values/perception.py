@@ -90,7 +90,7 @@ class Peaks(Checked, frozen=True, kw_only=True, eq=False):
     saturated_share: Share = 0.0
     faults: tuple[str, ...] = ()
     #: Beam power over noise of an isotropic 0 dBsm target at 1 m, dB: the observability mask needs it. Unknown: -1000.
-    sensitivity_db: Annotated[float, Meta(ge=-1e3, le=300.0)] = 0.0
+    sensitivity_db: Annotated[float, Meta(ge=-1e4, le=1e4)] = 0.0
     #: Checksum of the network that found them and its method of placing them, "SHA256/WAY"; empty without a network.
     detector: str = ""
     #: Pose of the radar on the vehicle with which the map was formed.

@@ -113,7 +113,7 @@ def test_steering_goes_with_the_turn() -> None:
 
 def test_a_motion_beyond_the_bits_is_refused() -> None:
     with pytest.raises(ValueError, match=r"SPEED"):
-        SimulatedCar(DATABASE, RULES).frames(VehicleState(stamp_ns=0, speed_mps=1e6))
+        SimulatedCar(DATABASE, RULES).frames(VehicleState(stamp_ns=0, speed_mps=1e3))
 
 
 def test_a_mapping_that_does_not_fit_is_refused() -> None:

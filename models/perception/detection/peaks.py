@@ -116,7 +116,8 @@ def peaks_at(
     """Return the message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it
     peaks.
 
-    At most `MAX_PEAKS`: an untrained network gives more, and the highest scores are kept.
+    At most `MAX_PEAKS`: an untrained network gives more, and the highest scores are kept. Scores beyond 0..1, of a
+    network that does not end in probabilities, are taken for the nearer end.
     """
     if len(cells) > MAX_PEAKS:
         best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MAX_PEAKS])
@@ -128,9 +129,9 @@ def peaks_at(
     return Peaks(
         stamp_ns=ra_map.stamp_ns,
         scan_id=ra_map.scan_id,
-        range_m=np.asarray(grid.range_at(range_index), np.float64),
+        range_m=np.maximum(np.asarray(grid.range_at(range_index), np.float64), 0.0),
         azimuth_rad=np.asarray(grid.azimuth_at(fractional[:, 1]), np.float64),
-        score=np.asarray(score, np.float64),
+        score=np.clip(np.asarray(score, np.float64), 0.0, 1.0),
         path_class=np.asarray(path_class, np.uint8),
         covariance=polar_covariance(snr_db, ra_map.incoherent[cells[:, 0]], grid.range_bin_m, params),
         peak_stamp_ns=ra_map.azimuth_stamp_ns[cells[:, 1]],

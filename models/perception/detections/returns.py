@@ -98,7 +98,8 @@ def snr_of(detections: RadarDetections, sensor: DetectionSensor) -> np.ndarray:
     sensitivity_db = sensor.sensitivity_db if sensor.reference_range_m else sensor.threshold_db
     lost_db = 40.0 * np.log10(np.maximum(detections.range_m, 1.0)) if sensor.reference_range_m else 0.0
     of_rcs_db = sensitivity_db + column(detections.rcs_dbsm, count) - lost_db
-    snr_db = np.where(np.isnan(snr_db), of_rcs_db, snr_db)
+    # as far as a message goes
+    snr_db = np.where(np.isnan(snr_db), np.clip(of_rcs_db, -300.0, 300.0), snr_db)
     return np.where(np.isnan(snr_db), sensor.threshold_db, snr_db)
 
 

@@ -6,7 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.peaks import PeakParams, echo_power, find_peaks, local_maxima, polar_covariance
+from models.perception.detection.peaks import (
+    PeakParams,
+    echo_power,
+    find_peaks,
+    local_maxima,
+    peaks_at,
+    polar_covariance,
+)
 from msgs.values.perception import MAX_PEAKS, PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
@@ -114,6 +121,15 @@ def test_no_peaks_is_a_valid_message_and_a_wrong_grid_is_refused():
 
 
 @pytest.mark.slow
+def test_what_a_network_may_give_beyond_scores_and_ranges_is_taken_for_the_nearer_end() -> None:
+    """A score of 1.3, one of -0.1, and a place half a bin before the first: a message holds neither."""
+    cells = np.array([[0, 40], [0, 90]])
+    places = np.array([[-0.5, 40.0], [-0.5, 90.0]])
+    peaks = peaks_at(flat_map(), cells, places, np.array([1.3, -0.1]), np.zeros(2, np.uint8), PeakParams())
+    assert peaks.score.tolist() == [1.0, 0.0]
+    assert peaks.range_m.tolist() == [0.0, 0.0]
+
+
 def test_of_too_many_peaks_the_best_are_kept() -> None:
     """A heat map of noise, as of a network that has learnt nothing: two classes, each with thousands of maxima."""
     ra_map = flat_map()
