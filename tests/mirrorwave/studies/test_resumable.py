@@ -17,6 +17,7 @@ class Numbers(msgspec.Struct, frozen=True):
 def test_a_run_goes_on_with_what_is_missing(tmp_path: Path) -> None:
     """Three jobs, the second done: two are missing, one is ticked; results come in the order of the jobs."""
     files = {"x": "x.json", "y": "deep/y.bin", "z": "z.json"}
+    tmp_path = tmp_path / "of" / "today"
     run: ResumableRun[str, Numbers] = ResumableRun(Numbers(1), tmp_path, Numbers, files)
     ticks: list[int] = []
     assert run.missing() == ["x", "y", "z"]

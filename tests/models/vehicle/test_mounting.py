@@ -83,6 +83,8 @@ def test_errors_put_in_are_found(seed: int) -> None:
         assert known.observed
         assert abs(known.value - true) < min(limit, 3.0 * known.std)
     assert one.rms_m < 0.7 * one.rms_before_m
+    # points lie off their walls by their own errors
+    assert one.rms_sigmas == pytest.approx(1.0, abs=0.25)
 
 
 def test_bias_of_the_yaw_rate_is_no_obstacle() -> None:

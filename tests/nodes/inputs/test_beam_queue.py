@@ -50,7 +50,7 @@ def test_a_scan_that_comes_at_once_is_folded_and_left_out_when_the_next_one_come
     assert (len(queue), queue.shed_scans) == (BEAMS, 0)
     queue.put(beam(1, 0))
     queue.put(beam(1, 1))
-    assert (folded(queue), queue.shed_scans) == ([(1, 0), (1, 1)], 1)
+    assert (folded(queue), queue.shed_scans, queue.shed_beams) == ([(1, 0), (1, 1)], 1, BEAMS)
 
 
 @pytest.mark.parametrize(("load", "beams"), [(0.0, 26), (0.5, 26), (0.9, 16), (1.0, 13), (1.2, 8), (2.0, 5), (50.0, 5)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -177,3 +178,16 @@ def test_scattered_returns_become_no_walls() -> None:
 def test_parameters_are_checked_at_the_door(name: str) -> None:
     with pytest.raises(ValueError, match=f"wall_map.{name}"):
         msgspec.structs.replace(WallMapParams(), **{name: 0})
+
+
+def test_errors_of_kept_walls_grow_with_the_way_and_the_turn() -> None:
+    """Over 10 m and 0.5 rad: 2 % of the way, 2 % of the turn, 0.05 deg by the root of a metre, and a scan's own."""
+    params, walls = WallMapParams(), WallMap()
+    line = SimpleNamespace(score=8.0, covariance=np.zeros((2, 2)))
+    walls._age(0, STANDING)
+    walls._kept = [line]  # type: ignore[list-item]
+    walls._age(PERIOD_NS, STANDING._replace(odom_from_vehicle=Pose2(8.0, 6.0, 0.5)))
+    offset = params.scan_offset_std_m**2 + (0.02 * 10.0) ** 2
+    angle = params.scan_angle_std_rad**2 + (0.02 * 0.5) ** 2 + 10.0 * math.radians(0.05) ** 2
+    np.testing.assert_allclose(line.covariance, np.diag([offset, angle]))
+    assert line.score == pytest.approx(8.0 * math.exp(-1e-9 * PERIOD_NS / params.fade_s - 10.0 / params.fade_m))

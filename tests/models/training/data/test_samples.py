@@ -90,6 +90,10 @@ def test_a_digital_array_is_perturbed_in_its_columns() -> None:
     factors = (columns @ perturbed.profiles) / (columns @ profiles)
     np.testing.assert_allclose(factors, factors[:, :1] * np.ones(64), rtol=2e-3)
     assert 0.0 < np.abs(20 * np.log10(np.abs(factors))).max() < 2.0
+    # noise is added to what is there, in beams as strong as it says
+    noisy = perturb_scan(scan_of(np.zeros((57, 2048), np.complex64), 2.0), Perturbation(), rng, setup)
+    assert noisy.profiles is not None
+    assert np.mean(np.abs(noisy.profiles) ** 2) == pytest.approx(noisy.noise_power_mw - 2.0, rel=0.02)
 
 
 def test_perturbation_changes_beams_not_ranges() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from models.training.data.xradarnlos import (
     REAL_RANGE_M,
     SPECTRUM,
     SimKeys,
+    _check_on_grid,
     grid_of,
     import_folder,
     noise_of,
@@ -23,6 +26,7 @@ from models.training.data.xradarnlos import (
 )
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid
 
 AZIMUTH_RAD = np.radians(np.linspace(-60.0, 60.0, 256))
 SIM_RANGE_M = np.linspace(0.0, 109.4, 512)
@@ -160,3 +164,14 @@ def test_labelled_clouds_need_not_pair(tmp_path: Path) -> None:
     assert frame.places_m is not None
     assert frame.places_m.tolist() == [[8.0, -3.0], [8.0, -4.0]]
     assert truth_of_labels(frame).places_m.tolist() == [[8.0, -3.0], [8.0, -4.0]]
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "inside"),
+    [(0.0, 0.0, True), (510.999, 254.999, True), (511.1, 9.0, False), (9.0, -0.1, False), (9.0, 255.1, False)],
+)
+def test_points_off_the_grid_are_named(row: float, column: float, inside: bool) -> None:
+    grid, capture = RangeAzimuthGrid(), SimpleNamespace(point_paths=[Path("points.npy")])
+    values = np.array([grid.range_at(row)]), np.array([grid.azimuth_at(column)])
+    with nullcontext() if inside else pytest.raises(ValueError, match=r"points\.npy: points must lie on the grid"):
+        _check_on_grid(capture, *values, grid)  # type: ignore[arg-type]
