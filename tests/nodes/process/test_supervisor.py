@@ -233,6 +233,8 @@ def test_a_run_has_a_folder_of_its_own_that_others_cannot_read(tmp_path: Path) -
         ("", None),
         ("{", None),
     ],
+    # workers must collect the same names
+    ids=("own", "reused", "ended", "list", "empty", "cut"),
 )
 def test_the_lock_says_whose_graph_runs(tmp_path: Path, text: str, pid: int | None) -> None:
     (tmp_path / supervisor.LOCK_NAME).write_text(text)
