@@ -531,21 +531,23 @@ def _check_overlaps(objects: tuple[SceneObject, ...]) -> None:
         distance = np.hypot(*(centre[first + 1 :] - centre[first]).T)
         for second in first + 1 + np.flatnonzero(distance < reach[first + 1 :] + reach[first]):
             if _overlap(objects[first], objects[second]):
-                one, other = objects[first], objects[second]
                 raise ValueError(
                     f"objects[{second}].x_m: must stand clear of objects[{first}], "
-                    f"got a {other.object_class} at ({other.x_m:g}, {other.y_m:g}) in "
-                    f"a {one.object_class} at ({one.x_m:g}, {one.y_m:g})"
+                    f"got {_in_words(objects[second])} in {_in_words(objects[first])}"
                 )
 
 
-def _overlap(one: SceneObject, other: SceneObject) -> bool:
+def _in_words(scene_object: SceneObject) -> str:
+    return f"a {scene_object.object_class} at ({scene_object.x_m:g}, {scene_object.y_m:g})"
+
+
+def _overlap(left: SceneObject, right: SceneObject) -> bool:
     """Return whether two objects are in one place; of a mesh, which may have a yard, whether their centres meet."""
-    if one.z_m >= other.kind.height_m or other.z_m >= one.kind.height_m:
+    if left.z_m >= right.kind.height_m or right.z_m >= left.kind.height_m:
         return False
-    if one.mesh or other.mesh:
-        return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) < TOUCH_M
-    first, second = _outline(one), _outline(other)
+    if left.mesh or right.mesh:
+        return math.hypot(left.x_m - right.x_m, left.y_m - right.y_m) < TOUCH_M
+    first, second = _outline(left), _outline(right)
     for outline in (first, second):
         sides = np.roll(outline, -1, axis=0) - outline
         normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1) / np.hypot(*sides.T)[:, None]
