@@ -298,7 +298,7 @@ def test_background_of_another_shape(tmp_path: Path) -> None:
         ({"beam_count": 4}, "beam.beam_count must be the setup's 3"),
         ({"full_scale_dbm": 0.0}, "beam.full_scale_dbm must be the setup's"),
         ({"azimuth_rad": 0.5}, "beam.azimuth_rad must be the setup's"),
-        ({"stamp_ns": -1}, "beam.stamp_ns must be within 0"),
+        ({"stamp_ns": -1}, "beam.stamp_ns must not be negative"),
     ],
 )
 def test_writer_refuses_and_leaves_nothing(tmp_path: Path, change: dict[str, Any], rule: str) -> None:

@@ -70,7 +70,7 @@ def test_a_period_that_is_none(tmp_path: Path, value: str, shown: str) -> None:
 def test_what_a_mapping_does_not_know_is_listed(tmp_path: Path, old: str, new: str, field: str, known: str) -> None:
     said = refused(tmp_path, old, new)
     assert said.startswith(f"{field}: unknown ")
-    assert said.endswith(f"; known are {known}")
+    assert f"; known are {known}" in said
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Pat
 
 def test_a_map_that_does_not_suit_is_refused(network: Path) -> None:
     returns, walls = direct_structure(made_up_peaks(), GeometryParams())
-    with pytest.raises(ValueError, match=r"map\.grid must be the by_hand card's"):
+    with pytest.raises(ValueError, match=r"map\.mode must be of a radar for by_hand, got photons"):
         ObjectPredictor(network).judge(empty_map(mode="photons"), made_up_peaks(), walls, returns)
 
 
