@@ -100,12 +100,12 @@ class Perception:
         """
         beams = scan_beams(samples, self.setup, scan_id=self._scans, stamp_ns=stamp_ns)
         self._scans += 1
-        seen = [view for beam in beams for view in self.add(beam, state)]
-        if not seen:
+        views = [view for beam in beams for view in self.add(beam, state)]
+        if not views:
             raise ValueError(
                 self._pipeline.refusal or "samples must bring a view: the last beam of the scan was refused"
             )
-        return seen[-1]
+        return views[-1]
 
     def feed(self, message: msgspec.Struct, offset_ns: int = 0) -> list[View]:
         """Take in anything that sensors and the vehicle say; return the views that it brings (`Pipeline.feed`)."""

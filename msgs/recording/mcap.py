@@ -428,13 +428,13 @@ class RecordingReader:
         if topics is not None:
             chunks = [chunk for chunk in chunks if self._may_hold(chunk, topics)]
         waiting: list[tuple[int, int, int, Channel, Message]] = []
-        placed: dict[int, tuple[int, int]] = {}
+        positions: dict[int, tuple[int, int]] = {}
 
         def first() -> tuple[Channel, Message]:
             _, offset, at, channel, raw = heapq.heappop(waiting)
-            if (offset, at) < placed.get(channel.id, (0, 0)):
+            if (offset, at) < positions.get(channel.id, (0, 0)):
                 self._note_set_back(channel.topic)
-            placed[channel.id] = offset, at
+            positions[channel.id] = offset, at
             return channel, raw
 
         for chunk in sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):

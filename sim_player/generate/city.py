@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim_player.scene.description import Scene, SceneObject, Surface
+from sim_player.scene.description import Scene, SceneObject, Surface, overlap
 
 #: Detached houses: side of a house's square with the street beside it, its own sides, how far it may stand off the
 #: middle, which closes streets after a few squares.
@@ -98,16 +98,16 @@ def _terraced(square: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 def _traffic(count: int, apart_m: float, seed: int) -> list[SceneObject]:
     """Return road users beside the middles of the crossing streets, and of the next ones, which are so far apart."""
     rng, users = np.random.default_rng([seed, 1]), []
-    for index in range(count):
+    while len(users) < count:
         along, street = rng.uniform(8.0, TRAFFIC_M) * rng.choice([-1.0, 1.0]), apart_m * rng.integers(-1, 2)
         across = street + rng.uniform(1.2, 1.8) * rng.choice([-1.0, 1.0]) * (1.0 if street == 0.0 else 0.0)
         is_x = bool(rng.integers(2))
-        users.append(
-            SceneObject(
-                class_=CLASSES[index % len(CLASSES)],  # type: ignore[arg-type]
-                x_m=round(float(along if is_x else across), 2),
-                y_m=round(float(across if is_x else along), 2),
-                yaw_deg=0.0 if is_x else 90.0,
-            )
+        user = SceneObject(
+            class_=CLASSES[len(users) % len(CLASSES)],  # type: ignore[arg-type]
+            x_m=round(float(along if is_x else across), 2),
+            y_m=round(float(across if is_x else along), 2),
+            yaw_deg=0.0 if is_x else 90.0,
         )
+        if not any(overlap(user, other) for other in users):
+            users.append(user)
     return users

@@ -530,7 +530,7 @@ def _check_overlaps(objects: tuple[SceneObject, ...]) -> None:
     for first in range(len(objects) - 1):
         distance = np.hypot(*(centre[first + 1 :] - centre[first]).T)
         for second in first + 1 + np.flatnonzero(distance < reach[first + 1 :] + reach[first]):
-            if _overlap(objects[first], objects[second]):
+            if overlap(objects[first], objects[second]):
                 raise ValueError(
                     f"objects[{second}].x_m: must stand clear of objects[{first}], "
                     f"got {_in_words(objects[second])} in {_in_words(objects[first])}"
@@ -541,7 +541,7 @@ def _in_words(scene_object: SceneObject) -> str:
     return f"a {scene_object.object_class} at ({scene_object.x_m:g}, {scene_object.y_m:g})"
 
 
-def _overlap(left: SceneObject, right: SceneObject) -> bool:
+def overlap(left: SceneObject, right: SceneObject) -> bool:
     """Return whether two objects are in one place; of a mesh, which may have a yard, whether their centres meet."""
     if left.z_m >= right.kind.height_m or right.z_m >= left.kind.height_m:
         return False

@@ -44,6 +44,8 @@ CHECKOUT = (
     "tests",
     "Makefile",
     "pyproject.toml",
+    "requirements.lock",
+    "requirements-dev.lock",
 )
 
 

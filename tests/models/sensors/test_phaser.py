@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.simulator.real_burst import driven_beam, recorded_burst, setup
 from models.perception.forming.coarray import AzimuthInterpolator, ideal_beams
+from models.perception.forming.map_quality import wiring_faults
 from models.perception.forming.ra_forming import BeamFolder, FormingParams
 from models.physics.waveform import beat_frequency_hz
 from models.sensors.phaser import (
@@ -196,9 +197,11 @@ def test_the_recorded_burst_shows_what_its_note_says() -> None:
     board = setup()
     grid = RangeAzimuthGrid(range_bin_m=board.radar.range_bin_m, range_bins=480)
     beam = driven_beam(recorded_burst(DATA))
-    profile, _, saturated, _ = BeamFolder(board, FormingParams(mode="welch"), grid).fold(beam)
-    level_db = 20.0 * np.log10(np.abs(profile))
-    assert saturated == 0
+    folded = BeamFolder(board, FormingParams(mode="welch"), grid).fold(beam)
+    level_db = 20.0 * np.log10(np.abs(folded.profile))
+    assert folded.saturated == 0
+    # wired as it should be
+    assert wiring_faults(*folded.channels) == ()
     strongest_m = grid.range_bin_m * int(level_db[8:].argmax() + 8)
     assert strongest_m == pytest.approx((171.9e3 - 100e3) * SPEED_OF_LIGHT_MPS / (2 * 500e6 / 300e-6), abs=0.36)
     leak = int(level_db[:8].argmax())
