@@ -8,7 +8,7 @@ import cantools
 import pytest
 
 from models.vehicle.end_to_end import ChecksumRule, CounterRule, checksum_byte, checksum_of
-from models.vehicle.frame_check import FrameCheck, Verdict
+from models.vehicle.frame_check import FrameCheck, Verdict, _padded_length
 from models.vehicle.mapping import MessageRule
 from nodes.can.bus import load_dbc, load_mapping
 
@@ -80,3 +80,12 @@ SG_MUL_VAL_ 16 U N 3-3;
     pages[0x0901] = {"M": 1, "N": 9, "W": 0.0, "V": 2.5}
     for page, values in pages.items():
         assert check.check(page.to_bytes(2, "little") + bytes(4) + b"\xfa\x00").values == values
+
+
+@pytest.mark.parametrize(
+    ("length", "padded"),
+    [(8, 8), (9, 12), (13, 16), (17, 20), (21, 24), (24, 24), (25, 32), (33, 48), (49, 64), (64, 64)],
+)
+def test_frames_are_padded_to_the_next_length_of_can_fd(length: int, padded: int) -> None:
+    """ISO 11898-1: 12, 16, 20, 24, 32, 48 and 64 bytes beyond 8."""
+    assert _padded_length(length) == padded

@@ -273,3 +273,25 @@ def test_a_bound_is_over_the_field_of_every_target_and_not_far(
     # of a field over that of a free ray as long as both legs
     field = sum(np.abs(term) for term in terms) * math.sqrt(17.0 / 70.0)
     assert 0.999 * field.max() < bound < 2.5 * field.max()
+
+
+def test_a_scene_that_is_turned_bends_alike() -> None:
+    """Mirror, screen and points turned by 40 deg about the radar: the same lengths and factors of every way."""
+    turn = np.radians(40.0)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+    def ways(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def at(x: float, y: float) -> tuple[float, float]:
+            moved = matrix @ [x, y]
+            return float(moved[0]), float(moved[1])
+
+        mirror = wall(at(20.0, -300.0), at(20.0, 300.0), material="concrete", roughness_mm=2.0)
+        screen = wall(at(10.0, 3.0), at(10.0, -4000.0))
+        points = [(*at(5.0, y), 1.0) for y in (8.0, 10.0, 13.0)]
+        routes = traced(points_world(points, mirror, screen), NAME).routes[NAME]
+        routes = routes.take(np.argsort(routes.length_m))
+        return routes.length_m, routes.whole * routes.rough
+
+    for here, there in zip(ways(np.eye(2)), ways(matrix), strict=True):
+        assert len(here) >= 3
+        np.testing.assert_allclose(there, here, rtol=1e-6)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from msgs.values.perception import PathClass
+from msgs.values.radar import RadarSetup
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.planner.purposes import DETECTION, Purpose, object_paths, purpose_of
+from sim_player.planner.purposes import DETECTION, Purpose, _seen, object_paths, purpose_of
 from sim_player.scene.description import Scene, SceneObject, Surface
 from sim_player.scene.world import prepare
 from sim_player.trace.ray_tracing import trace
 from tests.sim_player.planner.test_plan import CAR, WALL
+from tests.sim_player.signal.test_levels import some_paths
 
 SCREEN = Surface(role="occluder", material="metal", polyline_m=((8.0, 2.4), (8.0, 10.0)), height_m=6.0)
 
@@ -45,3 +49,12 @@ def test_images_of_hidden_objects_and_their_walls() -> None:
     open_view = Scene(name="t", surfaces=(WALL,), objects=(SceneObject(class_="car", x_m=12.0, y_m=6.0),))
     seen = trace(prepare(open_view), 0.0, ALL_EFFECTS)
     assert not object_paths(open_view.setup, seen, rms).any()
+
+
+def test_a_path_is_seen_over_the_noise_of_its_own_range_bin() -> None:
+    """40 m there and back are 20 m: bin 93, not 187, whose noise hides everything."""
+    setup, noise_rms = RadarSetup(), np.full(512, 1e-12)
+    noise_rms[150:] = 1e6
+    paths = replace(some_paths(1, 50.0), length_m=np.array([40.0]), azimuth_rad=np.zeros(1))
+    assert _seen(setup, paths, np.ones(1, bool), noise_rms).tolist() == [True]
+    assert _seen(setup, paths, np.ones(1, bool), noise_rms[::-1].copy()).tolist() == [False]

@@ -251,3 +251,10 @@ def test_a_scan_takes_the_nearest_priors() -> None:
 def test_parameters_are_checked_by_name() -> None:
     with pytest.raises(ValueError, match=r"wall_priors.rival_m must be finite and positive, got 0"):
         WallFusionParams(rival_m=0.0)
+
+
+@pytest.mark.parametrize(("behind_m", "walls"), [(1.25, 1), (1.35, 0), (-1.35, 1)])
+def test_returns_prove_something_a_metre_and_three_deviations_behind_a_prior(behind_m: float, walls: int) -> None:
+    """1 m and 3 x 0.1 m; those before it prove nothing."""
+    seen = returns([(20.0 + behind_m, y) for y in (-2.0, 0.0, 2.0)], [-1] * 3)
+    assert len(walls_of([prior(((20.0, -8.0), (20.0, 8.0)))], [], seen)) == walls

@@ -191,3 +191,10 @@ def test_errors_of_kept_walls_grow_with_the_way_and_the_turn() -> None:
     angle = params.scan_angle_std_rad**2 + (0.02 * 0.5) ** 2 + 10.0 * math.radians(0.05) ** 2
     np.testing.assert_allclose(line.covariance, np.diag([offset, angle]))
     assert line.score == pytest.approx(8.0 * math.exp(-1e-9 * PERIOD_NS / params.fade_s - 10.0 / params.fade_m))
+
+
+def test_evidence_of_a_wall_is_bounded_however_often_it_is_seen() -> None:
+    street, rng = Street(), np.random.default_rng(2)
+    for _ in range(60):
+        street.see(weak_wall(rng, 5))
+    assert max(line.score for line in street.map._kept) == WallMapParams().most_score
