@@ -94,7 +94,7 @@ def test_what_does_not_fit_is_refused_in_one_line(beams: tuple[RadarSetup, list[
         Perception(setup, "cfar").add(foreign)
     other = RadarSetup(radar=RadarParams(bandwidth_hz=500e6, chirps_per_beam=1))
     rule = (
-        r"^map\.grid\.range_bin_m \(c over twice the bandwidth\) must be 0\.2141375, as compact_unet was trained"
+        r"^map\.grid\.range_bin_m \(c over twice the bandwidth\) must be 0\.2141375, as compact_unet\.int8 was trained"
     )
     with pytest.raises(ValueError, match=rule):
         Perception(other).see(np.zeros((25, 1, 8192, 2), np.int16))
