@@ -97,7 +97,8 @@ def _terraced(square: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 def _traffic(count: int, apart_m: float, seed: int) -> list[SceneObject]:
     """Return road users beside the middles of the crossing streets, and of the next ones, which are so far apart."""
-    rng, users = np.random.default_rng([seed, 1]), []
+    rng = np.random.default_rng([seed, 1])
+    users: list[SceneObject] = []
     while len(users) < count:
         along, street = rng.uniform(8.0, TRAFFIC_M) * rng.choice([-1.0, 1.0]), apart_m * rng.integers(-1, 2)
         across = street + rng.uniform(1.2, 1.8) * rng.choice([-1.0, 1.0]) * (1.0 if street == 0.0 else 0.0)
