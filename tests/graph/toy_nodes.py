@@ -46,7 +46,7 @@ class Tick(Node):
         with self.stages("tick"):
             self.next_ns += int(1e9 * self.params.period_s)
             self.count += 1
-        return [Outgoing("vehicle/state", VehicleState(stamp_ns=now_ns, speed_mps=float(self.count)))]
+        return [Outgoing("vehicle/state", VehicleState(stamp_ns=now_ns, speed_mps=float(self.count % 1000)))]
 
 
 class Crash(Tick):
