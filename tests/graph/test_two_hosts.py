@@ -51,12 +51,12 @@ class Hosts:
             assert time.monotonic() < end_s
             if time.monotonic() >= next_s:
                 next_s = time.monotonic() + PERIOD_S
-                self.player.publish(TOPIC, VehicleState(stamp_ns=self.player.now_ns(), speed_mps=self.sent))
+                self.player.publish(TOPIC, VehicleState(stamp_ns=self.player.now_ns(), speed_mps=0.01 * self.sent))
                 self.sent += 1
             self.sensor.receive(0.002)
             for received in self.compute.receive(0.002):
                 if isinstance(received.message, VehicleState):
-                    self.came.append(int(received.message.speed_mps))
+                    self.came.append(round(100.0 * received.message.speed_mps))
 
     def new_ones_come(self) -> None:
         """Until messages arrive that are published from now on."""
