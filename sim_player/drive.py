@@ -16,11 +16,13 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
+from sim_player.effects.rain_clutter import clutter_at
 from sim_player.planner.plan import resolve_plan
 from sim_player.scene.clear_path import first_meeting, meeting_text
 from sim_player.scene.description import Ego, Scene
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import RadarState, prepare
+from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
 from sim_player.signal.swept_echoes import check_precision
@@ -100,6 +102,7 @@ class DrivePlayer:
         self._signal = PLAIN if plan is None else plan.signal
         self._is_basic = plan is None
         self._traced: tuple[float, Paths] | None = None
+        self._drawn: tuple[int, Clutter, np.ndarray] | None = None
         self._meeting = _meeting(scene, drive, vehicle_from_radar)
         fastest_mps = float(np.abs(drive.speed_mps).max(initial=0.0))
         step_s = tracing_step_s(self._world, fastest_mps, setup.radar.scan_period_s)
@@ -123,7 +126,11 @@ class DrivePlayer:
         """Return one steering angle's raw samples, at the radar's position and speed at that time."""
         setup, front_end = self.setup, self._world.scene.radar.front_end
         seed = [self._seed, 5, scan, index]
-        terms = with_electronics(setup, self._echoes(scan, index), self._signal, front_end, seed)
+        terms = self._echoes(scan, index)
+        if self._signal.rain_clutter:
+            clutter, cells = self._air(scan)
+            terms = with_clutter(setup, terms, clutter, cells[index], index)
+        terms = with_electronics(setup, terms, self._signal, front_end, seed)
         return RadarBeam(
             stamp_ns=self.stamp_ns(scan, index),
             scan_id=scan,
@@ -133,6 +140,16 @@ class DrivePlayer:
             samples=record_beam(setup, terms, self._bank, seed, self._signal, front_end),
             full_scale_dbm=setup.full_scale_dbm,
         )
+
+    def _air(self, scan: int) -> tuple[Clutter, np.ndarray]:
+        """Return the echoes of rain, snow and fog around the radar at the start of a scan, and their draws."""
+        if self._drawn is None or self._drawn[0] != scan:
+            time_s, front_end = self._elapsed_s(self.stamp_ns(scan)), self._world.scene.radar.front_end
+            clutter = clutter_at(
+                self._world, self._signal, radar=RadarState(self._pose(time_s), self._velocity(time_s))
+            )
+            self._drawn = scan, clutter, drawn_cells(self.setup, clutter, self._signal, front_end, self._seed, scan)
+        return self._drawn[1:]
 
     def _echoes(self, scan: int, index: int) -> Terms:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""

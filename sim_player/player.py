@@ -11,11 +11,13 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
+from sim_player.effects.rain_clutter import clutter_at
 from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.planner.purposes import purpose_of
 from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
+from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
 from sim_player.signal.swept_echoes import check_precision
@@ -73,6 +75,7 @@ class ScenePlayer:
         self._plan = resolve_plan(self._world, self.setup, effects, budget_db, purpose=purpose_of(purpose))
         self._track: tuple[frozenset[str], PathTrack] | None = None
         self._traced: dict[tuple[float, int], Paths] = {}
+        self._drawn: tuple[int, Clutter, np.ndarray] | None = None
         self._still_beats = None if scene.moves else self._all_beats()
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
@@ -162,6 +165,22 @@ class ScenePlayer:
 
     def echoes(self, scan: int, index: int) -> Terms:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
+        terms, signal = self._path_echoes(scan, index), self.signal(scan)
+        if not signal.rain_clutter:
+            return terms
+        clutter, cells = self._air(scan)
+        return with_clutter(self.setup, terms, clutter, cells[index], index)
+
+    def _air(self, scan: int) -> tuple[Clutter, np.ndarray]:
+        """Return the echoes of rain, snow and fog around the radar at the start of a scan, and their draws."""
+        if self._drawn is None or self._drawn[0] != scan:
+            signal, front_end = self.signal(scan), self.scene.radar.front_end
+            clutter = clutter_at(self._world, signal, self._elapsed_s(self.stamp_ns(scan)))
+            self._drawn = scan, clutter, drawn_cells(self.setup, clutter, signal, front_end, self._seed, scan)
+        return self._drawn[1:]
+
+    def _path_echoes(self, scan: int, index: int) -> Terms:
+        """Return the same of the paths alone."""
         radar = self.setup.radar
         if self._still_beats is not None:
             unit = np.ones(radar.chirps_per_beam)

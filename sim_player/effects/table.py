@@ -28,6 +28,7 @@ from sim_player.effects import (
     mirrored_diffraction,
     non_cofocal,
     object_interreflection,
+    rain_clutter,
     second_relay,
     specular_relay,
     wall_transmission,
@@ -118,7 +119,7 @@ WEIGHTS: dict[str, WeightEffect] = {
         "walls reflect by their whole build, not by their front face alone", weights.no_backs, weights.slab_resonance
     ),
     "vegetation": WeightEffect("paths weakened by foliage", weights.no_plants, weights.vegetation),
-    "atmosphere": WeightEffect("gases and rain along the paths", always, weights.atmosphere),
+    "atmosphere": WeightEffect("gases, rain, snow and fog along the paths", always, weights.atmosphere),
 }
 SIGNAL: dict[str, SignalEffect] = {
     "motion": SignalEffect("Doppler, and the scene moves on from beam to beam", absences.no_motion),
@@ -127,6 +128,7 @@ SIGNAL: dict[str, SignalEffect] = {
     "mutual_coupling": ArrayEffect("columns couple into each other", absences.no_coupling),
     "squint": SignalEffect("the beam turns with the frequency of the sweep", always, cost_s=30e-6),
     "chirp_overlap": SignalEffect("a chirp begins before the last one's echoes are in", always, cost_s=60e-6),
+    "rain_clutter": SignalEffect("echoes of rain, snow and fog in the beam", rain_clutter.absent),
     "thermal_noise": SignalEffect("it is the floor", always),
     "flicker": SignalEffect("1/f noise of the receiver at short range", absences.no_flicker),
     "leakage": SignalEffect("transmitter straight into the receiver", absences.no_leakage),

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from models.physics.attenuation import gas_db_per_m, rain_db_per_m
+from models.physics.attenuation import fog_db_per_m, gas_db_per_m, rain_db_per_m, snow_db_per_m
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes
 
@@ -32,7 +32,7 @@ def vegetation(echoes: Echoes, world: World, used: bool) -> Factor:
 
 
 def atmosphere(echoes: Echoes, world: World, used: bool) -> Factor:
-    """Return what gases and rain leave over a path's length: ITU-R P.676 and P.838."""
+    """Return what gases, rain, snow and fog leave over a path's length: ITU-R P.676, P.838 and P.840."""
     if not used:
         return 1.0
     return np.asarray(10.0 ** (-air_db_per_m(world) * (echoes.out_m + echoes.back_m) / 20.0))
@@ -46,7 +46,9 @@ def air_db_per_m(world: World) -> float:
 def _air_db_per_m(world: World) -> float:
     weather, carrier_hz = world.scene.weather, world.radar.carrier_hz
     gas = gas_db_per_m(carrier_hz, weather.temperature_c, weather.pressure_hpa, weather.water_vapour_g_per_m3)
-    return float(gas + rain_db_per_m(carrier_hz, weather.rain_mm_per_h))
+    snow = snow_db_per_m(carrier_hz, weather.snow_mm_per_h)
+    fog = fog_db_per_m(carrier_hz, weather.fog_g_per_m3, weather.temperature_c) if weather.fog_g_per_m3 else 0.0
+    return float(gas + rain_db_per_m(carrier_hz, weather.rain_mm_per_h) + snow + fog)
 
 
 def no_roughness(world: World) -> str | None:

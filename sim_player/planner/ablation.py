@@ -8,12 +8,13 @@ magnitudes; errors of the evaluation are bounded and booked with it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.effects.names import bit
+from sim_player.effects.rain_clutter import clutter_at
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL
 from sim_player.planner.cells import cells_of
 from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, error, evaluate
@@ -21,7 +22,8 @@ from sim_player.planner.purposes import DETECTION, Purpose
 from sim_player.planner.selection import ANYTHING, Selection, keep_all, select
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.reach import reachable_snapshot
-from sim_player.scene.world import World
+from sim_player.scene.world import RadarState, World
+from sim_player.signal.clutter import profile_power_mw
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.receiver import iq_factors, leakage_profile, spur_profile
 from sim_player.signal.switches import SignalEffects
@@ -189,8 +191,8 @@ class EffectAblation:
         return max(sum(abs(factor) for factor in iq_factors(self.front_end)), 1.0)
 
     def _electronics(self) -> Change:
-        """What leakage adds, and what spurs of unknown phase and unbalanced I and Q may take off."""
-        bound = self.spurs()
+        """What leakage adds, and what drops, spurs of unknown phase and unbalanced I and Q may take off."""
+        bound = self.spurs() + SIGMAS * self.clutter_rms
         if iq_factors(self.front_end)[1] != 0.0:
             bound = bound + self.unbalanced(self.evaluated)
         return Change(np.broadcast_to(self.leakage(), self.shape), bound)
@@ -203,6 +205,15 @@ class EffectAblation:
         return leakage_profile(self.radar, power_dbm, self.front_end.leakage_range_m, range(RANGE_BINS)).astype(
             np.complex64
         )
+
+    @cached_property
+    def clutter_rms(self) -> np.ndarray:
+        """Rms of the echoes of rain, snow and fog, sqrt(mW), float64 [B, bins]."""
+        if "rain_clutter" not in self.used:
+            return np.zeros(self.shape)
+        radar = RadarState(self.view.pose, self.view.radar_velocity)
+        clutter = clutter_at(self.world, self.flags(), radar=radar)
+        return np.sqrt(profile_power_mw(self.setup, clutter, self.flags(), self.front_end))
 
     def spurs(self) -> np.ndarray:
         """Sum of the magnitudes of all spurs, float64 [bins]: their phases are drawn."""

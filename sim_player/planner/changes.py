@@ -100,6 +100,11 @@ def _bounded(ablation: EffectAblation, bound: np.ndarray | float) -> Change:
     return Change(np.zeros(ablation.shape, np.complex64), np.broadcast_to(bound, ablation.shape))
 
 
+def _rain_clutter(ablation: EffectAblation) -> Change:
+    """Bound what draws of the air's echoes reach."""
+    return _bounded(ablation, FAR_SIGMAS * ablation.clutter_rms)
+
+
 def _thermal_noise(ablation: EffectAblation) -> Change:
     """Bound what noise draws reach."""
     return _bounded(ablation, FAR_SIGMAS * ablation.noise_rms)
@@ -142,6 +147,7 @@ _OWN_CHANGE: dict[str, Callable[[EffectAblation], Change]] = {
     "motion": _motion,
     "squint": _squint,
     "chirp_overlap": _chirp_overlap,
+    "rain_clutter": _rain_clutter,
     "thermal_noise": _thermal_noise,
     "flicker": _flicker,
     "leakage": _leakage,

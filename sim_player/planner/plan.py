@@ -28,13 +28,15 @@ import numpy as np
 
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
+from sim_player.effects.rain_clutter import clutter_at
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
 from sim_player.planner.ablation import Answer, EffectAblation, signal_effects
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.planner.spans import SpanSelection
 from sim_player.scene.reach import reachable_snapshot
-from sim_player.scene.world import Snapshot, World
+from sim_player.scene.world import RadarState, Snapshot, World
+from sim_player.signal.clutter import clutter_profiles
 from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.receiver import dither_objection
 from sim_player.signal.switches import SignalEffects
@@ -205,11 +207,12 @@ def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
     front_end = plan.view.world.scene.radar.front_end
     if plan.evaluated is None or precision != "float32":
         return planned_profiles(plan, setup, seed, precision)
+    echoes = plan.evaluated + _of_the_air(plan, setup, seed).astype(plan.evaluated.dtype)
     faults = (plan.signal.leakage and front_end.leakage_dbm is not None) or (plan.signal.spurs and front_end.spurs)
     if not faults:
-        return plan.evaluated
+        return echoes
     nothing = plan.paths.take(np.zeros(0, int))
-    return plan.evaluated + kernel_profiles(setup, nothing, plan.signal, front_end, precision=precision, seed=seed)
+    return echoes + kernel_profiles(setup, nothing, plan.signal, front_end, precision=precision, seed=seed)
 
 
 def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
@@ -221,7 +224,16 @@ def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: st
         # what the electronics add belongs to the whole, once
         alone = msgspec.structs.replace(flags, leakage=False, spurs=False)
         profiles = profiles + kernel_profiles(setup, paths, alone, front_end, precision=precision, seed=seed)
-    return profiles
+    return profiles + _of_the_air(plan, setup, seed).astype(profiles.dtype)
+
+
+def _of_the_air(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:
+    """Return the drawn echoes of rain, snow and fog, complex [beams, bins]; one zero where the plan has none."""
+    if not plan.signal.rain_clutter:
+        return np.zeros(1)
+    view = plan.view
+    clutter = clutter_at(view.world, plan.signal, radar=RadarState(view.pose, view.radar_velocity))
+    return clutter_profiles(setup, clutter, plan.signal, view.world.scene.radar.front_end, seed)
 
 
 class _Planner:

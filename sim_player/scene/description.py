@@ -43,6 +43,8 @@ THINNEST_M = 0.01
 #: Valid ranges of the weather, wider than observed on Earth.
 WEATHER_RANGES: dict[str, tuple[float, float]] = {
     "rain_mm_per_h": (0.0, 200.0),
+    "snow_mm_per_h": (0.0, 50.0),
+    "fog_g_per_m3": (0.0, 5.0),
     "temperature_c": (-60.0, 60.0),
     "pressure_hpa": (500.0, 1100.0),
     "water_vapour_g_per_m3": (0.0, 50.0),
@@ -209,9 +211,13 @@ class Ego(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Air between everything: ITU-R P.676 (gases) and P.838 (rain)."""
+    """Air between everything, and what falls and floats in it: it takes power off each path and sends some back."""
 
     rain_mm_per_h: float = 0.0
+    #: Dry snow, in melted water.
+    snow_mm_per_h: float = 0.0
+    #: Liquid water in the air.
+    fog_g_per_m3: float = 0.0
     temperature_c: float = 15.0
     pressure_hpa: float = 1013.25
     water_vapour_g_per_m3: float = 7.5
@@ -299,6 +305,7 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
 #: written: scenes drawn before keep their bytes and their hashes.
 _LATER_FIELDS = {"spad": ("tail_share", "tail_s"), "front_end": ("leakage_range_m",)}
 _LATER_SURFACE_FIELDS = ("diffuse_lobe",)
+_LATER_WEATHER_FIELDS = ("snow_mm_per_h", "fog_g_per_m3")
 _PLAIN_SURFACE = Surface(role="relay", material="concrete")
 
 
@@ -329,6 +336,9 @@ def _plain(scene: Scene) -> dict[str, Any]:
         for name in names:
             if getattr(given, name) == getattr(type(given)(), name):
                 del plain["radar"][block][name]
+    for name in _LATER_WEATHER_FIELDS:
+        if getattr(scene.weather, name) == 0.0:
+            del plain["weather"][name]
     for surface, written in zip(scene.surfaces, plain["surfaces"], strict=True):
         for name in _LATER_SURFACE_FIELDS:
             if getattr(surface, name) == getattr(_PLAIN_SURFACE, name):

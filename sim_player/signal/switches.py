@@ -8,6 +8,8 @@ Antenna and waveform (an echo's own, `sim_player/signal/swept_echoes.py`):
 - chirp_overlap: for t < tau the echo is still the previous chirp's, a tone at S (tau - T_c).
 - motion: phase 4 pi v c T_c / lambda from chirp to chirp c; range_migration: also along the sweep, and the way moved.
 
+Air: rain_clutter, drawn beam by beam (`sim_player/signal/clutter.py`).
+
 Receiver (samples of all echoes together, `sim_player/signal/receiver.py`): thermal_noise, flicker, leakage, spurs,
 iq_imbalance, adc.
 """
@@ -35,6 +37,7 @@ class SignalEffects(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     chirp_overlap: bool = False
     motion: bool = True
     range_migration: bool = False
+    rain_clutter: bool = False
     thermal_noise: bool = True
     flicker: bool = False
     leakage: bool = False

@@ -1,0 +1,171 @@
+"""Echoes of rain, snow and fog in the volume of the beam, over the ground, before walls and behind them.
+
+The radar equation of a volume: a cell of range sends back P lambda^2 eta / ((4 pi)^3 R^2) times the integral of the
+two-way power pattern over the solid angle that is free (Skolnik, Introduction to Radar Systems, Eq. 13.12), less what
+the air takes both ways. The ground, where a scene names one, ends what lies below it. A wall ends the volume under its
+top; what it mirrors and lets through goes on behind it, with the fourth power of its field factor, up to the next wall.
+Left out: drops by way of the ground or of a second mirror, those out by one way and back by another, shadows of
+objects, curvature (a wall's chord counts), and what lies nearer than `NEAREST_M`, in the near field of the array.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from models.physics.antenna import element_field, row_field
+from models.physics.precipitation import reflectivity_per_m
+from msgs.values.radar import RadarSetup
+from sim_player.effects.weights import air_db_per_m
+from sim_player.scene.world import RadarState, World, scene_radar
+from sim_player.signal.clutter import CELLS, Clutter, cell_range_m, direction_sines
+from sim_player.signal.switches import SignalEffects, isotropic
+
+NEAREST_M = 1.0
+#: Elevations of the integral, closer near the horizon, where ground and walls end the beam; azimuths of rays in plan.
+ELEVATIONS = 96
+RAYS = 720
+#: Rays start so far behind a wall that they have met.
+STEP_M = 1e-6
+
+
+def absent(world: World) -> str | None:
+    """Only where something falls or floats."""
+    weather = world.scene.weather
+    falls = weather.rain_mm_per_h or weather.snow_mm_per_h or weather.fog_g_per_m3
+    return None if falls else "no rain, snow or fog"
+
+
+def clutter_at(world: World, effects: SignalEffects, time_s: float = 0.0, radar: RadarState | None = None) -> Clutter:
+    """Return the mean echoes of the air around the radar at a time; `radar` where it does not move as the scene says.
+
+    The last one is kept with the world.
+    """
+    radar = scene_radar(world.scene, time_s) if radar is None else radar
+    key = effects.element_pattern, radar.pose, tuple(radar.velocity.tolist())
+    if world.kept.get("clutter_key") != key:
+        world.kept.update(clutter_key=key, clutter=_clutter(world, effects, radar))
+    kept: Clutter = world.kept["clutter"]
+    return kept
+
+
+def _clutter(world: World, effects: SignalEffects, radar: RadarState) -> Clutter:
+    setup = world.setup if effects.element_pattern else isotropic(world.setup)
+    weather, params = world.scene.weather, world.radar
+    eta = reflectivity_per_m(params.carrier_hz, weather.rain_mm_per_h, weather.snow_mm_per_h, weather.fog_g_per_m3)
+    range_m = cell_range_m(params)
+    step_m = range_m[1]
+    constant = 1e3 * params.transmit_power_w * params.wavelength_m**2 * eta * step_m / (4.0 * math.pi) ** 3
+    loss = 10.0 ** (-0.2 * air_db_per_m(world) * range_m)
+    per_cell = np.where(range_m >= NEAREST_M, constant * loss / np.maximum(range_m, NEAREST_M) ** 2, 0.0)
+    ahead = radar.pose.rotate(np.array([1.0, 0.0]))
+    forward, left = float(radar.velocity @ ahead), float(radar.velocity @ [-ahead[1], ahead[0]])
+    return Clutter(_solid_angle(world, setup, radar, step_m) * per_cell, -np.array([forward, left]))
+
+
+def _solid_angle(world: World, setup: RadarSetup, radar: RadarState, step_m: float) -> np.ndarray:
+    """Return the solid angle that is free times the power pattern of elements and rows, [directions, CELLS]."""
+    sines = direction_sines(setup)
+    edges = np.linspace(-1.0, 1.0, ELEVATIONS + 1)
+    edges = 0.5 * math.pi * edges * np.abs(edges)
+    elevation_rad, height_rad = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    across = sines[:, None] / np.cos(elevation_rad)
+    seen = np.abs(across) < 1.0
+    azimuth_rad = np.arcsin(np.where(seen, across, 0.0))
+    rows = row_field(setup.array, setup.radar.wavelength_m, elevation_rad) ** setup.array.steered_ways
+    field = element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * rows
+    # d azimuth d elevation cos(elevation) = d sine d elevation / cos(azimuth)
+    weight = np.where(seen, field**2 * (2.0 / len(sines)) * height_rad / np.cos(azimuth_rad), 0.0)
+    ray = np.clip(((azimuth_rad / math.pi + 0.5) * RAYS).astype(int), 0, RAYS - 1)
+    column = np.broadcast_to(np.arange(ELEVATIONS), ray.shape)
+    change = np.zeros((len(sines), CELLS + 1))
+    row = np.broadcast_to(np.arange(len(sines))[:, None], ray.shape)
+    for gain, first_m, last_m in _free_stretches(world, radar, elevation_rad):
+        share = weight * gain[ray, column]
+        for sign, end_m in ((1.0, first_m[ray, column]), (-1.0, np.maximum(first_m, last_m)[ray, column])):
+            # a cell on the border counts by the share of it that is free
+            place = np.minimum(end_m / step_m + 0.5, CELLS)
+            cell = np.minimum(place.astype(int), CELLS - 1)
+            part = place - cell
+            np.add.at(change, (row, cell), sign * share * (1.0 - part))
+            np.add.at(change, (row, cell + 1), sign * share * part)
+    return np.maximum(np.cumsum(change, axis=1)[:, :CELLS], 0.0)
+
+
+def _free_stretches(
+    world: World, radar: RadarState, elevation_rad: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return stretches of range that hold drops: gain, first and last range; [RAYS, elevations] each.
+
+    In direct sight; in the wall that ends it on the horizon; behind that wall.
+    """
+    height_m, slope = world.radar_height_m, np.tan(elevation_rad)
+    azimuth_rad = radar.pose.yaw_rad + ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * math.pi
+    direction = np.column_stack([np.cos(azimuth_rad), np.sin(azimuth_rad)])
+    origin = np.broadcast_to([radar.pose.x_m, radar.pose.y_m], direction.shape)
+    # a scene that names no ground has none
+    down = np.minimum(slope, -1e-300) if world.ground is not None else -1e-300
+    ground_m = height_m / -down
+    slant = 1.0 / np.cos(elevation_rad)
+    distance_m = _distances(world, origin, direction)
+    free_m = np.minimum(_free_m(world, distance_m, 0.0, slope), ground_m)
+    stretches = [(np.ones(free_m.shape), np.zeros(free_m.shape), free_m * slant)]
+    high = np.where(world.wall_height_m > height_m, distance_m, np.inf)
+    if not len(world.wall_a) or not np.isfinite(high).any():
+        return stretches
+    wall, met_m = high.argmin(axis=1), high.min(axis=1)
+    meets = np.isfinite(met_m)
+    met = np.where(meets, met_m, 0.0)
+    normal = world.wall_frames[0][wall]
+    cosine = np.einsum("ri,ri->r", direction, normal)
+    reflected = np.abs(world.reflection(wall, np.abs(cosine))[0]) ** 4 * (meets & world.is_mirror[wall])
+    table = np.abs(world.transmission[world.wall_build[wall]])
+    cell = np.abs(cosine) * (table.shape[1] - 1)
+    through = table[np.arange(RAYS), np.rint(cell).astype(int)] ** 4 * meets
+    point = origin + met[:, None] * direction
+    for gain, onward in ((reflected, direction - 2.0 * cosine[:, None] * normal), (through, direction)):
+        if not gain.any():
+            continue
+        beyond_m = _distances(world, point + STEP_M * onward, onward, wall)
+        last_m = np.minimum(_free_m(world, beyond_m, met[:, None], slope) + met[:, None], ground_m)
+        # over the wall's top and before it the direct volume counts
+        behind = (free_m == met_m[:, None]) * gain[:, None]
+        stretches.append((behind, np.broadcast_to(met[:, None] * slant, behind.shape), last_m * slant))
+    return stretches
+
+
+def _distances(
+    world: World, origin: np.ndarray, direction: np.ndarray, skipped: np.ndarray | None = None
+) -> np.ndarray:
+    """Return how far along rays in plan [R, 2] pieces of wall stand, infinite where a ray misses; [R, W]."""
+    along = world.wall_b - world.wall_a
+    from_ray = world.wall_a[None] - origin[:, None]
+    turn = direction[:, :1] * along[:, 1] - direction[:, 1:] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead_m = (from_ray[..., 0] * along[:, 1] - from_ray[..., 1] * along[:, 0]) / turn
+        share = (from_ray[..., 0] * direction[:, 1:] - from_ray[..., 1] * direction[:, :1]) / turn
+    distance_m = np.where((ahead_m > 0.0) & (share >= 0.0) & (share <= 1.0), ahead_m, np.inf)
+    if skipped is not None:
+        distance_m[np.arange(len(skipped)), skipped] = np.inf
+    return distance_m
+
+
+def _free_m(world: World, distance_m: np.ndarray, before_m: np.ndarray | float, slope: np.ndarray) -> np.ndarray:
+    """Return how far each ray goes at each elevation before a wall that is high enough; [R, elevations].
+
+    `before_m`: how far it has come from the radar.
+    """
+    free_m = np.full((len(distance_m), len(slope)), np.inf)
+    if not len(world.wall_a):
+        return free_m
+    order = np.argsort(distance_m, axis=1)
+    sorted_m = np.take_along_axis(distance_m, order, axis=1)
+    over_m = world.wall_height_m[order] - world.radar_height_m
+    tops = np.where(np.isfinite(sorted_m), over_m / (sorted_m + before_m), -np.inf)
+    skyline = np.maximum.accumulate(tops, axis=1)
+    for ray, heights in enumerate(skyline):
+        first = np.searchsorted(heights, slope, side="right")
+        found = first < len(heights)
+        free_m[ray, found] = sorted_m[ray, first[found]]
+    return free_m
