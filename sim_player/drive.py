@@ -16,7 +16,6 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from sim_player.effects.rain_clutter import clutter_at
 from sim_player.planner.plan import resolve_plan
 from sim_player.scene.clear_path import first_meeting, meeting_text
 from sim_player.scene.description import Ego, Scene
@@ -25,6 +24,7 @@ from sim_player.scene.world import RadarState, prepare
 from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
+from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN
 from sim_player.trace.conversion import as_paths

@@ -11,7 +11,6 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from sim_player.effects.rain_clutter import clutter_at
 from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.planner.purposes import purpose_of
 from sim_player.scene.clear_path import ego_meeting, meeting_text
@@ -20,6 +19,7 @@ from sim_player.scene.world import prepare
 from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
+from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_tracks import PathTrack, scene_step_s

@@ -14,7 +14,6 @@ import numpy as np
 
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.effects.names import bit
-from sim_player.effects.rain_clutter import clutter_at
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL
 from sim_player.planner.cells import cells_of
 from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, error, evaluate
@@ -25,6 +24,7 @@ from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import RadarState, World
 from sim_player.signal.clutter import profile_power_mw
 from sim_player.signal.levels import RANGE_BINS, noise_rms
+from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import iq_factors, leakage_profile, spur_profile
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths

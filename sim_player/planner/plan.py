@@ -28,7 +28,6 @@ import numpy as np
 
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
-from sim_player.effects.rain_clutter import clutter_at
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
 from sim_player.planner.ablation import Answer, EffectAblation, signal_effects
 from sim_player.planner.changes import change_of
@@ -38,6 +37,7 @@ from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import RadarState, Snapshot, World
 from sim_player.signal.clutter import clutter_profiles
 from sim_player.signal.levels import kernel_profiles, noise_profiles
+from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import dither_objection
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths

@@ -1,4 +1,4 @@
-"""Absences of signal effects: when a scene has none of one of the array, the waveform or the receiver.
+"""Absences of signal effects: when a scene has none of one of the array, the air, the waveform or the receiver.
 
 Each is a switch of its name in `SignalEffects` (`sim_player.signal.switches`, which says what off means); its physics
 stands where the signal is made.
@@ -13,6 +13,13 @@ from sim_player.signal.receiver import iq_factors
 def no_motion(world: World) -> str | None:
     """Only where something moves."""
     return None if world.scene.moves else "nothing moves"
+
+
+def no_rain(world: World) -> str | None:
+    """Only where something falls or floats."""
+    weather = world.scene.weather
+    falls = weather.rain_mm_per_h or weather.snow_mm_per_h or weather.fog_g_per_m3
+    return None if falls else "no rain, snow or fog"
 
 
 def no_phase_steps(world: World) -> str | None:

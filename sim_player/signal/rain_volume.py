@@ -30,13 +30,6 @@ RAYS = 720
 STEP_M = 1e-6
 
 
-def absent(world: World) -> str | None:
-    """Only where something falls or floats."""
-    weather = world.scene.weather
-    falls = weather.rain_mm_per_h or weather.snow_mm_per_h or weather.fog_g_per_m3
-    return None if falls else "no rain, snow or fog"
-
-
 def clutter_at(world: World, effects: SignalEffects, time_s: float = 0.0, radar: RadarState | None = None) -> Clutter:
     """Return the mean echoes of the air around the radar at a time; `radar` where it does not move as the scene says.
 

@@ -12,13 +12,13 @@ import pytest
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.values.units import BOLTZMANN_J_PER_K, SPEED_OF_LIGHT_MPS
-from sim_player.effects.rain_clutter import absent, clutter_at
 from sim_player.effects.weights import air_db_per_m
 from sim_player.planner.plan import manual_plan, noisy_profiles, plan_world
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.scene.world import prepare
+from sim_player.signal.absences import no_rain
 from sim_player.signal.clutter import (
     clutter_profiles,
     correlation_time_s,
@@ -28,6 +28,7 @@ from sim_player.signal.clutter import (
     with_clutter,
 )
 from sim_player.signal.levels import hann_profiles
+from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.switches import PLAIN
 from tests.sim_player.effects.point_scenes import wall
 
@@ -204,7 +205,7 @@ def test_beats_of_a_player_hold_the_rain(speed_mps: float) -> None:
 
 def test_a_plan_knows_it() -> None:
     """None in dry air; a bound over the noise in rain; planned and full maps have the same drops."""
-    assert absent(prepare(scene(weather=Weather()))) == "no rain, snow or fog"
+    assert no_rain(prepare(scene(weather=Weather()))) == "no rain, snow or fog"
     world = prepare(scene())
     row = {effect.name: effect for effect in plan_world(world, world.setup, thorough=True).effects}["rain_clutter"]
     # 5.5 rms of what stands in the first bins, added up over the beams of a map
