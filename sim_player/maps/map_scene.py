@@ -21,6 +21,7 @@ except ImportError:
 
 from models.physics.materials import material_name
 from models.physics.mirror import SHORTEST_WALL_M
+from sim_player.maps.facades import TOUCH_M, facades
 from sim_player.maps.footprints import Footprint, FootprintFile
 from sim_player.maps.geojson import read_geojson
 from sim_player.maps.local_frame import MapPose
@@ -43,8 +44,8 @@ RADIUS_M = (5.0, 5000.0)
 DEFAULT_RADIUS_M = 165.0
 #: Corners are rounded to this, and points nearer to the last are left out: finer than any map.
 CORNER_M = 1e-3
-#: The same in digits of a map's metres and degrees.
-CORNER_DIGITS, CORNER_DIGITS_DEG = 3, 8
+#: The same in digits of metres.
+CORNER_DIGITS = 3
 NEAREST_CORNERS_M = 0.05
 #: Footprints of less area are none.
 SMALLEST_M2 = 0.01
@@ -108,16 +109,13 @@ def map_scene(
     """Return the scene of all buildings of which some part lies within a radius; ValueError where there is none, where
     the radar stands in one, and for more walls than a scene may have.
 
-    Walls that two buildings share are left out: nobody stands between them.
+    Walls that border another building are left out (`sim_player.maps.facades`): nobody stands between them.
     """
     if not RADIUS_M[0] <= radius_m <= RADIUS_M[1]:
         raise ValueError(f"--radius must be {RADIUS_M[0]:g}..{RADIUS_M[1]:g} m, got {radius_m!r}")
     builder = _Builder(pose, radius_m, rules)
-    once = _once(footprints)
-    for footprint in once:
+    for footprint in footprints.footprints:
         builder.add(footprint)
-    if repeated := len(footprints.footprints) - len(once):
-        builder.left_out["buildings given twice"] = repeated
     surfaces, broken = builder.surfaces(), (*footprints.broken, *builder.broken)
     if not surfaces and broken:
         raise ValueError(broken[0])
@@ -147,20 +145,22 @@ def map_scene(
     return made
 
 
-def _once(file: FootprintFile) -> list[Footprint]:
-    """Return footprints of different outlines, each with the courtyards and the tags that any of the same outline has.
+def _once(found: list[tuple[shapely.Polygon, Footprint]]) -> list[tuple[shapely.Polygon, Footprint]]:
+    """Return buildings of different outlines, each with the courtyards and the tags that any of the same outline has.
 
     An outline and its multipolygon are both buildings to some tools.
     """
-    digits = CORNER_DIGITS if file.metric else CORNER_DIGITS_DEG
-    by_outline: dict[frozenset[Point], Footprint] = {}
-    for footprint in file.footprints:
-        outline = frozenset((round(x, digits), round(y, digits)) for x, y in footprint.outer)
-        if (same := by_outline.get(outline)) is not None:
-            first, second = sorted((same, footprint), key=lambda each: len(each.holes), reverse=True)
-            footprint = replace(first, tags={**second.tags, **first.tags})
-        by_outline[outline] = footprint
-    return list(by_outline.values())
+    rings = np.array([shape.exterior for shape, _ in found], object)
+    first, second = shapely.STRtree(rings).query(rings, predicate="dwithin", distance=TOUCH_M)
+    ahead = first < second
+    first, second = first[ahead], second[ahead]
+    same = shapely.hausdorff_distance(rings[first], rings[second]) <= TOUCH_M
+    once = dict(enumerate(found))
+    for one, two in sorted(zip(first[same].tolist(), second[same].tolist(), strict=True)):
+        if one in once and two in once:
+            ours, other = sorted((once[one], once.pop(two)), key=lambda each: len(each[1].holes), reverse=True)
+            once[one] = ours[0], replace(ours[1], tags={**other[1].tags, **ours[1].tags})
+    return list(once.values())
 
 
 def _ground(material: str) -> str:
@@ -191,6 +191,7 @@ class _Builder:
 
     def __init__(self, pose: MapPose, radius_m: float, rules: tuple[WallRule, ...]) -> None:
         self.pose, self.radius_m, self.rules = pose, radius_m, rules
+        self.found: list[tuple[shapely.Polygon, Footprint]] = []
         self.placed: list[_Building] = []
         self.broken: list[str] = []
         self.left_out: Counter[str] = Counter()
@@ -222,20 +223,24 @@ class _Builder:
                 f"--position: must stand {RADAR_CLEARANCE_M} m off every wall, "
                 f"got {distance_m:.3f} m to {footprint.field}"
             )
-        self._place(shape, footprint)
+        self.found.append((shape, footprint))
 
     def surfaces(self) -> list[Surface]:
-        """Return the walls of all buildings, without those that two share."""
-        count: Counter[frozenset[Point]] = Counter()
-        for building in self.placed:
-            count.update(frozenset(edge) for ring in building.rings for edge in _edges(ring))
-        self.left_out["walls between two buildings"] = sum(edges for edges in count.values() if edges > 1)
+        """Return the walls of all buildings that border open air, each once."""
+        once = _once(self.found)
+        if repeated := len(self.found) - len(once):
+            self.left_out["buildings given twice"] = repeated
+        for shape, footprint in once:
+            self._place(shape, footprint)
+        found = facades([[np.array(ring) for ring in building.rings] for building in self.placed])
+        self.left_out["walls between two buildings"] = found.between
+        if found.twice:
+            self.left_out["walls that another building has too"] = found.twice
         surfaces = []
-        for building in self.placed:
-            for ring in building.rings:
-                for line in _lines(ring, [count[frozenset(edge)] > 1 for edge in _edges(ring)]):
-                    self.materials[building.rule.material] += len(line) - 1
-                    surfaces.append(_surface(building, line))
+        for building, lines in zip(self.placed, found.lines, strict=True):
+            for line in lines:
+                self.materials[building.rule.material] += len(line) - 1
+                surfaces.append(_surface(building, line))
         return surfaces
 
     def _beyond(self, away_m: float) -> None:
@@ -287,32 +292,11 @@ def _corners(ring: np.ndarray) -> tuple[Point, ...]:
     return tuple(kept)
 
 
-def _edges(ring: tuple[Point, ...]) -> list[tuple[Point, Point]]:
-    return list(zip(ring, (*ring[1:], ring[0]), strict=True))
-
-
-def _lines(ring: tuple[Point, ...], is_shared: list[bool]) -> list[tuple[Point, ...]]:
-    """Return the polylines of a ring's edges that are not shared, from corner to corner."""
-    if not any(is_shared):
-        return [(*ring, ring[0])]
-    lines, edges = [], _edges(ring)
-    first = is_shared.index(True)
-    line: list[Point] = []
-    for index in (*range(first, len(ring)), *range(first)):
-        if is_shared[index]:
-            if line:
-                lines.append(tuple(line))
-            line = []
-        else:
-            line = [*(line or edges[index][:1]), edges[index][1]]
-    return [*lines, tuple(line)] if line else lines
-
-
-def _surface(building: _Building, line: tuple[Point, ...]) -> Surface:
+def _surface(building: _Building, line: np.ndarray) -> Surface:
     return Surface(
         role="relay",
         material=building.rule.material,
-        polyline_m=line,
+        polyline_m=tuple((round(x, CORNER_DIGITS) + 0.0, round(y, CORNER_DIGITS) + 0.0) for x, y in line.tolist()),
         height_m=round(building.height_m, 2),
         thickness_mm=building.rule.thickness_mm,
         roughness_mm=building.rule.roughness_mm,

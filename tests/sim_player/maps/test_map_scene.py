@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -66,10 +68,58 @@ def test_walls_between_two_houses_are_left_out() -> None:
     assert frozenset(((20.0, 0.0), (30.0, 0.0))) not in pieces(made)
 
 
-def test_a_house_that_the_map_has_twice_stands_once() -> None:
-    made = scene_of(box(-5.0, 20.0), box(-5.0, 20.0)[2:] + box(-5.0, 20.0)[:2])
-    assert made.walls == 4
-    assert made.left_out["buildings given twice"] == 1
+HOUSE = box(-5.0, 20.0)
+SHIFTED = [(x + 0.011, y - 0.007) for x, y in HOUSE]
+NODE_MORE = [*HOUSE[:1], (0.0, 20.0), *HOUSE[1:]]
+LEFT, RIGHT = box(-5.0, 20.0, 4.0), box(-1.0, 20.0, 6.0)
+PARTED = [*HOUSE[:1], (-1.0, 20.0), *HOUSE[1:3], (-1.0, 30.0), *HOUSE[3:]]
+UP_OR_DOWN = [(-1.0, 20.0), *HOUSE[1:3], (-1.0, 30.0)]
+
+
+@pytest.mark.parametrize(
+    ("rings", "length_m"),
+    [
+        ((HOUSE, HOUSE[2:] + HOUSE[:2]), 40.0),
+        ((HOUSE, HOUSE[::-1]), 40.0),
+        ((HOUSE, NODE_MORE), 40.0),
+        ((NODE_MORE, HOUSE[::-1]), 40.0),
+        ((HOUSE, SHIFTED, NODE_MORE), 40.0),
+        ((HOUSE, HOUSE, HOUSE), 40.0),
+        ((PARTED, LEFT, RIGHT), 40.0),
+        ((HOUSE, LEFT, UP_OR_DOWN), 40.0),
+        # a tower inside, flush with one side, and a room that touches none
+        ((HOUSE, box(-5.0, 22.0, 3.0, 3.0)), 40.0),
+        ((HOUSE, box(-2.0, 23.0, 3.0, 3.0)), 40.0),
+        # parts that share walls of different length, and one that overlaps by a metre
+        ((LEFT, RIGHT), 40.0),
+        ((box(-5.0, 20.0, 5.0, 10.0), box(0.0, 22.0, 5.0, 4.0)), 40.0),
+        ((HOUSE, box(4.0, 22.0, 10.0, 4.0)), 58.0),
+        # neighbours a centimetre apart, and an alley of a metre
+        ((HOUSE, box(5.01, 20.0)), 60.0),
+        ((HOUSE, box(6.0, 20.0)), 80.0),
+    ],
+)
+def test_what_coincides_has_its_outer_walls_once(rings: tuple[Ring, ...], length_m: float) -> None:
+    """A house of 10 x 10 m drawn twice, shifted by a map's rounding, in parts, inside or beside another."""
+    for order in (rings, rings[::-1]):
+        made = scene_of(*order)
+        assert sum(math.dist(*pair) for pair in pieces(made)) == pytest.approx(length_m, abs=0.05)
+
+
+def test_what_is_left_out_is_said() -> None:
+    """Of a house given three times the tags of all count; of parts in an outline the outline's own walls go."""
+    made = scene_of(HOUSE, SHIFTED, NODE_MORE)
+    assert (made.buildings, made.left_out["buildings given twice"]) == (1, 2)
+    parts = scene_of(PARTED, LEFT, RIGHT)
+    assert (parts.buildings, parts.walls) == (3, 6)
+    assert parts.left_out["walls that another building has too"] == 6
+    assert parts.left_out["walls between two buildings"] == 2
+    # a courtyard is open air: what stands in it keeps its walls, but for those against it
+    yard = Footprint("way 0", tuple(box(-20.0, 20.0, 40.0, 40.0)), (tuple(box(-10.0, 30.0, 20.0, 20.0)),), {})
+    for ring, length_m in ((box(-5.0, 32.0, 4.0, 4.0), 256.0), (box(-10.0, 32.0, 4.0, 4.0), 248.0)):
+        file = FootprintFile((Footprint("way 1", tuple(ring), (), {}), yard), (), True, {})
+        made = map_scene(file, MapPose(0.0, 0.0, 0.0, metric=True), 165.0, DEFAULT_RULES, "a")
+        assert sum(math.dist(*pair) for pair in pieces(made)) == pytest.approx(length_m)
 
 
 def test_courtyards_have_walls() -> None:
