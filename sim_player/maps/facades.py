@@ -39,11 +39,10 @@ class _Edges:
 
     building: np.ndarray
     ring: np.ndarray
-    #: Ends [E, 2], numbers of the nodes there [E].
+    #: Ends [E, 2]; number of the edge that begins where each ends [E].
     start: np.ndarray
     end: np.ndarray
-    start_node: np.ndarray
-    end_node: np.ndarray
+    following: np.ndarray
     #: Unit vector out of the building, [E, 2].
     outwards: np.ndarray
 
@@ -83,15 +82,11 @@ def _lines(edges: _Edges, ring: np.ndarray, kept: list[list[tuple[float, float]]
 
 
 def _edges(buildings: list[list[Ring]]) -> _Edges:
-    """Return all edges, corners that coincide with those of a building before as one node."""
+    """Return all edges."""
     rings = [np.asarray(ring, np.float64) for own in buildings for ring in own]
     building = np.repeat(np.arange(len(buildings)), [len(own) for own in buildings])
     hole = np.concatenate([np.arange(len(own)) > 0 for own in buildings])
     corners = np.concatenate(rings)
-    node = np.arange(len(corners))
-    pairs = cKDTree(corners).query_pairs(TOUCH_M, output_type="ndarray")
-    for low, high in pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]:
-        node[high] = min(node[high], node[low])
     first = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
     following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(first)])
     of_ring = np.repeat(np.arange(len(rings)), np.diff(first))
@@ -107,8 +102,7 @@ def _edges(buildings: list[list[Ring]]) -> _Edges:
         ring=of_ring,
         start=corners,
         end=corners[following],
-        start_node=node,
-        end_node=node[following],
+        following=following,
         outwards=normal * side[:, None],
     )
 
@@ -117,44 +111,41 @@ def _cuts(edges: _Edges) -> list[list[tuple[float, int]]]:
     """Return where each edge is cut: shares of it and nodes, its ends among them; by corners of others that lie on it
     and by edges of others that cross it.
     """
-    cuts: list[list[tuple[float, int]]] = [
-        [(0.0, int(a)), (1.0, int(b))] for a, b in zip(edges.start_node, edges.end_node, strict=True)
-    ]
     lines = shapely.linestrings(np.stack([edges.start, edges.end], axis=1))
     tree = shapely.STRtree(lines)
-    length = np.hypot(*(edges.end - edges.start).T)
+    along = edges.end - edges.start
+    length_m = np.hypot(*along.T)
+    first, second = tree.query(lines, predicate="crosses")
+    turn = along[first, 0] * along[second, 1] - along[first, 1] * along[second, 0]
+    # edges side by side cross by their rounding alone
+    apart = np.abs(turn) > BESIDE_M * np.maximum(length_m[first], length_m[second])
+    crosses = apart & (edges.building[first] != edges.building[second])
+    first, second = first[crosses], second[crosses]
+    gap = edges.start[second] - edges.start[first]
+    share = (gap[:, 0] * along[second, 1] - gap[:, 1] * along[second, 0]) / turn[crosses]
+    node = _coinciding(np.concatenate([edges.start, edges.start[first] + share[:, None] * along[first]]))
     corner, edge = tree.query(shapely.points(edges.start), predicate="dwithin", distance=TOUCH_M)
     others = edges.building[corner] != edges.building[edge]
-    for point, line in zip(corner[others], edge[others], strict=True):
-        along = edges.end[line] - edges.start[line]
-        _cut(
-            cuts[line],
-            float((edges.start[point] - edges.start[line]) @ along) / length[line] ** 2,
-            int(edges.start_node[point]),
-            length[line],
-        )
-    first, second = tree.query(lines, predicate="crosses")
-    ahead = (first < second) & (edges.building[first] != edges.building[second])
-    for number, (one, two) in enumerate(zip(first[ahead], second[ahead], strict=True)):
-        u, v = edges.end[one] - edges.start[one], edges.end[two] - edges.start[two]
-        turn = float(u[0] * v[1] - u[1] * v[0])
-        # edges side by side cross by their rounding alone
-        if abs(turn) / max(length[one], length[two]) < BESIDE_M:
-            continue
-        gap = edges.start[two] - edges.start[one]
-        for line, share in (
-            (one, (gap[0] * v[1] - gap[1] * v[0]) / turn),
-            (two, (gap[0] * u[1] - gap[1] * u[0]) / turn),
-        ):
-            _cut(cuts[line], float(share), -1 - number, length[line])
+    corner, edge = corner[others], edge[others]
+    reach = np.einsum("ni,ni->n", edges.start[corner] - edges.start[edge], along[edge]) / length_m[edge] ** 2
+    cuts = [[(0.0, int(node[at])), (1.0, int(node[to]))] for at, to in enumerate(edges.following)]
+    for line, at, number in zip(
+        [*edge, *first], [*reach, *share], [*node[corner], *node[len(edges.start) :]], strict=True
+    ):
+        # one cut is enough for what coincides
+        near = any(known == number or abs(at - there) * length_m[line] < TOUCH_M for there, known in cuts[line])
+        if 0.0 < at < 1.0 and not near:
+            cuts[line].append((float(at), int(number)))
     return [sorted(own) for own in cuts]
 
 
-def _cut(cuts: list[tuple[float, int]], share: float, node: int, length_m: float) -> None:
-    """Add a cut unless one is there already, by its node or by its place."""
-    near = any(known == node or abs(share - at) * length_m < TOUCH_M for at, known in cuts)
-    if 0.0 < share < 1.0 and not near:
-        cuts.append((share, node))
+def _coinciding(points: np.ndarray) -> np.ndarray:
+    """Return a number for each point [N], that of the first point which it coincides with."""
+    number = np.arange(len(points))
+    pairs = cKDTree(points).query_pairs(TOUCH_M, output_type="ndarray")
+    for low, high in pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]:
+        number[high] = min(number[high], number[low])
+    return number
 
 
 def _judged(
