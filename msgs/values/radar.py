@@ -284,6 +284,12 @@ class RadarSetup(Checked, frozen=True, kw_only=True, eq=False):
     background: Annotated[np.ndarray, Array("<c8", ("beams", "radar.samples_per_chirp"))] | None = None
 
     @property
+    def map_grid(self) -> RangeAzimuthGrid:
+        """The grid of its maps: the default one in its own range bins, no more of them than a chirp has samples."""
+        bins = min(RangeAzimuthGrid().range_bins, self.radar.samples_per_chirp)
+        return RangeAzimuthGrid(range_bin_m=self.radar.range_bin_m, range_bins=bins)
+
+    @property
     def scan_bytes(self) -> int:
         """Bytes of the samples of one scan, int16 I and Q."""
         return 4 * len(self.beams) * self.radar.chirps_per_beam * self.radar.samples_per_chirp

@@ -26,7 +26,7 @@ from models.perception.forming.ra_forming import (
 from models.physics.waveform import window_noise_gain
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import TruthObject
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState, ego_motion
 from sim_player.dataset.labelled_scan import BASIC_USED, WINDOW, Labels, label_points, without_converter
@@ -104,8 +104,7 @@ class LabelledDrive:
     ) -> None:
         self._player = ScenePlayer(scene, seed, setup, effects=effects, budget_db=budget_db, purpose=purpose)
         self._scene, self._setup, self._seed = scene, self._player.setup, seed
-        grid = RangeAzimuthGrid(range_bin_m=setup.radar.range_bin_m)
-        self._folder = BeamFolder(self._setup, FormingParams(range_window=WINDOW), grid)
+        self._folder = BeamFolder(self._setup, FormingParams(range_window=WINDOW), setup.map_grid)
 
     def scan(self, scan: int) -> DriveScan:
         """Return one scan of the drive."""

@@ -16,7 +16,7 @@ import numpy as np
 from models.physics.waveform import range_profile, window_noise_gain
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import Plan, manual_plan, plan_world
@@ -124,7 +124,7 @@ def labelled_scan(
 def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tuple[str, ...] | None = None) -> Labels:
     """Return the truth points of traced paths as training labels; `classes` are those of the objects, in order."""
     visible = paths.take(visible_paths(setup, paths))
-    grid = RangeAzimuthGrid()
+    grid = setup.map_grid
     names = np.array([*(classes or ["object"] * (int(visible.object_index.max(initial=-1)) + 1)), WALL])
     return Labels(
         range_m=(0.5 * visible.length_m).astype(np.float32),

@@ -27,8 +27,16 @@ from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
 from msgs.values.known_names import with_known_names
 from msgs.values.lidar import LidarSetup, SpadParams
-from msgs.values.radar import PRESETS, RadarSetup
-from msgs.values.units import db_from_ratio
+from msgs.values.radar import (
+    PRESETS,
+    ArrayParams,
+    BeamGrid,
+    RadarParams,
+    RadarSetup,
+    RangeAzimuthGrid,
+    orthogonal_beams,
+)
+from msgs.values.units import SPEED_OF_LIGHT_MPS, db_from_ratio
 from sim_player.scene.front_end import FrontEnd
 from sim_player.scene.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 
@@ -52,6 +60,10 @@ WEATHER_RANGES: dict[str, tuple[float, float]] = {
 
 #: Largest coordinate or size in a scene: a larger number is an input error.
 FARTHEST_M = 1e4
+#: Scenes of so many pieces of wall or fewer are traced whole.
+WHOLE_WALLS = 64
+#: Reach over the range of a map: echoes beyond the map leak into it, the less the further.
+REACH_SHARE = 1.5
 #: Greatest thickness of foliage and of a wall.
 DEEPEST_FOLIAGE_MM, THICKEST_WALL_MM = 1e6, 1e4
 #: Greatest speed of the radar and of objects, and yaw rate: faster ones belong to no road.
@@ -90,8 +102,20 @@ OBJECT_KINDS: dict[str, ObjectKind] = {
 }
 
 
+class SceneArray(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What differs from the preset's array, fields of `ArrayParams`; None: as the preset has it."""
+
+    columns: int | None = None
+    rows: int | None = None
+    column_spacing_m: float | None = None
+    row_spacing_m: float | None = None
+    phase_bits: int | None = None
+    steered_ways: int | None = None
+    digital: bool | None = None
+
+
 class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The radar of a scene and its height above the ground."""
+    """The radar of a scene and its height above the ground: a preset, and what differs from it."""
 
     preset: Literal["xband", "77ghz", "spad"] = "xband"
     height_m: float = 1.0
@@ -101,9 +125,36 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     spad_scan_period_s: float | None = None
     #: Distance between the transmitting and the receiving array, along y; the radar's position is the middle.
     separation_m: float = 0.0
-    #: The receiver's, over the preset's; None: the preset's.
+    #: Over the preset's, fields of `RadarParams`; None: the preset's.
     noise_figure_db: float | None = None
+    bandwidth_hz: float | None = None
+    transmit_power_w: float | None = None
+    chirps_per_beam: int | None = None
+    #: Boards of one array each stand `separation_m` apart; both are steered unless `steered_ways` is 1.
+    array: SceneArray = SceneArray()
+    #: Steering azimuths; None: the preset's, of a digital array one orthogonal beam for each column.
+    beams_deg: tuple[float, ...] | None = None
     front_end: FrontEnd = FrontEnd()
+
+    @property
+    def setup(self) -> RadarSetup:
+        """The radar as set up; of a LiDAR the X-band radar whose labels it shares. ValueError, field first."""
+        preset = PRESETS["xband" if self.preset == "spad" else self.preset]
+        names = "noise_figure_db", "bandwidth_hz", "transmit_power_w", "chirps_per_beam"
+        radar, array = (
+            {name: value for name in every if (value := getattr(given, name)) is not None}
+            for given, every in ((self, names), (self.array, SceneArray.__struct_fields__))
+        )
+        try:
+            params = RadarParams(**{**msgspec.structs.asdict(preset.radar), **radar})
+            columns = ArrayParams(**{**msgspec.structs.asdict(preset.array), **array})
+            beams = preset.beams if self.beams_deg is None else BeamGrid(azimuth_deg=self.beams_deg)
+        except ValueError as error:
+            field, _, rule = str(error).replace("beams.azimuth_deg", "radar.beams_deg", 1).partition(" ")
+            raise ValueError(f"{'radar.' if field.startswith('array.') else ''}{field}: {rule}") from None
+        if self.beams_deg is None and columns.digital and columns.columns != preset.array.columns:
+            beams = orthogonal_beams(columns.columns)
+        return msgspec.structs.replace(preset, radar=params, array=columns, beams=beams, radar_height_m=self.height_m)
 
 
 class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -242,13 +293,8 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def setup(self) -> RadarSetup:
-        """The preset's radar at the scene's mounting height; of a LiDAR the X-band radar whose labels it shares."""
-        preset = "xband" if self.radar.preset == "spad" else self.radar.preset
-        setup = msgspec.structs.replace(PRESETS[preset], radar_height_m=self.radar.height_m)
-        if self.radar.noise_figure_db is None:
-            return setup
-        radar = msgspec.structs.replace(setup.radar, noise_figure_db=self.radar.noise_figure_db)
-        return msgspec.structs.replace(setup, radar=radar)
+        """The radar as set up; of a LiDAR the X-band radar whose labels it shares."""
+        return self.radar.setup
 
     @property
     def lidar(self) -> LidarSetup:
@@ -303,9 +349,11 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
 
 #: Fields of the radar's blocks and of surfaces that came after places were drawn. At their defaults they are not
 #: written: scenes drawn before keep their bytes and their hashes.
+_LATER_RADAR_FIELDS = ("bandwidth_hz", "transmit_power_w", "chirps_per_beam", "array", "beams_deg")
 _LATER_FIELDS = {"spad": ("tail_share", "tail_s"), "front_end": ("leakage_range_m",)}
 _LATER_SURFACE_FIELDS = ("diffuse_lobe",)
 _LATER_WEATHER_FIELDS = ("snow_mm_per_h", "fog_g_per_m3")
+_PLAIN_RADAR = SceneRadar()
 _PLAIN_SURFACE = Surface(role="relay", material="concrete")
 
 
@@ -336,6 +384,9 @@ def _plain(scene: Scene) -> dict[str, Any]:
         for name in names:
             if getattr(given, name) == getattr(type(given)(), name):
                 del plain["radar"][block][name]
+    for name in _LATER_RADAR_FIELDS:
+        if getattr(scene.radar, name) == getattr(_PLAIN_RADAR, name):
+            del plain["radar"][name]
     for name in _LATER_WEATHER_FIELDS:
         if getattr(scene.weather, name) == 0.0:
             del plain["weather"][name]
@@ -350,16 +401,12 @@ def check_scene(scene: Scene) -> None:
     """Raise ValueError, field first, where a scene cannot be simulated."""
     if not scene.name.strip():
         raise ValueError("name: must not be empty: recordings and pictures are named by it")
-    if not scene.objects and not any(surface.role != "ground" for surface in scene.surfaces):
-        raise ValueError("surfaces: a scene needs at least one wall or object, got none")
-    for field, value in _numbers(msgspec.to_builtins(scene), ""):
+    numbers = list(_numbers(msgspec.to_builtins(scene), ""))
+    for field, value in numbers:
         if not math.isfinite(value):
             raise ValueError(f"{field}: must be finite, got {value!r}")
-        # frequencies, powers and thicknesses have ranges of their own
-        is_length = not field.endswith(".thickness_mm")
-        if is_length and abs(value) > FARTHEST_M and field.split(".")[0].split("[")[0] in ("surfaces", "objects"):
-            raise ValueError(f"{field}: must lie within {FARTHEST_M:g} of 0, got {value!r}")
     _check_radar(scene.radar)
+    _check_distances(scene, numbers)
     _require_speed("ego.speed_mps", scene.ego.speed_mps, MAX_SPEED_MPS)
     _require_speed("ego.yaw_rate_dps", scene.ego.yaw_rate_dps, MAX_YAW_RATE_DPS)
     try:
@@ -378,13 +425,43 @@ def check_scene(scene: Scene) -> None:
     _check_overlaps(scene.objects)
 
 
+def farthest_m(setup: RadarSetup) -> float:
+    """Return how far what a radar at rest sees may stand: as far as echoes return within a chirp, and its reach."""
+    return 0.5 * SPEED_OF_LIGHT_MPS * setup.radar.chirp_period_s + reach_m(setup)
+
+
+def reach_m(setup: RadarSetup) -> float:
+    """Return the half round trip up to which a part of a world has all paths."""
+    return REACH_SHARE * RangeAzimuthGrid().range_bins * setup.radar.range_bin_m
+
+
+def _check_distances(scene: Scene, numbers: list[tuple[str, float]]) -> None:
+    """Check that no coordinate or size is beyond what the radar can see; it may drive far, and a city may be large."""
+    limit_m = FARTHEST_M if scene.moves else min(farthest_m(scene.setup), FARTHEST_M)
+    is_city = sum(len(surface.polyline_m) for surface in scene.surfaces) > WHOLE_WALLS
+    for field, value in numbers:
+        block, _, name = field.partition("].")
+        kind = block.partition("[")[0]
+        # thicknesses have ranges of their own
+        if kind not in ("surfaces", "objects") or name == "thickness_mm":
+            continue
+        within_m = FARTHEST_M if (kind == "surfaces" and is_city) or not _is_place(name) else limit_m
+        if abs(value) > within_m:
+            why = ", which is as far as the radar sees" if within_m < FARTHEST_M else ""
+            raise ValueError(f"{field}: must lie within {within_m:g} of 0{why}, got {value!r}")
+
+
+def _is_place(name: str) -> bool:
+    return name in ("x_m", "y_m") or name.startswith("polyline_m")
+
+
 def _require_speed(field: str, value: float, limit: float) -> None:
     if not abs(value) <= limit:
         raise ValueError(f"{field}: must lie in {-limit:g}..{limit:g}, got {value!r}")
 
 
 def _check_radar(radar: SceneRadar) -> None:
-    """Check the mounting and the faults of the front end."""
+    """Check the mounting, the faults of the front end and the set-up."""
     front_end = radar.front_end
     if not radar.height_m > 0.0:
         raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
@@ -402,6 +479,7 @@ def _check_radar(radar: SceneRadar) -> None:
         raise ValueError(
             f"radar.front_end.flicker_corner_hz: must not be negative, got {front_end.flicker_corner_hz!r}"
         )
+    _ = radar.setup
 
 
 def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:

@@ -20,6 +20,7 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
 from sim_player.effects.edge_diffraction import open_edges
 from sim_player.effects.mirrored_diffraction import mirrors_beside
+from sim_player.scene.description import WHOLE_WALLS, reach_m
 from sim_player.scene.visibility import PlanWalls, lit_in_mirrors, lit_walls, split_walls
 from sim_player.scene.world import (
     BEHIND,
@@ -36,10 +37,6 @@ from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.routes import dot, norm
 from sim_player.trace.segments import Blockers, join_blockers, segment_occlusion
 
-#: Worlds of so many pieces of wall or fewer are traced whole.
-WHOLE_WALLS = 64
-#: Reach over the range of a map: echoes beyond the map leak into it, the less the further.
-REACH_SHARE = 1.5
 #: The radar's surroundings are kept while it stays in a square of this side.
 SQUARE_M = 16.0
 #: Shares of a wall are told apart to so much.
@@ -51,11 +48,6 @@ LEAK_DB = -40.0
 #: Delay of such a flash at most, in chirps.
 LATEST = 0.99
 _NO_SPECKS = np.zeros(0, int), np.zeros(0, int)
-
-
-def reach_m(setup: RadarSetup) -> float:
-    """Return the half round trip up to which a part of a world has all paths."""
-    return REACH_SHARE * RangeAzimuthGrid().range_bins * setup.radar.range_bin_m
 
 
 def reachable_snapshot(

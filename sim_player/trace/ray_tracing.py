@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from msgs.values.perception import PathClass
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import PATHS
-from sim_player.scene.reach import reachable_snapshot
+from sim_player.scene.reach import LATEST, reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes, join_echoes
@@ -51,7 +52,15 @@ def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
             echoes[name] = as_chords(tracing)
     if math.isfinite(view.world.reach_m):
         echoes = {name: made.take(is_kept(view, made)) for name, made in echoes.items()}
+    echoes = {name: _within_a_chirp(view, made) for name, made in echoes.items()}
     return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}
+
+
+def _within_a_chirp(view: Snapshot, echoes: Echoes) -> Echoes:
+    """Return the echoes that come back before the next chirp is over: later ones are of no chirp that is mixed."""
+    length_m = echoes.out_m + echoes.back_m
+    latest_m = LATEST * SPEED_OF_LIGHT_MPS * view.world.radar.chirp_period_s
+    return echoes if length_m.max(initial=0.0) < latest_m else echoes.take(length_m < latest_m)
 
 
 def is_kept(view: Snapshot, echoes: Echoes) -> np.ndarray:

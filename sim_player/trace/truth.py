@@ -49,7 +49,7 @@ def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
 
 def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> np.ndarray:
     """Return the indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
-    grid = RangeAzimuthGrid() if grid is None else grid
+    grid = setup.map_grid if grid is None else grid
     power = best_power_mw(setup, paths)
     row, column, inside = _cells(paths, grid)
     strong = power > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
@@ -140,7 +140,7 @@ def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
     with np.errstate(divide="ignore"):
         snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
     image = (paths.kind == PathClass.MIRRORED) & (paths.object_index >= 0)
-    shown = image & _cells(paths, RangeAzimuthGrid())[2]
+    shown = image & _cells(paths, setup.map_grid)[2]
     return ObjectImages(
         direct=np.bincount(
             paths.object_index[(paths.kind == PathClass.LOS) & (paths.object_index >= 0)], minlength=count

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_scan import label_points
 from sim_player.dataset.shards import scene_seed
@@ -80,7 +80,7 @@ def unthinned_paths(setup: RadarSetup, paths: Paths) -> Paths:
     """Return the candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some
     beam.
     """
-    grid, radar = RangeAzimuthGrid(), setup.radar
+    grid, radar = setup.map_grid, setup.radar
     noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
     row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
     inside = (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)

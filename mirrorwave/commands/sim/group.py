@@ -90,7 +90,7 @@ def run(
     if isinstance(source, ScenePlayer):
         require_room(out, scans * source.setup.scan_bytes)
     if not len(source.paths(0)):
-        typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
+        typer.echo(f"{scene}: no echo of a wall or an object reaches the sensor", err=True)
     with compile_line(), progress_bar("messages", total) as advance:
         sent = player.with_walls(player.scene_events(source, scans), source, params)
         events = _counted_by(advance, (event.outgoing for event in sent))

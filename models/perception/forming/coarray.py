@@ -167,9 +167,7 @@ class AzimuthInterpolator:
         coherence: CoherenceTest | None = None,
     ) -> None:
         self.setup = setup
-        # a chirp of fewer samples has no more bins
-        bins = min(RangeAzimuthGrid().range_bins, setup.radar.samples_per_chirp)
-        self.grid = grid or RangeAzimuthGrid(range_bin_m=setup.radar.range_bin_m, range_bins=bins)
+        self.grid = grid or setup.map_grid
         self.coherence = coherence or CoherenceTest()
         self._beam_matrix = beam_matrix(setup)
         self._magnitude_matrix = _ideal_two_way(setup, setup.beams.azimuth_rad)

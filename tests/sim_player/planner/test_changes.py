@@ -13,7 +13,7 @@ from sim_player.effects.table import EFFECTS, SIGNAL, ArrayEffect, SignalEffect,
 from sim_player.planner.ablation import EffectAblation, _crowd, _mirror_skirts
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
-from sim_player.scene.description import Scene, SceneObject, SceneRadar
+from sim_player.scene.description import Scene, SceneObject, SceneRadar, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import noise_profiles
@@ -35,6 +35,7 @@ def ablation(front_end: FrontEnd = FRONT_END) -> EffectAblation:
         surfaces=(wall((12.0, -5.0), (12.0, 8.0), material="concrete"),),
         objects=(SceneObject(class_="car", x_m=8.0, y_m=3.0),),
         radar=SceneRadar(front_end=front_end),
+        weather=Weather(rain_mm_per_h=5.0),
     )
     found = EffectAblation(prepare(scene), scene.setup, 0.0, Purpose.SAMPLES, 0.1)
     found.begin()

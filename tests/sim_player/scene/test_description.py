@@ -54,6 +54,24 @@ def test_written_scene_reads_back_the_same() -> None:
         assert scene_from_yaml(scene_to_yaml(read)) == read
 
 
+def test_a_radar_is_a_preset_and_what_differs_from_it() -> None:
+    """Every field reaches the set-up; a digital array of other columns has as many orthogonal beams."""
+    stated = "radar: {array: {columns: 6, rows: 2, row_spacing_m: 0.02}, bandwidth_hz: 5.0e+8, chirps_per_beam: 16,"
+    read = scene_from_yaml(
+        scene(more=f"{stated} transmit_power_w: 0.01, noise_figure_db: 6, beams_deg: [-15, 0, 15]}}")
+    )
+    setup, preset = read.setup, scene_from_yaml(scene()).setup
+    assert (setup.array.columns, setup.array.rows, setup.array.row_spacing_m) == (6, 2, 0.02)
+    assert (setup.array.phase_bits, setup.array.steered_ways) == (preset.array.phase_bits, preset.array.steered_ways)
+    assert (setup.radar.bandwidth_hz, setup.radar.transmit_power_w, setup.radar.noise_figure_db) == (5e8, 0.01, 6.0)
+    assert (setup.radar.chirps_per_beam, setup.beams.azimuth_deg) == (16, (-15.0, 0.0, 15.0))
+    assert setup.map_grid.range_bin_m == pytest.approx(0.29979, abs=1e-5)
+    assert scene_from_yaml(scene_to_yaml(read)) == read
+    assert "array" not in scene_to_yaml(scene_from_yaml(scene()))
+    digital = scene_from_yaml(scene(more="radar: {preset: 77ghz, array: {columns: 16}}")).setup
+    assert len(digital.beams) == digital.array.columns == 16
+
+
 def test_default_lobe_is_not_written() -> None:
     """Scenes drawn before surfaces had it keep their text and their hash; another lobe changes both."""
     plain = scene_from_yaml(scene())
@@ -80,8 +98,27 @@ def test_unknown_lobes_of_scenes_made_by_hand_are_refused() -> None:
         ("[1]", "expected a mapping of name, radar, surfaces, objects, ego, weather, got a list"),
         ("name: x\nradar: {heigth_m: 1}", "radar: object contains unknown field `heigth_m`; known are preset, height"),
         (scene(WALL.replace("concrete", "cheese").join("[]")), "surfaces[0].material: unknown material 'cheese'"),
-        (scene("[]"), "surfaces: a scene needs at least one wall or object"),
-        (scene("[{role: ground, material: concrete}]"), "surfaces: a scene needs at least one wall or object"),
+        (
+            scene(WALL.replace("10, -5", "10, -5000").join("[]")),
+            "surfaces[0].polyline_m[0][1]: must lie within 983.091",
+        ),
+        (
+            scene(objects="[{class: car, x_m: 8000, y_m: 0}]"),
+            "objects[0].x_m: must lie within 983.091 of 0, which is as",
+        ),
+        (scene(more="radar: {array: {columns: 0}}"), "radar.array.columns: must lie in 1..256, got 0"),
+        (scene(more="radar: {array: {row: 2}}"), "radar.array: object contains unknown field `row`; known are columns"),
+        (
+            scene(more="radar: {preset: 77ghz, array: {steered_ways: 2}}"),
+            "radar.array.digital: needs array.steered_ways 1",
+        ),
+        (scene(more="radar: {bandwidth_hz: -7e8}"), "radar.bandwidth_hz: must lie in 1..1e+13, got -700000000.0"),
+        (scene(more="radar: {transmit_power_w: .nan}"), "radar.transmit_power_w: must be finite, got nan"),
+        (scene(more="radar: {chirps_per_beam: 0}"), "radar.chirps_per_beam: must lie in 1..16384, got 0"),
+        (scene(more="radar: {beams_deg: []}"), "radar.beams_deg: must name at least one beam"),
+        (scene(more="radar: {beams_deg: [95]}"), "radar.beams_deg: must lie inside -90..90, got (95.0,)"),
+        (scene(more="weather: {rain_mm_per_h: -3}"), "weather.rain_mm_per_h: must lie in 0..200, got -3.0"),
+        (scene(more="weather: {snow_mm_per_h: 51}"), "weather.snow_mm_per_h: must lie in 0..50, got 51.0"),
         (scene(WALL.replace("[10, 5]", "[10, -5]").join("[]")), "surfaces[0].polyline_m[1]: a piece of wall must have"),
         (scene(WALL.replace("[10, 5]", "[.nan, 5]").join("[]")), "surfaces[0].polyline_m[1][0]: must be finite"),
         (scene(WALL.replace(", [10, 5]", "").join("[]")), "surfaces[0].polyline_m: needs two points or more, got 1"),
@@ -351,5 +388,5 @@ def test_object_in_the_bulge_of_an_arc_is_refused() -> None:
 
 
 def test_places_out_of_this_world_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must lie within 10000 of 0"):
+    with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must lie within 983.091 of 0"):
         scene_from_yaml("{name: a, objects: [{class: car, x_m: 1.0e+300, y_m: 0}]}")
