@@ -125,8 +125,8 @@ def _cuts(edges: _Edges) -> list[list[tuple[float, int]]]:
     share = (gap[:, 0] * along[second, 1] - gap[:, 1] * along[second, 0]) / turn[crosses]
     node = _coinciding(np.concatenate([edges.start, edges.start[first] + share[:, None] * along[first]]))
     corner, edge = tree.query(shapely.points(edges.start), predicate="dwithin", distance=TOUCH_M)
-    others = edges.building[corner] != edges.building[edge]
-    corner, edge = corner[others], edge[others]
+    foreign = edges.building[corner] != edges.building[edge]
+    corner, edge = corner[foreign], edge[foreign]
     reach = np.einsum("ni,ni->n", edges.start[corner] - edges.start[edge], along[edge]) / length_m[edge] ** 2
     cuts = [[(0.0, int(node[at])), (1.0, int(node[to]))] for at, to in enumerate(edges.following)]
     for line, at, number in zip(
@@ -163,15 +163,15 @@ def _judged(
     covered[piece[shape != edges.building[edge[piece]]]] = True
     area = np.array([each.area for each in shapes]).round(3)
     kept: list[list[tuple[float, float]]] = [[] for _ in cuts]
-    seen: set[frozenset[int]] = set()
+    drawn: set[frozenset[int]] = set()
     twice = 0
     for index in np.lexsort((np.arange(len(edge)), area[edges.building[edge]])):
         if covered[index]:
             continue
-        if nodes[index] in seen:
+        if nodes[index] in drawn:
             twice += 1
             continue
-        seen.add(nodes[index])
+        drawn.add(nodes[index])
         kept[edge[index]].append((float(span[index, 0]), float(span[index, 1])))
     return [_joined(sorted(own)) for own in kept], int(covered.sum()), twice
 

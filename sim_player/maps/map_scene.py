@@ -145,21 +145,21 @@ def map_scene(
     return made
 
 
-def _once(found: list[tuple[shapely.Polygon, Footprint]]) -> list[tuple[shapely.Polygon, Footprint]]:
+def _once(outlines: list[tuple[shapely.Polygon, Footprint]]) -> list[tuple[shapely.Polygon, Footprint]]:
     """Return buildings of different outlines, each with the courtyards and the tags that any of the same outline has.
 
     An outline and its multipolygon are both buildings to some tools.
     """
-    rings = np.array([shape.exterior for shape, _ in found], object)
+    rings = np.array([shape.exterior for shape, _ in outlines], object)
     first, second = shapely.STRtree(rings).query(rings, predicate="dwithin", distance=TOUCH_M)
     ahead = first < second
     first, second = first[ahead], second[ahead]
     same = shapely.hausdorff_distance(rings[first], rings[second]) <= TOUCH_M
-    once = dict(enumerate(found))
-    for one, two in sorted(zip(first[same].tolist(), second[same].tolist(), strict=True)):
-        if one in once and two in once:
-            ours, other = sorted((once[one], once.pop(two)), key=lambda each: len(each[1].holes), reverse=True)
-            once[one] = ours[0], replace(ours[1], tags={**other[1].tags, **ours[1].tags})
+    once = dict(enumerate(outlines))
+    for kept, other in sorted(zip(first[same].tolist(), second[same].tolist(), strict=True)):
+        if kept in once and other in once:
+            ours, theirs = sorted((once[kept], once.pop(other)), key=lambda each: len(each[1].holes), reverse=True)
+            once[kept] = ours[0], replace(ours[1], tags={**theirs[1].tags, **ours[1].tags})
     return list(once.values())
 
 
@@ -191,7 +191,7 @@ class _Builder:
 
     def __init__(self, pose: MapPose, radius_m: float, rules: tuple[WallRule, ...]) -> None:
         self.pose, self.radius_m, self.rules = pose, radius_m, rules
-        self.found: list[tuple[shapely.Polygon, Footprint]] = []
+        self.outlines: list[tuple[shapely.Polygon, Footprint]] = []
         self.placed: list[_Building] = []
         self.broken: list[str] = []
         self.left_out: Counter[str] = Counter()
@@ -223,21 +223,21 @@ class _Builder:
                 f"--position: must stand {RADAR_CLEARANCE_M} m off every wall, "
                 f"got {distance_m:.3f} m to {footprint.field}"
             )
-        self.found.append((shape, footprint))
+        self.outlines.append((shape, footprint))
 
     def surfaces(self) -> list[Surface]:
         """Return the walls of all buildings that border open air, each once."""
-        once = _once(self.found)
-        if repeated := len(self.found) - len(once):
+        once = _once(self.outlines)
+        if repeated := len(self.outlines) - len(once):
             self.left_out["buildings given twice"] = repeated
         for shape, footprint in once:
             self._place(shape, footprint)
-        found = facades([[np.array(ring) for ring in building.rings] for building in self.placed])
-        self.left_out["walls between two buildings"] = found.between
-        if found.twice:
-            self.left_out["walls that another building has too"] = found.twice
+        outer = facades([[np.array(ring) for ring in building.rings] for building in self.placed])
+        self.left_out["walls between two buildings"] = outer.between
+        if outer.twice:
+            self.left_out["walls that another building has too"] = outer.twice
         surfaces = []
-        for building, lines in zip(self.placed, found.lines, strict=True):
+        for building, lines in zip(self.placed, outer.lines, strict=True):
             for line in lines:
                 self.materials[building.rule.material] += len(line) - 1
                 surfaces.append(_surface(building, line))

@@ -64,12 +64,12 @@ def _solid_angle(world: World, setup: RadarSetup, radar: RadarState, step_m: flo
     edges = 0.5 * math.pi * edges * np.abs(edges)
     elevation_rad, height_rad = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
     across = sines[:, None] / np.cos(elevation_rad)
-    seen = np.abs(across) < 1.0
-    azimuth_rad = np.arcsin(np.where(seen, across, 0.0))
+    is_real = np.abs(across) < 1.0
+    azimuth_rad = np.arcsin(np.where(is_real, across, 0.0))
     rows = row_field(setup.array, setup.radar.wavelength_m, elevation_rad) ** setup.array.steered_ways
     field = element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * rows
     # d azimuth d elevation cos(elevation) = d sine d elevation / cos(azimuth)
-    weight = np.where(seen, field**2 * (2.0 / len(sines)) * height_rad / np.cos(azimuth_rad), 0.0)
+    weight = np.where(is_real, field**2 * (2.0 / len(sines)) * height_rad / np.cos(azimuth_rad), 0.0)
     ray = np.clip(((azimuth_rad / math.pi + 0.5) * RAYS).astype(int), 0, RAYS - 1)
     column = np.broadcast_to(np.arange(ELEVATIONS), ray.shape)
     change = np.zeros((len(sines), CELLS + 1))
@@ -159,6 +159,6 @@ def _free_m(world: World, distance_m: np.ndarray, before_m: np.ndarray | float, 
     skyline = np.maximum.accumulate(tops, axis=1)
     for ray, heights in enumerate(skyline):
         first = np.searchsorted(heights, slope, side="right")
-        found = first < len(heights)
-        free_m[ray, found] = sorted_m[ray, first[found]]
+        is_blocked = first < len(heights)
+        free_m[ray, is_blocked] = sorted_m[ray, first[is_blocked]]
     return free_m
