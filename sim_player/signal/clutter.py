@@ -30,8 +30,8 @@ CELLS_PER_BIN = 2
 CELLS = CELLS_PER_BIN * RANGE_BINS * 3 // 2
 #: Directions, evenly over the sine of azimuth: two for each column at least.
 MIN_DIRECTIONS = 128
-#: Share of the power that the terms of slow time leave out.
-LEFT_OUT = 1e-3
+#: Share of the power that the terms of slow time may leave out, which then has the speed of the others.
+LEFT_OUT = 1e-2
 
 
 @dataclass(frozen=True)
@@ -88,16 +88,20 @@ def clutter_profiles(
 
 
 def with_clutter(setup: RadarSetup, terms: Terms, clutter: Clutter, cells: np.ndarray, beam: int) -> Terms:
-    """Return the terms of a beam with those of its drawn cells, complex [slow terms, CELLS]."""
+    """Return the terms of a beam with its drawn cells, complex [slow terms, CELLS], in their own slow time where it
+    holds them.
+    """
     beats, carrier, basis = terms
     count = setup.radar.samples_per_chirp
-    own = fft.ifft(cells, CELLS_PER_BIN * count, axis=1, norm="forward")[:, :count].astype(beats.dtype)
-    slow = slow_time_basis(setup.radar)
+    # draws need no more digits than noise
+    own = fft.ifft(cells.astype(np.complex64), CELLS_PER_BIN * count, axis=1, norm="forward")[:, :count]
     turned = _carrier(setup.radar, _speeds(setup, clutter)[beam : beam + 1])[0] * np.conj(carrier)
-    if np.allclose(turned, 1.0):
-        return np.concatenate([beats, own]), carrier, np.concatenate([basis, slow])
-    rows = slow * turned
-    return np.concatenate([beats, own, 1j * own]), carrier, np.concatenate([basis, rows.real, rows.imag])
+    slow = slow_time_basis(setup.radar) * turned
+    share = slow @ np.linalg.pinv(basis)
+    if np.sum(np.abs(slow - share @ basis) ** 2) <= LEFT_OUT * len(carrier):
+        return beats + share.T.astype(np.complex64) @ own, carrier, basis
+    own = own.astype(beats.dtype)
+    return np.concatenate([beats, own, 1j * own]), carrier, np.concatenate([basis, slow.real, slow.imag])
 
 
 def drawn_cells(
@@ -132,7 +136,8 @@ def _slow_time_basis(chirps: int, step: float) -> np.ndarray:
     vectors = vectors[:, ::-1][:, :terms]
     # eigenvectors have no sign of their own: the first chirp's, or the first step's, is positive
     leading = vectors[np.abs(vectors).argmax(axis=0), np.arange(terms)]
-    return np.asarray((vectors * np.sign(leading) * np.sqrt(power[::-1][:terms])).T)
+    kept = power[::-1][:terms]
+    return np.asarray((vectors * np.sign(leading) * np.sqrt(kept * (chirps / kept.sum()))).T)
 
 
 def _speeds(setup: RadarSetup, clutter: Clutter) -> np.ndarray:

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from models.compiled import compiled
 from models.physics.antenna import element_field, row_field
 from models.physics.precipitation import reflectivity_per_m
 from msgs.values.radar import RadarSetup
@@ -24,8 +25,8 @@ from sim_player.signal.switches import SignalEffects, isotropic
 
 NEAREST_M = 1.0
 #: Elevations of the integral, closer near the horizon, where ground and walls end the beam; azimuths of rays in plan.
-ELEVATIONS = 96
-RAYS = 720
+ELEVATIONS = 64
+RAYS = 360
 #: Rays start so far behind a wall that they have met.
 STEP_M = 1e-6
 
@@ -72,18 +73,18 @@ def _solid_angle(world: World, setup: RadarSetup, radar: RadarState, step_m: flo
     weight = np.where(is_real, field**2 * (2.0 / len(sines)) * height_rad / np.cos(azimuth_rad), 0.0)
     ray = np.clip(((azimuth_rad / math.pi + 0.5) * RAYS).astype(int), 0, RAYS - 1)
     column = np.broadcast_to(np.arange(ELEVATIONS), ray.shape)
-    change = np.zeros((len(sines), CELLS + 1))
-    row = np.broadcast_to(np.arange(len(sines))[:, None], ray.shape)
+    change = np.zeros(len(sines) * (CELLS + 1))
+    row = np.broadcast_to(np.arange(len(sines))[:, None] * (CELLS + 1), ray.shape)
     for gain, first_m, last_m in _free_stretches(world, radar, elevation_rad):
         share = weight * gain[ray, column]
         for sign, end_m in ((1.0, first_m[ray, column]), (-1.0, np.maximum(first_m, last_m)[ray, column])):
             # a cell on the border counts by the share of it that is free
             place = np.minimum(end_m / step_m + 0.5, CELLS)
             cell = np.minimum(place.astype(int), CELLS - 1)
-            part = place - cell
-            np.add.at(change, (row, cell), sign * share * (1.0 - part))
-            np.add.at(change, (row, cell + 1), sign * share * part)
-    return np.maximum(np.cumsum(change, axis=1)[:, :CELLS], 0.0)
+            part = sign * share * (place - cell)
+            change += np.bincount((row + cell).ravel(), (sign * share - part).ravel(), len(change))
+            change += np.bincount((row + cell + 1).ravel(), part.ravel(), len(change))
+    return np.maximum(np.cumsum(change.reshape(len(sines), -1), axis=1)[:, :CELLS], 0.0)
 
 
 def _free_stretches(
@@ -102,7 +103,7 @@ def _free_stretches(
     ground_m = height_m / -down
     slant = 1.0 / np.cos(elevation_rad)
     distance_m = _distances(world, origin, direction)
-    free_m = np.minimum(_free_m(world, distance_m, 0.0, slope), ground_m)
+    free_m = np.minimum(_free_m(world, distance_m, np.zeros(RAYS), slope), ground_m)
     stretches = [(np.ones(free_m.shape), np.zeros(free_m.shape), free_m * slant)]
     high = np.where(world.wall_height_m > height_m, distance_m, np.inf)
     if not len(world.wall_a) or not np.isfinite(high).any():
@@ -121,7 +122,7 @@ def _free_stretches(
         if not gain.any():
             continue
         beyond_m = _distances(world, point + STEP_M * onward, onward, wall)
-        last_m = np.minimum(_free_m(world, beyond_m, met[:, None], slope) + met[:, None], ground_m)
+        last_m = np.minimum(_free_m(world, beyond_m, met, slope) + met[:, None], ground_m)
         # over the wall's top and before it the direct volume counts
         behind = (free_m == met_m[:, None]) * gain[:, None]
         stretches.append((behind, np.broadcast_to(met[:, None] * slant, behind.shape), last_m * slant))
@@ -144,21 +145,26 @@ def _distances(
     return distance_m
 
 
-def _free_m(world: World, distance_m: np.ndarray, before_m: np.ndarray | float, slope: np.ndarray) -> np.ndarray:
+def _free_m(world: World, distance_m: np.ndarray, before_m: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return how far each ray goes at each elevation before a wall that is high enough; [R, elevations].
 
-    `before_m`: how far it has come from the radar.
+    `before_m`: how far it has come from the radar, [R].
     """
+    return np.asarray(_nearest_high(distance_m, before_m, world.wall_height_m - world.radar_height_m, slope))
+
+
+@compiled(error_model="numpy")
+def _nearest_high(distance_m, before_m, over_m, slope):  # type: ignore[no-untyped-def]
     free_m = np.full((len(distance_m), len(slope)), np.inf)
-    if not len(world.wall_a):
-        return free_m
-    order = np.argsort(distance_m, axis=1)
-    sorted_m = np.take_along_axis(distance_m, order, axis=1)
-    over_m = world.wall_height_m[order] - world.radar_height_m
-    tops = np.where(np.isfinite(sorted_m), over_m / (sorted_m + before_m), -np.inf)
-    skyline = np.maximum.accumulate(tops, axis=1)
-    for ray, heights in enumerate(skyline):
-        first = np.searchsorted(heights, slope, side="right")
-        is_blocked = first < len(heights)
-        free_m[ray, is_blocked] = sorted_m[ray, first[is_blocked]]
+    for ray in range(len(distance_m)):
+        for wall in range(len(over_m)):
+            reach_m = distance_m[ray, wall]
+            if reach_m == np.inf:
+                continue
+            top = over_m[wall] / (reach_m + before_m[ray])
+            for n in range(len(slope)):
+                # elevations rise
+                if slope[n] >= top:
+                    break
+                free_m[ray, n] = min(free_m[ray, n], reach_m)
     return free_m

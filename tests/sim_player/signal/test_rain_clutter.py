@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from models.physics.antenna import setup_weights, two_way_pattern
+from msgs.values.radar import PRESETS
 from msgs.values.units import BOLTZMANN_J_PER_K, SPEED_OF_LIGHT_MPS
 from sim_player.effects.weights import air_db_per_m
 from sim_player.planner.plan import manual_plan, noisy_profiles, plan_world
@@ -132,7 +133,8 @@ def test_ground_and_wall_end_the_volume() -> None:
 def test_draws_have_the_profile_and_fade_between_beams() -> None:
     """Circular Gaussian: mean power as stated (0.5 dB), kurtosis 2; beams of a scan apart, chirps of a beam alike.
 
-    The covariance of slow time is exp(-(t / tau)^2 / 2), tau = lambda / (4 pi 1 m/s) = 2.39 ms: 0.96 over a beam.
+    The covariance of slow time is exp(-(t / tau)^2 / 2), tau = lambda / (4 pi 1 m/s) = 2.39 ms: 0.96 over a beam, of
+    which terms of a hundredth of the power are left out; at 77 GHz 0.08 over a beam.
     """
     world = prepare(scene())
     clutter = clutter_at(world, RAINS)
@@ -144,20 +146,20 @@ def test_draws_have_the_profile_and_fade_between_beams() -> None:
     white = draws / np.sqrt(np.maximum(power, 1e-300))
     beams = np.mean(white[:, :-1, 20:] * np.conj(white[:, 1:, 20:]))
     assert abs(beams) < 0.02
-    basis = slow_time_basis(world.radar)
-    covariance = basis.T @ basis
-    tau = correlation_time_s(world.radar)
-    assert tau == pytest.approx(SPEED_OF_LIGHT_MPS / 10e9 / (4.0 * math.pi))
-    apart = np.arange(128) * world.radar.chirp_period_s / tau
-    np.testing.assert_allclose(covariance[0], np.exp(-0.5 * apart**2), atol=5e-3)
-    assert math.exp(-0.5 * (12e-3 / tau) ** 2) < 1e-5
+    for radar, carrier_hz in ((world.radar, 10e9), (PRESETS["77ghz"].radar, 77e9)):
+        basis, tau = slow_time_basis(radar), correlation_time_s(radar)
+        assert tau == pytest.approx(SPEED_OF_LIGHT_MPS / carrier_hz / (4.0 * math.pi))
+        apart = np.subtract.outer(np.arange(128), np.arange(128)) * radar.chirp_period_s / tau
+        np.testing.assert_allclose(basis.T @ basis, np.exp(-0.5 * apart**2), atol=0.05)
+        assert math.exp(-0.5 * (12e-3 / tau) ** 2) < 1e-5
 
 
 def test_beams_of_one_time_share_their_drops() -> None:
     """A digital array: neighbouring beams are correlated as their patterns overlap, distant ones are not."""
     world = prepare(scene(preset="77ghz"))
     clutter = clutter_at(world, RAINS)
-    draws = drawn_cells(world.setup, clutter, RAINS, NO_FAULTS, 3)[:, 0, 40:1000]
+    power = clutter.beam_power_mw(world.setup, RAINS, NO_FAULTS)[:, 40:1000]
+    draws = drawn_cells(world.setup, clutter, RAINS, NO_FAULTS, 3)[:, 0, 40:1000] / np.sqrt(power)
     weights = setup_weights(world.setup)
     azimuth = np.radians(np.arange(-89.95, 90.0, 0.1))
     pattern = two_way_pattern(world.setup, weights, azimuth, np.zeros(len(azimuth)))
@@ -181,7 +183,9 @@ def test_all_levels_agree_and_follow_the_radar() -> None:
     np.testing.assert_allclose(hann_profiles(mean, 8192)[0, 2:], profiles[12, 2:], atol=1e-3 * np.abs(profiles).max())
     sample = np.array([0, 1, 777, 8191])
     tones = np.exp(2j * np.pi * np.outer(sample, np.arange(cells.shape[2])) / 16384.0)
-    np.testing.assert_allclose(beats[1 : 1 + cells.shape[1], sample], (tones @ cells[12].T).T, atol=1e-15)
+    wanted_beats = (tones @ cells[12].T).T
+    at = np.abs(wanted_beats).max()
+    np.testing.assert_allclose(beats[1 : 1 + cells.shape[1], sample], wanted_beats, atol=1e-5 * at)
     chirps = (carrier * basis).T @ beats[:, ::64]
     turn = np.angle(np.vdot(chirps[:-1], chirps[1:]))
     wanted = -4.0 * math.pi * 8.0 * setup.radar.chirp_period_s / setup.radar.wavelength_m
