@@ -20,7 +20,7 @@ from sim_player.planner.plan import resolve_plan
 from sim_player.scene.clear_path import first_meeting, meeting_text
 from sim_player.scene.description import Ego, Scene
 from sim_player.scene.reach import reachable_snapshot
-from sim_player.scene.world import RadarState, prepare
+from sim_player.scene.world import RadarState, prepare, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
@@ -145,9 +145,8 @@ class DrivePlayer:
         """Return the echoes of rain, snow and fog around the radar at the start of a scan, and their draws."""
         if self._drawn is None or self._drawn[0] != scan:
             time_s, front_end = self._elapsed_s(self.stamp_ns(scan)), self._world.scene.radar.front_end
-            clutter = clutter_at(
-                self._world, self._signal, radar=RadarState(self._pose(time_s), self._velocity(time_s))
-            )
+            radar = RadarState(self._pose(time_s), self._velocity(time_s))
+            clutter = clutter_at(snapshot(self._world, time_s, radar), self._signal)
             self._drawn = scan, clutter, drawn_cells(self.setup, clutter, self._signal, front_end, self._seed, scan)
         return self._drawn[1:]
 

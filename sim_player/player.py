@@ -15,7 +15,7 @@ from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.planner.purposes import purpose_of
 from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
-from sim_player.scene.world import prepare
+from sim_player.scene.world import prepare, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
@@ -175,7 +175,7 @@ class ScenePlayer:
         """Return the echoes of rain, snow and fog around the radar at the start of a scan, and their draws."""
         if self._drawn is None or self._drawn[0] != scan:
             signal, front_end = self.signal(scan), self.scene.radar.front_end
-            clutter = clutter_at(self._world, signal, self._elapsed_s(self.stamp_ns(scan)))
+            clutter = clutter_at(snapshot(self._world, self._elapsed_s(self.stamp_ns(scan))), signal)
             self._drawn = scan, clutter, drawn_cells(self.setup, clutter, signal, front_end, self._seed, scan)
         return self._drawn[1:]
 

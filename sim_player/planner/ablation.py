@@ -21,7 +21,7 @@ from sim_player.planner.purposes import DETECTION, Purpose
 from sim_player.planner.selection import ANYTHING, Selection, keep_all, select
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.reach import reachable_snapshot
-from sim_player.scene.world import RadarState, World
+from sim_player.scene.world import World
 from sim_player.signal.clutter import profile_power_mw
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.rain_volume import clutter_at
@@ -211,8 +211,7 @@ class EffectAblation:
         """Rms of the echoes of rain, snow and fog, sqrt(mW), float64 [B, bins]."""
         if "rain_clutter" not in self.used:
             return np.zeros(self.shape)
-        radar = RadarState(self.view.pose, self.view.radar_velocity)
-        clutter = clutter_at(self.world, self.flags(), radar=radar)
+        clutter = clutter_at(self.view, self.flags())
         return np.sqrt(profile_power_mw(self.setup, clutter, self.flags(), self.front_end))
 
     def spurs(self) -> np.ndarray:

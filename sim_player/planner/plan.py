@@ -34,7 +34,7 @@ from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.planner.spans import SpanSelection
 from sim_player.scene.reach import reachable_snapshot
-from sim_player.scene.world import RadarState, Snapshot, World
+from sim_player.scene.world import Snapshot, World
 from sim_player.signal.clutter import clutter_profiles
 from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.rain_volume import clutter_at
@@ -231,9 +231,8 @@ def _of_the_air(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:
     """Return the drawn echoes of rain, snow and fog, complex [beams, bins]; one zero where the plan has none."""
     if not plan.signal.rain_clutter:
         return np.zeros(1)
-    view = plan.view
-    clutter = clutter_at(view.world, plan.signal, radar=RadarState(view.pose, view.radar_velocity))
-    return clutter_profiles(setup, clutter, plan.signal, view.world.scene.radar.front_end, seed)
+    clutter = clutter_at(plan.view, plan.signal)
+    return clutter_profiles(setup, clutter, plan.signal, plan.view.world.scene.radar.front_end, seed)
 
 
 class _Planner:

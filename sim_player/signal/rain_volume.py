@@ -4,8 +4,8 @@ The radar equation of a volume: a cell of range sends back P lambda^2 eta / ((4 
 two-way power pattern over the solid angle that is free (Skolnik, Introduction to Radar Systems, Eq. 13.12), less what
 the air takes both ways. The ground, where a scene names one, ends what lies below it. A wall ends the volume under its
 top; what it mirrors and lets through goes on behind it, with the fourth power of its field factor, up to the next wall.
-Left out: drops by way of the ground or of a second mirror, those out by one way and back by another, shadows of
-objects, curvature (a wall's chord counts), and what lies nearer than `NEAREST_M`, in the near field of the array.
+Bodies end it too. Left out: drops by way of the ground or of a second mirror, those out by one way and back by another,
+curvature (a wall's chord counts), and what lies nearer than `NEAREST_M`, in the near field of the array.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from models.physics.antenna import element_field, row_field
 from models.physics.precipitation import reflectivity_per_m
 from msgs.values.radar import RadarSetup
 from sim_player.effects.weights import air_db_per_m
-from sim_player.scene.world import RadarState, World, scene_radar
+from sim_player.scene.world import Snapshot
 from sim_player.signal.clutter import CELLS, Clutter, cell_range_m, direction_sines
 from sim_player.signal.switches import SignalEffects, isotropic
 
@@ -31,20 +31,18 @@ RAYS = 360
 STEP_M = 1e-6
 
 
-def clutter_at(world: World, effects: SignalEffects, time_s: float = 0.0, radar: RadarState | None = None) -> Clutter:
-    """Return the mean echoes of the air around the radar at a time; `radar` where it does not move as the scene says.
-
-    The last one is kept with the world.
-    """
-    radar = scene_radar(world.scene, time_s) if radar is None else radar
-    key = effects.element_pattern, radar.pose, tuple(radar.velocity.tolist())
-    if world.kept.get("clutter_key") != key:
-        world.kept.update(clutter_key=key, clutter=_clutter(world, effects, radar))
-    kept: Clutter = world.kept["clutter"]
-    return kept
+def clutter_at(view: Snapshot, effects: SignalEffects) -> Clutter:
+    """Return the mean echoes of the air around the radar of a snapshot; the last one is kept with its world."""
+    kept = view.world.kept.get("clutter")
+    if kept is None or kept[0] is not view or kept[1] != effects.element_pattern:
+        kept = view, effects.element_pattern, _clutter(view, effects)
+        view.world.kept["clutter"] = kept
+    clutter: Clutter = kept[2]
+    return clutter
 
 
-def _clutter(world: World, effects: SignalEffects, radar: RadarState) -> Clutter:
+def _clutter(view: Snapshot, effects: SignalEffects) -> Clutter:
+    world = view.world
     setup = world.setup if effects.element_pattern else isotropic(world.setup)
     weather, params = world.scene.weather, world.radar
     eta = reflectivity_per_m(params.carrier_hz, weather.rain_mm_per_h, weather.snow_mm_per_h, weather.fog_g_per_m3)
@@ -53,12 +51,11 @@ def _clutter(world: World, effects: SignalEffects, radar: RadarState) -> Clutter
     constant = 1e3 * params.transmit_power_w * params.wavelength_m**2 * eta * step_m / (4.0 * math.pi) ** 3
     loss = 10.0 ** (-0.2 * air_db_per_m(world) * range_m)
     per_cell = np.where(range_m >= NEAREST_M, constant * loss / np.maximum(range_m, NEAREST_M) ** 2, 0.0)
-    ahead = radar.pose.rotate(np.array([1.0, 0.0]))
-    forward, left = float(radar.velocity @ ahead), float(radar.velocity @ [-ahead[1], ahead[0]])
-    return Clutter(_solid_angle(world, setup, radar, step_m) * per_cell, -np.array([forward, left]))
+    velocity_mps = view.pose.inverse().rotate(view.radar_velocity)
+    return Clutter(_solid_angle(view, setup, step_m) * per_cell, -velocity_mps)
 
 
-def _solid_angle(world: World, setup: RadarSetup, radar: RadarState, step_m: float) -> np.ndarray:
+def _solid_angle(view: Snapshot, setup: RadarSetup, step_m: float) -> np.ndarray:
     """Return the solid angle that is free times the power pattern of elements and rows, [directions, CELLS]."""
     sines = direction_sines(setup)
     edges = np.linspace(-1.0, 1.0, ELEVATIONS + 1)
@@ -75,7 +72,7 @@ def _solid_angle(world: World, setup: RadarSetup, radar: RadarState, step_m: flo
     column = np.broadcast_to(np.arange(ELEVATIONS), ray.shape)
     change = np.zeros(len(sines) * (CELLS + 1))
     row = np.broadcast_to(np.arange(len(sines))[:, None] * (CELLS + 1), ray.shape)
-    for gain, first_m, last_m in _free_stretches(world, radar, elevation_rad):
+    for gain, first_m, last_m in _free_stretches(view, elevation_rad):
         share = weight * gain[ray, column]
         for sign, end_m in ((1.0, first_m[ray, column]), (-1.0, np.maximum(first_m, last_m)[ray, column])):
             # a cell on the border counts by the share of it that is free
@@ -87,29 +84,29 @@ def _solid_angle(world: World, setup: RadarSetup, radar: RadarState, step_m: flo
     return np.maximum(np.cumsum(change.reshape(len(sines), -1), axis=1)[:, :CELLS], 0.0)
 
 
-def _free_stretches(
-    world: World, radar: RadarState, elevation_rad: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _free_stretches(view: Snapshot, elevation_rad: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return stretches of range that hold drops: gain, first and last range; [RAYS, elevations] each.
 
     In direct sight; in the wall that ends it on the horizon; behind that wall.
     """
-    height_m, slope = world.radar_height_m, np.tan(elevation_rad)
-    azimuth_rad = radar.pose.yaw_rad + ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * math.pi
+    world, slope = view.world, np.tan(elevation_rad)
+    height_m, walls = world.radar_height_m, len(world.wall_a)
+    azimuth_rad = view.pose.yaw_rad + ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * math.pi
     direction = np.column_stack([np.cos(azimuth_rad), np.sin(azimuth_rad)])
-    origin = np.broadcast_to([radar.pose.x_m, radar.pose.y_m], direction.shape)
+    origin = np.broadcast_to(view.origin, direction.shape)
     # a scene that names no ground has none
     down = np.minimum(slope, -1e-300) if world.ground is not None else -1e-300
     ground_m = height_m / -down
     slant = 1.0 / np.cos(elevation_rad)
-    distance_m = _distances(world, origin, direction)
-    free_m = np.minimum(_free_m(world, distance_m, np.zeros(RAYS), slope), ground_m)
+    distance_m = _distances(view, origin, direction)
+    free_m = np.minimum(_free_m(view, distance_m, np.zeros(RAYS), slope), ground_m)
     stretches = [(np.ones(free_m.shape), np.zeros(free_m.shape), free_m * slant)]
-    high = np.where(world.wall_height_m > height_m, distance_m, np.inf)
-    if not len(world.wall_a) or not np.isfinite(high).any():
+    high = np.where(view.blockers.height_m > height_m, distance_m, np.inf)
+    if not walls or not np.isfinite(high[:, :walls]).any():
         return stretches
-    wall, met_m = high.argmin(axis=1), high.min(axis=1)
-    meets = np.isfinite(met_m)
+    wall, met_m = high[:, :walls].argmin(axis=1), high[:, :walls].min(axis=1)
+    # what stands before it hides its mirror image too
+    meets = np.isfinite(met_m) & (met_m == high.min(axis=1))
     met = np.where(meets, met_m, 0.0)
     normal = world.wall_frames[0][wall]
     cosine = np.einsum("ri,ri->r", direction, normal)
@@ -121,8 +118,8 @@ def _free_stretches(
     for gain, onward in ((reflected, direction - 2.0 * cosine[:, None] * normal), (through, direction)):
         if not gain.any():
             continue
-        beyond_m = _distances(world, point + STEP_M * onward, onward, wall)
-        last_m = np.minimum(_free_m(world, beyond_m, met, slope) + met[:, None], ground_m)
+        beyond_m = _distances(view, point + STEP_M * onward, onward, wall)
+        last_m = np.minimum(_free_m(view, beyond_m, met, slope) + met[:, None], ground_m)
         # over the wall's top and before it the direct volume counts
         behind = (free_m == met_m[:, None]) * gain[:, None]
         stretches.append((behind, np.broadcast_to(met[:, None] * slant, behind.shape), last_m * slant))
@@ -130,11 +127,11 @@ def _free_stretches(
 
 
 def _distances(
-    world: World, origin: np.ndarray, direction: np.ndarray, skipped: np.ndarray | None = None
+    view: Snapshot, origin: np.ndarray, direction: np.ndarray, skipped: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return how far along rays in plan [R, 2] pieces of wall stand, infinite where a ray misses; [R, W]."""
-    along = world.wall_b - world.wall_a
-    from_ray = world.wall_a[None] - origin[:, None]
+    """Return how far along rays in plan [R, 2] walls and sides of bodies stand, infinite where a ray misses; [R, W]."""
+    along = view.blockers.b - view.blockers.a
+    from_ray = view.blockers.a[None] - origin[:, None]
     turn = direction[:, :1] * along[:, 1] - direction[:, 1:] * along[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead_m = (from_ray[..., 0] * along[:, 1] - from_ray[..., 1] * along[:, 0]) / turn
@@ -145,12 +142,12 @@ def _distances(
     return distance_m
 
 
-def _free_m(world: World, distance_m: np.ndarray, before_m: np.ndarray, slope: np.ndarray) -> np.ndarray:
+def _free_m(view: Snapshot, distance_m: np.ndarray, before_m: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return how far each ray goes at each elevation before a wall that is high enough; [R, elevations].
 
     `before_m`: how far it has come from the radar, [R].
     """
-    return np.asarray(_nearest_high(distance_m, before_m, world.wall_height_m - world.radar_height_m, slope))
+    return np.asarray(_nearest_high(distance_m, before_m, view.blockers.height_m - view.world.radar_height_m, slope))
 
 
 @compiled(error_model="numpy")

@@ -10,7 +10,7 @@ import pytest
 from models.physics.precipitation import reflectivity_per_m
 from sim_player.scene.description import Scene, SceneArray, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import NO_FAULTS
-from sim_player.scene.world import prepare
+from sim_player.scene.world import prepare, snapshot
 from sim_player.signal.clutter import clutter_profiles, profile_power_mw
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.switches import SignalEffects
@@ -35,11 +35,11 @@ def test_clutter_is_finite_and_grows_with_the_rain(surfaces: tuple[Surface, ...]
         radar = SceneRadar(preset=preset)  # type: ignore[arg-type]
         world = prepare(Scene(name="r", radar=radar, surfaces=surfaces, weather=Weather(rain_mm_per_h=rain)))
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            power_mw = profile_power_mw(world.setup, clutter_at(world, RAINS), RAINS, NO_FAULTS)
+            power_mw = profile_power_mw(world.setup, clutter_at(snapshot(world), RAINS), RAINS, NO_FAULTS)
         assert np.isfinite(power_mw).all()
         assert (power_mw >= before).all()
         before = power_mw
-    assert np.isfinite(clutter_profiles(world.setup, clutter_at(world, RAINS), RAINS, NO_FAULTS, 1)).all()
+    assert np.isfinite(clutter_profiles(world.setup, clutter_at(snapshot(world), RAINS), RAINS, NO_FAULTS, 1)).all()
 
 
 @pytest.mark.parametrize("chirps", [1, 2, 2048])
@@ -47,9 +47,9 @@ def test_terms_of_slow_time_keep_the_power(chirps: int) -> None:
     """One chirp of one column, and 2,048 chirps over 4.7 tau: a thousandth of the power is left out at most."""
     radar = SceneRadar(array=SceneArray(columns=1), beams_deg=(0.0,), chirps_per_beam=chirps)
     world = prepare(Scene(name="r", radar=radar, weather=Weather(fog_g_per_m3=5.0, snow_mm_per_h=50.0)))
-    profiles = clutter_profiles(world.setup, clutter_at(world, RAINS), RAINS, NO_FAULTS, 1)
+    profiles = clutter_profiles(world.setup, clutter_at(snapshot(world), RAINS), RAINS, NO_FAULTS, 1)
     assert np.isfinite(profiles).all()
-    power_mw = profile_power_mw(world.setup, clutter_at(world, RAINS), RAINS, NO_FAULTS)[:, 10:]
+    power_mw = profile_power_mw(world.setup, clutter_at(snapshot(world), RAINS), RAINS, NO_FAULTS)[:, 10:]
     ratio = float(np.mean(np.abs(profiles[:, 10:]) ** 2 / power_mw))
     assert 10.0 * math.log10(ratio) == pytest.approx(0.0, abs=1.0)
 

@@ -18,7 +18,7 @@ from sim_player.planner.plan import manual_plan, noisy_profiles, plan_world
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import NO_FAULTS
-from sim_player.scene.world import prepare
+from sim_player.scene.world import prepare, snapshot
 from sim_player.signal.absences import no_rain
 from sim_player.signal.clutter import (
     clutter_profiles,
@@ -46,7 +46,7 @@ def scene(*surfaces: Surface, preset: str = "xband", weather: Weather | None = N
 def over_noise_db(asked: Scene, range_m: float, beam: int) -> float:
     """Mean level of a bin of the product over its thermal noise."""
     world = prepare(asked)
-    power_mw = profile_power_mw(world.setup, clutter_at(world, RAINS), RAINS, NO_FAULTS)
+    power_mw = profile_power_mw(world.setup, clutter_at(snapshot(world), RAINS), RAINS, NO_FAULTS)
     radar = world.radar
     noise_mw = 1e3 * BOLTZMANN_J_PER_K * 290.0 * radar.sample_rate_hz * 10.0 ** (0.1 * radar.noise_figure_db)
     noise_mw *= 1.5 / (radar.samples_per_chirp * radar.chirps_per_beam)
@@ -122,6 +122,15 @@ def test_ground_and_wall_end_the_volume() -> None:
     for surfaces, gain in (((ground,), above), ((ground, foliage), over)):
         wanted = integral_db(dry, xband_eta(25.0), solid_angle(dry, 12, gain), 20.0)
         assert over_noise_db(scene(*surfaces), 20.0, 12) == pytest.approx(wanted, abs=0.3)
+    # a truck broadside, 3.2 m high and 8 m long, hides what lies behind and below its roof
+    truck = SceneObject(class_="truck", x_m=10.0, y_m=0.0, yaw_deg=90.0)
+    side_m = 10.0 - 0.5 * truck.kind.width_m
+    past = lambda azimuth, up: (  # noqa: E731
+        (side_m * np.tan(up) > 1.7 * np.cos(azimuth)) | (side_m * np.abs(np.tan(azimuth)) > 4.0)
+    )
+    wanted = integral_db(dry, xband_eta(25.0), solid_angle(dry, 12, past), 20.0)
+    behind = msgspec.structs.replace(dry, objects=(truck,))
+    assert over_noise_db(behind, 20.0, 12) == pytest.approx(wanted, abs=0.6)
     mirror = msgspec.structs.replace(wall((15.0, -60.0), (15.0, 60.0)), material="metal", height_m=3.0)
     assert over_noise_db(scene(mirror), 20.0, 12) == pytest.approx(over_noise_db(dry, 20.0, 12), abs=0.05)
     concrete = msgspec.structs.replace(mirror, material="concrete", height_m=60.0)
@@ -137,7 +146,7 @@ def test_draws_have_the_profile_and_fade_between_beams() -> None:
     which terms of a hundredth of the power are left out; at 77 GHz 0.08 over a beam.
     """
     world = prepare(scene())
-    clutter = clutter_at(world, RAINS)
+    clutter = clutter_at(snapshot(world), RAINS)
     power = profile_power_mw(world.setup, clutter, RAINS, NO_FAULTS)
     draws = np.stack([clutter_profiles(world.setup, clutter, RAINS, NO_FAULTS, seed) for seed in range(12)])
     ratio = np.abs(draws[:, :, 20:]) ** 2 / power[:, 20:]
@@ -157,7 +166,7 @@ def test_draws_have_the_profile_and_fade_between_beams() -> None:
 def test_beams_of_one_time_share_their_drops() -> None:
     """A digital array: neighbouring beams are correlated as their patterns overlap, distant ones are not."""
     world = prepare(scene(preset="77ghz"))
-    clutter = clutter_at(world, RAINS)
+    clutter = clutter_at(snapshot(world), RAINS)
     power = clutter.beam_power_mw(world.setup, RAINS, NO_FAULTS)[:, 40:1000]
     draws = drawn_cells(world.setup, clutter, RAINS, NO_FAULTS, 3)[:, 0, 40:1000] / np.sqrt(power)
     weights = setup_weights(world.setup)
@@ -174,7 +183,7 @@ def test_all_levels_agree_and_follow_the_radar() -> None:
     """Kernel profiles are the mean of the beats' chirps; the literal sum of tones is the beats; 8 m/s turn chirps."""
     asked = scene(ego=Ego(speed_mps=8.0))
     world, front_end = prepare(asked), NO_FAULTS
-    setup, clutter = world.setup, clutter_at(world, RAINS)
+    setup, clutter = world.setup, clutter_at(snapshot(world), RAINS)
     profiles = clutter_profiles(setup, clutter, RAINS, front_end, 5)
     nothing = np.zeros((1, 8192), np.complex128), np.ones(128, np.complex128), np.ones((1, 128))
     cells = drawn_cells(setup, clutter, RAINS, front_end, 5)
