@@ -438,7 +438,7 @@ def reach_m(setup: RadarSetup) -> float:
 def _check_distances(scene: Scene, numbers: list[tuple[str, float]]) -> None:
     """Check that no coordinate or size is beyond what the radar can see; it may drive far, and a city may be large."""
     limit_m = FARTHEST_M if scene.moves else min(farthest_m(scene.setup), FARTHEST_M)
-    is_city = sum(len(surface.polyline_m) for surface in scene.surfaces) > WHOLE_WALLS
+    is_city = sum(max(len(surface.polyline_m) - 1, 0) for surface in scene.surfaces) > WHOLE_WALLS
     for field, value in numbers:
         block, _, name = field.partition("].")
         kind = block.partition("[")[0]
