@@ -27,6 +27,7 @@ HIDDEN_COUNT = {
     "corner": 1,
     "two_hidden_vehicles": 2,
     "nothing_hidden": 0,
+    "open_field": 0,
     "facade_across_lane_77ghz": 1,
     "hidden_car_xband": 1,
     "hidden_car_77ghz": 1,
