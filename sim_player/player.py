@@ -16,7 +16,7 @@ from sim_player.planner.purposes import purpose_of
 from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare, snapshot
-from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
+from sim_player.signal.clutter import Clutter, drawn_cells, profile_power_mw, with_clutter
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
 from sim_player.signal.rain_volume import clutter_at
@@ -121,7 +121,10 @@ class ScenePlayer:
     def truth_at(self, stamp_ns: int, scan: int) -> SceneTruth:
         """Return the truth at a time, under the effects of a scan."""
         time_s = self._elapsed_s(stamp_ns)
-        return scene_truth(self._world, self.setup, self.paths(time_s, scan), time_s, stamp_ns, scan)
+        clutter_mw = self.clutter_mw(scan)
+        return scene_truth(
+            self._world, self.setup, self.paths(time_s, scan), time_s, stamp_ns, scan, clutter_mw=clutter_mw
+        )
 
     def vehicle_state(self, stamp_ns: int) -> VehicleState:
         """Return the vehicle's constant motion, as its bus would report it."""
@@ -178,6 +181,13 @@ class ScenePlayer:
             clutter = clutter_at(snapshot(self._world, self._elapsed_s(self.stamp_ns(scan))), signal)
             self._drawn = scan, clutter, drawn_cells(self.setup, clutter, signal, front_end, self._seed, scan)
         return self._drawn[1:]
+
+    def clutter_mw(self, scan: int) -> np.ndarray | None:
+        """Return the mean power of the air's echoes in a scan, mW, [beams, bins]; None where there are none."""
+        signal = self.signal(scan)
+        if not signal.rain_clutter:
+            return None
+        return profile_power_mw(self.setup, self._air(scan)[0], signal, self.scene.radar.front_end)
 
     def _path_echoes(self, scan: int, index: int) -> Terms:
         """Return the same of the paths alone."""

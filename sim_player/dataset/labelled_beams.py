@@ -85,7 +85,7 @@ class LabelledPlace:
     def labels(self) -> Labels:
         """Its truth points."""
         classes = tuple(scene_object.object_class for scene_object in self.player.scene.objects)
-        return label_points(self.player.setup, self.player.paths(0.0), 1.0, classes)
+        return label_points(self.player.setup, self.player.paths(0.0), 1.0, classes, self.player.clutter_mw(0))
 
     @cached_property
     def hidden(self) -> tuple[int, ...]:

@@ -112,7 +112,7 @@ class LabelledDrive:
         beams = list(self._beams(scan, state_of(odometry)))
         profiles, radial_speed_mps, objection = self._profiles(scan, beams)
         shown, elapsed_s = self._shown([beam.paths for beam in beams])
-        visible = visible_paths(self._setup, shown)
+        visible = visible_paths(self._setup, shown, clutter_mw=self._player.clutter_mw(scan))
         classes = tuple(road_user.object_class for road_user in self._scene.objects)
         labels = label_points(self._setup, shown.take(visible), 1.0, classes)
         hidden = hidden_objects(shown)

@@ -19,7 +19,7 @@ from msgs.values.perception import TruthObject
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.planner.plan import Plan, manual_plan, plan_world
+from sim_player.planner.plan import Plan, air_power_mw, manual_plan, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
@@ -121,9 +121,15 @@ def labelled_scan(
     return _Scan(scene, seed, choice, plans, gain_db).labelled()
 
 
-def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tuple[str, ...] | None = None) -> Labels:
+def label_points(
+    setup: RadarSetup,
+    paths: Paths,
+    gain: float = 1.0,
+    classes: tuple[str, ...] | None = None,
+    clutter_mw: np.ndarray | None = None,
+) -> Labels:
     """Return the truth points of traced paths as training labels; `classes` are those of the objects, in order."""
-    visible = paths.take(visible_paths(setup, paths))
+    visible = paths.take(visible_paths(setup, paths, clutter_mw=clutter_mw))
     grid = setup.map_grid
     names = np.array([*(classes or ["object"] * (int(visible.object_index.max(initial=-1)) + 1)), WALL])
     return Labels(
@@ -169,7 +175,13 @@ class _Scan:
         classes = tuple(scene_object.object_class for scene_object in self.scene.objects)
         return LabelledScan(
             profiles=profiles.astype(np.complex64),
-            labels=label_points(self.setup, self.paths, self.gain if self.plan is None else 1.0, classes),
+            labels=label_points(
+                self.setup,
+                self.paths,
+                self.gain if self.plan is None else 1.0,
+                classes,
+                None if self.plan is None else air_power_mw(self.plan, self.setup),
+            ),
             noise_power_mw=noise_power_mw(self.setup),
             hidden=tuple(sorted(hidden_objects(self.paths))),
             objects=true_objects(self.world, self.paths, 0.0, Pose2()),

@@ -35,7 +35,7 @@ from sim_player.planner.purposes import Purpose
 from sim_player.planner.spans import SpanSelection
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
-from sim_player.signal.clutter import clutter_profiles
+from sim_player.signal.clutter import clutter_profiles, profile_power_mw
 from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import dither_objection
@@ -225,6 +225,14 @@ def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: st
         alone = msgspec.structs.replace(flags, leakage=False, spurs=False)
         profiles = profiles + kernel_profiles(setup, paths, alone, front_end, precision=precision, seed=seed)
     return profiles + _of_the_air(plan, setup, seed).astype(profiles.dtype)
+
+
+def air_power_mw(plan: Plan, setup: RadarSetup) -> np.ndarray | None:
+    """Return the mean power of the echoes of rain, snow and fog, mW, [beams, bins]; None where the plan has none."""
+    if not plan.signal.rain_clutter:
+        return None
+    clutter = clutter_at(plan.view, plan.signal)
+    return profile_power_mw(setup, clutter, plan.signal, plan.view.world.scene.radar.front_end)
 
 
 def _of_the_air(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from models.physics.antenna import setup_weights, two_way_pattern
+from models.physics.waveform import window_noise_gain
 from msgs.values.frames import Pose2
 from msgs.values.perception import PathClass, SceneTruth, TruthObject, TruthSurface
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -47,12 +48,23 @@ def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
     return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
 
 
-def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> np.ndarray:
-    """Return the indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
+def visible_paths(
+    setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None, clutter_mw: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the indices of the truth points, strongest first: in the grid, over the noise, thinned greedily.
+
+    Noise is the receiver's, and in the beam next to a path the mean power of the air's echoes in profiles, [beams,
+    bins].
+    """
     grid = setup.map_grid if grid is None else grid
     power = best_power_mw(setup, paths)
     row, column, inside = _cells(paths, grid)
-    strong = power > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
+    noise_mw: np.ndarray | float = _noise_mw(setup)
+    if clutter_mw is not None:
+        beam = np.abs(paths.azimuth_rad[:, None] - setup.beams.azimuth_rad).argmin(axis=1)
+        cell = np.clip(np.rint(row), 0, clutter_mw.shape[1] - 1).astype(int)
+        noise_mw = noise_mw + clutter_mw[beam, cell] / window_noise_gain("hann")
+    strong = power > noise_mw * 10.0 ** (VISIBLE_SNR_DB / 10.0)
     candidates = np.flatnonzero(labelled(paths) & inside & strong)
     candidates = candidates[np.argsort(-power[candidates], kind="stable")]
     return candidates[thin(row[candidates], column[candidates])]
@@ -92,14 +104,16 @@ def scene_truth(
     stamp_ns: int,
     scan_id: int,
     start_from_radar: Pose2 | None = None,
+    clutter_mw: np.ndarray | None = None,
 ) -> SceneTruth:
     """Return the truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
 
-    `start_from_radar`: the radar's pose at that time; None: the pose from the scene's `ego`.
+    `start_from_radar`: the radar's pose at that time; None: the pose from the scene's `ego`. `clutter_mw` as of
+    `visible_paths`.
     """
     pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
     radar_from_start = pose.inverse()
-    visible = paths.take(visible_paths(setup, paths))
+    visible = paths.take(visible_paths(setup, paths, clutter_mw=clutter_mw))
     mirrored = visible.take(visible.kind == PathClass.MIRRORED)
     return SceneTruth(
         stamp_ns=stamp_ns,

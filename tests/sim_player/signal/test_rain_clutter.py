@@ -13,6 +13,7 @@ import pytest
 from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.values.radar import PRESETS
 from msgs.values.units import BOLTZMANN_J_PER_K, SPEED_OF_LIGHT_MPS
+from sim_player.dataset.labelled_scan import labelled_scan
 from sim_player.effects.weights import air_db_per_m
 from sim_player.planner.plan import manual_plan, noisy_profiles, plan_world
 from sim_player.player import ScenePlayer
@@ -232,3 +233,14 @@ def test_a_plan_knows_it() -> None:
     planned = noisy_profiles(plan_world(world, world.setup, profiles_only=True), world.setup, 2)
     rms = np.sqrt(np.mean(np.abs(every[:, 400:]) ** 2))
     assert np.abs(every - planned).max() < 0.1 * rms
+
+
+def test_what_drowns_in_rain_has_no_label() -> None:
+    """A pedestrian at 100 m is 29 dB over the noise of a dry map, and 7 dB over 200 mm/h of rain with 50 of snow."""
+    man = SceneObject(class_="pedestrian", x_m=100.0, y_m=0.0)
+    dry = msgspec.structs.replace(scene(weather=Weather()), objects=(man,))
+    wet = msgspec.structs.replace(dry, weather=Weather(rain_mm_per_h=200.0, snow_mm_per_h=50.0))
+    for asked, labels in ((dry, True), (wet, False)):
+        assert bool(len(labelled_scan(asked, 1, "all").labels.range_m)) == labels
+        truth = ScenePlayer(asked, 1, effects="all", chirps_per_beam=128).truth(0)
+        assert bool(len(truth.los_points_m)) == labels
