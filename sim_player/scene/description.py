@@ -418,10 +418,11 @@ def check_scene(scene: Scene) -> None:
             raise ValueError(
                 f"weather.{field}: must lie in {least:g}..{greatest:g}, got {getattr(scene.weather, field)!r}"
             )
+    carrier_hz = scene.setup.radar.carrier_hz
     for index, surface in enumerate(scene.surfaces):
-        _check_surface(f"surfaces[{index}]", surface, scene.setup.radar.carrier_hz)
+        _check_surface(f"surfaces[{index}]", surface, carrier_hz)
     for index, scene_object in enumerate(scene.objects):
-        _check_object(f"objects[{index}]", scene_object, scene)
+        _check_object(f"objects[{index}]", scene_object, scene, carrier_hz)
     _check_overlaps(scene.objects)
 
 
@@ -547,9 +548,9 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
         )
 
 
-def _check_object(field: str, scene_object: SceneObject, scene: Scene) -> None:
+def _check_object(field: str, scene_object: SceneObject, scene: Scene, carrier_hz: float) -> None:
     """Check that an object has one form, a loadable mesh, the radar outside it, and no wall through it."""
-    _check_form(field, scene_object, scene.setup.radar.carrier_hz)
+    _check_form(field, scene_object, carrier_hz)
     _require_speed(f"{field}.speed_mps", scene_object.speed_mps, MAX_SPEED_MPS)
     if scene_object.contains(np.zeros((1, 2)))[0]:
         raise ValueError(
