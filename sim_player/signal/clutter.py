@@ -32,6 +32,8 @@ CELLS = CELLS_PER_BIN * RANGE_BINS * 3 // 2
 MIN_DIRECTIONS = 128
 #: Share of the power that the terms of slow time may leave out, which then has the speed of the others.
 LEFT_OUT = 1e-2
+#: The same of a beam's own terms, which are not those of a plan with fewer paths: under any budget.
+NOT_HELD = 1e-4
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def with_clutter(setup: RadarSetup, terms: Terms, clutter: Clutter, cells: np.nd
     turned = _carrier(setup.radar, _speeds(setup, clutter)[beam : beam + 1])[0] * np.conj(carrier)
     slow = slow_time_basis(setup.radar) * turned
     share = slow @ np.linalg.pinv(basis)
-    if np.sum(np.abs(slow - share @ basis) ** 2) <= LEFT_OUT * len(carrier):
+    if np.sum(np.abs(slow - share @ basis) ** 2) <= NOT_HELD * len(carrier):
         return beats + share.T.astype(np.complex64) @ own, carrier, basis
     own = own.astype(beats.dtype)
     return np.concatenate([beats, own, 1j * own]), carrier, np.concatenate([basis, slow.real, slow.imag])
