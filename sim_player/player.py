@@ -178,7 +178,10 @@ class ScenePlayer:
         """Return the echoes of rain, snow and fog around the radar at the start of a scan, and their draws."""
         if self._drawn is None or self._drawn[0] != scan:
             signal, front_end = self.signal(scan), self.scene.radar.front_end
-            clutter = clutter_at(snapshot(self._world, self._elapsed_s(self.stamp_ns(scan))), signal)
+            if self._drawn is None or self.scene.moves:
+                clutter = clutter_at(snapshot(self._world, self._elapsed_s(self.stamp_ns(scan))), signal)
+            else:
+                clutter = self._drawn[1]
             self._drawn = scan, clutter, drawn_cells(self.setup, clutter, signal, front_end, self._seed, scan)
         return self._drawn[1:]
 
