@@ -102,6 +102,43 @@ def passed_share_at(v):  # type: ignore[no-untyped-def]
     return dark if v < 0.0 else 1.0 - dark
 
 
+#: Fresnel's arguments between which an edge's own wave is faded out of the ray that passes beside it. Beyond, its path
+#: is longer by more than a range bin: an echo of its own, not a part of this one.
+FADES_FROM, FADES_TO = 3.0, 6.0
+
+
+@compiled(error_model="numpy")
+def passed_edge_at(clearance_m, before_m, behind_m, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return the share of a ray's field that goes on where the ray clears an edge by so much, metres before and behind.
+
+    `passed_share_at` of v = clearance sqrt(2 (1 / before + 1 / behind) / lambda) (ITU-R P.526-15, Eq. 26): 1/2 where
+    the ray meets the edge. What the edge adds to the ray is faded out far off: exactly 1 or 0 beyond `FADES_TO`.
+    """
+    v = clearance_m * math.sqrt(2.0 * (1.0 / before_m + 1.0 / behind_m) / wavelength_m)
+    lit = 1.0 if v >= 0.0 else 0.0
+    if abs(v) >= FADES_TO:
+        return lit + 0.0j
+    bent = passed_share_at(-abs(v))
+    if abs(v) > FADES_FROM:
+        bent *= 0.5 + 0.5 * math.cos(math.pi * (abs(v) - FADES_FROM) / (FADES_TO - FADES_FROM))
+    return lit - bent if v >= 0.0 else bent
+
+
+@compiled(error_model="numpy")
+def reflected_term_at(n, to_face_rad, distance_m, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return the term of one face in a wedge's echo of a wave, per unit of the face's reflection [sqrt(m)].
+
+    As in `wedge_terms`, source and target in one direction `to_face_rad` from the face. At a right angle the face's
+    mirror image begins or ends: where pi - 2 to_face_rad >= 0 it is there, and the term takes half of it away. A
+    negative distance is that of an arc's end beyond its focus: the transition function is the conjugate one.
+    """
+    k = 2.0 * np.pi / wavelength_m
+    term = _term_at(n, 2.0 * to_face_rad, -1.0, k * abs(distance_m), False)
+    if distance_m < 0.0:
+        term = term.conjugate()
+    return -cmath.exp(-0.25j * np.pi) / (2.0 * n * math.sqrt(2.0 * np.pi * k)) * term
+
+
 @compiled(error_model="numpy")
 def wedge_terms_at(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew):  # type: ignore[no-untyped-def]
     """Return `wedge_terms` of one wave."""

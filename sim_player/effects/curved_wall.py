@@ -11,6 +11,7 @@ from models.physics.curved_mirror import bounces
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
+from sim_player.trace.bounce import all_below_top
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
 from sim_player.trace.segments import free_segments
@@ -70,20 +71,28 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
     occlusion = free_segments((view.antenna, point, end), view.blockers, owner[arc_bounces.target])
     cosine = arc_bounces.cos_incidence * (arc_bounces.out_m + arc_bounces.on_m) / arc_bounces.length_m
     whole, front, rough = world.reflection(np.full(len(arc_bounces), wall), np.abs(cosine))
+    depart, out_m = _direction(point - view.antenna), share * arc_bounces.length_m
+    over = all_below_top(
+        world.radar.wavelength_m,
+        world.wall_height_m[wall] - height,
+        out_m,
+        arc_bounces.length_m - out_m,
+        depart[:, 2],
+    )
     routes = make_routes(
         arc_bounces.target,
         arc_bounces.length_m,
-        _direction(point - view.antenna),
+        depart,
         _direction(end - point),
         occlusion,
         bit("specular_relay") | bit("curved_wall"),
         wall=np.full(len(arc_bounces), wall),
-        other=arc_bounces.gain,
+        other=arc_bounces.gain * over,
         whole=whole,
         front=front,
         rough=rough,
     )
-    return routes.take(occlusion.free & (height < world.wall_height_m[wall]))
+    return routes.take(occlusion.free & (over != 0.0))
 
 
 def _flashes(view: Snapshot) -> Echoes:

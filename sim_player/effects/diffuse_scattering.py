@@ -14,7 +14,7 @@ from models.physics.rough_lobe import RoughLobe, rough_lobe
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
-from sim_player.trace.routes import dot, straight_routes
+from sim_player.trace.routes import dot, scatterer_routes
 from sim_player.trace.snapshot import TraceContext
 
 #: Two-way elevation beamwidth of four rows: how much of a wall's height a patch stands for.
@@ -31,10 +31,8 @@ def apply(tracing: TraceContext) -> Echoes:
     """Patches of all rough walls in direct sight."""
     view, world = tracing.view, tracing.view.world
     patches, point = world.rough_patches
-    routes, occlusion = straight_routes(view, point)
-    visible = np.flatnonzero(occlusion.free)
+    visible, routes = scatterer_routes(view, patches, point)
     patches = patches[visible]
-    routes = routes.take(visible).with_columns(target=world.speck_id[patches])
     wall = world.speck_wall[patches]
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     whole, front, rough = world.reflection(wall, cosine)

@@ -15,7 +15,7 @@ from models.physics.fresnel import half_space_at
 from models.physics.mirror import mirrored
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
-from sim_player.trace.bounce import bounce, coherent_field
+from sim_player.trace.bounce import below_top, bounce, coherent_field
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import (
     ROUTE,
@@ -94,8 +94,6 @@ def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # 
         nx, ny = normal[w, 0], normal[w, 1]
         end, image = (centre[n, 0], centre[n, 1], centre[n, 2]), (points[m, 1, 0], points[m, 1, 1], -centre[n, 2])
         at_wall = points[m, 0, 0], points[m, 0, 1], abs(points[m, 0, 2])
-        if at_wall[2] >= top[w]:
-            continue
         share = start[2] / (start[2] + end[2])
         x, y = start[0] + share * (image[0] - start[0]), start[1] + share * (image[1] - start[1])
         reach = math.hypot(at_wall[0] - start[0], at_wall[1] - start[1])
@@ -109,6 +107,10 @@ def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # 
         if leaves < 0.0:
             continue
         depart, length = direction_of(start, image)
+        portion = reach / math.hypot(image[0] - start[0], image[1] - start[1])
+        over = below_top(builds[3], top[w] - at_wall[2], portion * length, (1.0 - portion) * length, depart[2])
+        if over == 0.0:
+            continue
         towards = depart[0] * nx + depart[1] * ny
         arrive = (depart[0] - 2.0 * towards * nx, depart[1] - 2.0 * towards * ny, -depart[2])
         row = rows[count]
@@ -117,7 +119,7 @@ def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # 
         whole, front, rough = bounce(builds, w, abs(towards))
         by_ground, left = _reflection(face, abs(depart[2]))
         fill_bounce(row, w, (whole * by_ground, front * by_ground, rough * left))
-        row.ground, row.foliage = True, leaves
+        row.ground, row.foliage, row.other = True, leaves, over
     return rows[:count]
 
 

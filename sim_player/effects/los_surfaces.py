@@ -1,7 +1,14 @@
 """Walls in direct sight: the flash of a wall that is met square on, and its structure (edges, frames, joints).
 
-A flash is the radar's own image: field r lambda sqrt(P) / (4 pi 2d), from the mirror law alone. Structure is small
-scatterers every 1-3 m and at every end; their level is an engineering choice, not a measurement.
+A flash is the radar's own image: field r lambda sqrt(P) / (4 pi 2d), from the mirror law alone. Where a wall ends, its
+edge sends back too, by the uniform theory (Kouyoumjian and Pathak, 1974) with source and target in one place: where the
+foot of the perpendicular passes the end, the flash ends and the edge's echo changes its sign, and their sum is the
+Fresnel integral over the wall, half a flash at the end itself. Walls that meet are one wedge: a joint of two pieces in
+one line is no edge, one of two materials sends back the difference of what they reflect. Over a wall's top the
+integral over heights does the same (`passed_edge_at`). Left out: the shadow border of another wall on a wall, which
+cuts the flash at once.
+
+Structure is small scatterers every 1-3 m; their level is an engineering choice, not a measurement.
 """
 
 from __future__ import annotations
@@ -12,13 +19,21 @@ import math
 import numpy as np
 
 from models.compiled import compiled
+from models.physics.diffraction import passed_edge_at, reflected_term_at, wedge_terms_at
+from sim_player.effects.edge_diffraction import turn_from_face
 from sim_player.effects.names import bit
+from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
-from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, straight_routes
+from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, join_routes, scatterer_routes
 from sim_player.trace.segments import passage
 from sim_player.trace.snapshot import TraceContext
+
+#: Ends that send back less than this of a mirror as far away send nothing: such are joints of one facade.
+FAINTEST = 1e-5
+#: Least of 1 - distance / radius at an arc's end: nearer to the focus the uniform theory does not hold.
+LEAST_BENT = 0.05
 
 
 def absent(world: World) -> str | None:
@@ -41,10 +56,8 @@ def structure(view: Snapshot) -> Echoes:
     """Small scatterers of all walls in direct sight."""
     world = view.world
     specks, point = world.structure
-    routes, occlusion = straight_routes(view, point)
-    visible = np.flatnonzero(occlusion.free)
+    visible, routes = scatterer_routes(view, specks, point)
     visible_specks = specks[visible]
-    routes = routes.take(visible).with_columns(target=world.speck_id[visible_specks])
     weight = (
         echo_amplitude(world.radar, world.speck_rcs_m2[visible_specks], routes.length_m)
         * world.speck_phasor[visible_specks]
@@ -53,39 +66,129 @@ def structure(view: Snapshot) -> Echoes:
 
 
 def _flashes(view: Snapshot) -> Echoes:
-    """The foot of the perpendicular on every straight piece of wall, where it lies on the piece and is seen."""
+    """The foot of the perpendicular on every straight piece of wall, where it lies on the piece and is seen; the ends.
+
+    Ends of arcs are among them.
+    """
     world = view.world
-    wall, point, rows = _feet(
-        view.antenna, np.flatnonzero(world.is_flat), view.walls, world.builds, view.blockers.pieces
-    )
+    nodes = world.end_nodes
+    scene = world.builds, view.blockers.pieces, world.radar.wavelength_m
+    ends = nodes.position, nodes.node_of, nodes.face_rad_of
+    wall, point, rows = _feet(view.antenna, np.flatnonzero(world.is_flat), view.walls, ends, scene)
     # a number that is no scatterer's
-    routes = Routes(rows).with_columns(target=NONE - world.wall_id[wall])
+    feet = Routes(rows).with_columns(target=NONE - world.wall_id[wall])
+    node, end_point, end_rows = _ends(view.antenna, nodes.arrays, view.walls[4], scene)
+    end = nodes.end[node]
+    end_wall = end // 2
+    edges = Routes(end_rows).with_columns(edge=2 * (2 * world.wall_id[end_wall] + end % 2) + Routes(end_rows).edge)
+    routes = join_routes([feet, edges])
+    points, walls = np.concatenate([point, end_point]), np.concatenate([wall, end_wall])
     weight = flash_weight(view, 2.0 * routes.length_m)
-    return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces"))
+    return surface_echoes(view, routes, weight, points, walls, bit("los_surfaces"))
 
 
 @compiled(error_model="numpy")
-def _feet(antenna, flat, walls, builds, pieces):  # type: ignore[no-untyped-def]
+def _feet(antenna, flat, walls, ends, scene):  # type: ignore[no-untyped-def]
     """Walls, their points and the routes there; one bounce on a round trip is half of it each way."""
-    a, b, normal, offset, top = walls
+    _, _, normal, offset, top = walls
+    position, node_of, face_rad = ends
+    builds, pieces, wavelength_m = scene
     wall, point, rows, count = np.empty(len(flat), np.int64), np.empty((len(flat), 3)), np.empty(len(flat), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
     for w in flat:
         nx, ny = normal[w, 0], normal[w, 1]
         distance = nx * start[0] + ny * start[1] + offset[w]
-        foot = start[0] - distance * nx, start[1] - distance * ny, start[2]
-        wx, wy = b[w, 0] - a[w, 0], b[w, 1] - a[w, 1]
-        share = ((foot[0] - a[w, 0]) * wx + (foot[1] - a[w, 1]) * wy) / (wx * wx + wy * wy)
-        if not (0.0 <= share <= 1.0 and top[w] > start[2] and distance > NEAREST_M):
+        if distance <= NEAREST_M:
             continue
+        over = passed_edge_at(top[w] - start[2], distance, distance, wavelength_m)
+        if over == 0.0:
+            continue
+        is_on = True
+        for end in range(2):
+            # as in the end's own echo, so that both say the same to the last digit
+            x, y = start[0] - position[node_of[w, end], 0], start[1] - position[node_of[w, end], 1]
+            turn = min(turn_from_face(x, y, face_rad[w, end], 1.0), turn_from_face(x, y, face_rad[w, end], -1.0))
+            is_on &= np.pi - 2.0 * turn >= 0.0
+        if not is_on:
+            continue
+        foot = start[0] - distance * nx, start[1] - distance * ny, start[2]
         free, _, foliage = passage(start, foot, -1, pieces, True)
         if not free:
             continue
         fill_route(rows[count], NONE, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
         whole, front, rough = bounce(builds, w, 1.0)
         rows[count].whole, rows[count].front = cmath.sqrt(whole), cmath.sqrt(front)
-        rows[count].rough, rows[count].foliage = math.sqrt(rough), foliage
+        rows[count].rough, rows[count].foliage, rows[count].other = math.sqrt(rough), foliage, cmath.sqrt(over)
         wall[count] = w
         point[count, 0], point[count, 1], point[count, 2] = foot
         count += 1
     return wall[:count], point[:count], rows[:count]
+
+
+@compiled(error_model="numpy")
+def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
+    """Nodes, their points and the routes there; `Routes.edge` tells two of one node apart.
+
+    Of each node the wedge of air between two faces that the radar is in: half a turn for a straight joint, a whole one
+    around a free end. In a corner of 90 deg or less no face has its foot beyond the apex: its images are all there is.
+    """
+    position, start_of, face_wall, face_rad, curvature = nodes
+    builds, pieces, wavelength_m = scene
+    room = 2 * len(position)
+    node, point, rows, count = np.empty(room, np.int64), np.empty((room, 3)), np.empty(room, ROUTE), 0
+    start = antenna[0], antenna[1], antenna[2]
+    for i in range(len(position)):
+        x, y = start[0] - position[i, 0], start[1] - position[i, 1]
+        away = math.hypot(x, y)
+        first = _first_face(x, y, face_rad, start_of[i], start_of[i + 1])
+        last = first + 1 if first + 1 < start_of[i + 1] else start_of[i]
+        n = 2.0 if first == last else (face_rad[last] - face_rad[first]) % (2.0 * np.pi) / np.pi
+        if away <= NEAREST_M or n <= 0.5:
+            continue
+        spread = math.sqrt(2.0 / away)
+        built, front, left = np.zeros(2, np.complex128), np.zeros(2, np.complex128), np.ones(2)
+        for face in range(2):
+            f, sense = (last, -1.0) if face else (first, 1.0)
+            w, turn = face_wall[f], turn_from_face(x, y, face_rad[f], sense)
+            over = passed_edge_at(top[w] - start[2], away, away, wavelength_m)
+            # an arc's foot moves along it the slower or faster by its bend, and so does the border
+            bent = 1.0 - sense * curvature[f] * away
+            bent = math.copysign(max(abs(bent), LEAST_BENT), bent)
+            term = reflected_term_at(n, turn, 0.5 * away / bent, wavelength_m)
+            if n > 1.0:
+                # currents that send back r send as much forwards: of a sheet, and of metal, exactly
+                term -= 0.5 * wedge_terms_at(n, turn, turn, 0.5 * away, wavelength_m, 1.0)[0]
+            whole, of_front, left[face] = bounce(builds, w, min(abs(math.sin(turn)), 1.0))
+            built[face], front[face] = whole * term * spread * over, of_front * term * spread * over
+        alike = left[0] == left[1] or builds[0][face_wall[first], 2] == builds[0][face_wall[last], 2]
+        if alike:
+            built[0], front[0] = built[0] + built[1], front[0] + front[1]
+        if max(np.abs(built).max(), np.abs(front).max()) < FAINTEST:
+            continue
+        # seen from just before it: walls that meet there hide nothing of it
+        share = max(1.0 - 2.0 * NODE_M / away, 0.0)
+        before = start[0] - share * x, start[1] - share * y, start[2]
+        free, _, foliage = passage(start, before, -1, pieces, True)
+        if not free:
+            continue
+        direction = (-x / away, -y / away, 0.0)
+        for face in range(1 if alike else 2):
+            fill_route(rows[count], NONE, away, direction, direction, 0)
+            rows[count].whole, rows[count].front = cmath.sqrt(built[face]), cmath.sqrt(front[face])
+            rows[count].rough, rows[count].foliage = math.sqrt(left[face]), foliage
+            rows[count].edge = face
+            node[count] = i
+            point[count, 0], point[count, 1], point[count, 2] = position[i, 0], position[i, 1], start[2]
+            count += 1
+    return node[:count], point[:count], rows[:count]
+
+
+@compiled(error_model="numpy")
+def _first_face(x, y, face_rad, begin, end):  # type: ignore[no-untyped-def]
+    """Return the face from which the least turn to the left leads to a direction."""
+    first, least = begin, np.inf
+    for f in range(begin, end):
+        turn = turn_from_face(x, y, face_rad[f], 1.0)
+        if turn < least:
+            first, least = f, turn
+    return first

@@ -26,7 +26,7 @@ from sim_player.effects.edge_diffraction import (
 )
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World, wall_lines
-from sim_player.trace.bounce import bounce
+from sim_player.trace.bounce import below_top, bounce
 from sim_player.trace.echoes import Echoes, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import (
     ROUTE,
@@ -179,11 +179,17 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                     rise = (point[n, 2] - start[2]) / (source_plan + math.hypot(ix - x, iy - y))
                     bend = x, y, start[2] + source_plan * rise
                     mirror = at[0], at[1], bend[2] + math.hypot(at[0] - x, at[1] - y) * rise
-                    if to_target >= n_half * np.pi or bend[2] >= height or mirror[2] >= tops[w]:
+                    if to_target >= n_half * np.pi or bend[2] >= height:
                         continue
                     depart, source_m = direction_of(start, bend)
                     onwards, target_m = direction_of(bend, (ix, iy, point[n, 2]))
                     lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
+                    # the ray before the mirror by its edge, as long as it is
+                    ray = source_m + math.hypot(at[0] - x, at[1] - y) * stretch
+                    rest = source_m + target_m - ray
+                    over_top = below_top(wavelength_m, tops[w] - mirror[2], ray, rest, onwards[2])
+                    if over_top == 0.0:
+                        continue
                     if _bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
                         continue
                     end = point[n, 0], point[n, 1], point[n, 2]
@@ -202,6 +208,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                     arrive, _ = direction_of(mirror, end)
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
                     _fill_turns(row, (e, w), bent, before * behind, onwards, line, scene[0])
+                    row.other = over_top
                     if one_each:
                         is_done[m] = True
                         break
@@ -247,11 +254,16 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
                     rise = (end[2] - start[2]) / (source_plan + target_plan)
                     mirror = at[0], at[1], start[2] + mirror_plan * rise
                     bend = x, y, start[2] + source_plan * rise
-                    if bend[2] >= height or mirror[2] >= tops[w]:
+                    if bend[2] >= height:
                         continue
                     _, source_m = direction_of((ix, iy, start[2]), bend)
                     arrive, target_m = direction_of(bend, end)
                     lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
+                    ray = mirror_plan * stretch
+                    rest = source_m + target_m - ray
+                    over_top = below_top(wavelength_m, tops[w] - mirror[2], ray, rest, arrive[2])
+                    if over_top == 0.0:
+                        continue
                     if _bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
                         continue
                     before = 1.0 if is_open else clear_series((start, mirror, bend), -1, pieces)
@@ -269,6 +281,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
                     depart, _ = direction_of(start, mirror)
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
                     _fill_turns(row, (e, w), bent, before * behind, depart, line, scene[0])
+                    row.other = over_top
     return rows[:count], bends[:count]
 
 

@@ -18,7 +18,7 @@ from models.physics.mirror import mirrored
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
 from sim_player.scene.world import LIT_MARGIN, Snapshot, World
-from sim_player.trace.bounce import bounce
+from sim_player.trace.bounce import all_below_top, below_top, bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import (
     ROUTE,
@@ -132,7 +132,10 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     routes, occlusion = bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers)
     routes = routes.take(occlusion.free & (world.speck_wall[specks[routes.target]] != routes.wall))
     speck = specks[routes.target]
-    weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
+    half = 0.5 * routes.length_m
+    over = world.wall_height_m[world.speck_wall[speck]] - world.radar_height_m
+    left = all_below_top(world.radar.wavelength_m, over, 2.0 * half, 2.0 * half, np.zeros(len(half)))
+    weight = left * echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
     needs = bit("second_relay") | bit("los_surfaces")
     numbered = routes.with_columns(target=world.speck_id[speck])
     return surface_echoes(view, numbered, weight, point[routes.target], routes.wall, needs)
@@ -167,21 +170,23 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
         at_first = vertices[m, 0, 0], vertices[m, 0, 1], vertices[m, 0, 2]
         at_second = vertices[m, 1, 0], vertices[m, 1, 1], vertices[m, 1, 2]
         end = vertices[m, 2, 0], vertices[m, 2, 1], vertices[m, 2, 2]
-        if at_first[2] >= top[first] or at_second[2] >= top[second]:
+        depart, length_1 = direction_of(start, at_first)
+        _, length_2 = direction_of(at_first, at_second)
+        arrive, length_3 = direction_of(at_second, end)
+        over = below_top(builds[3], top[first] - at_first[2], length_1, length_2 + length_3, depart[2])
+        over *= below_top(builds[3], top[second] - at_second[2], length_1 + length_2, length_3, depart[2])
+        if over == 0.0:
             continue
         foliage = clear_series((start, at_first, at_second, end), owner[m], pieces)
         if foliage < 0.0:
             continue
         row = rows[count]
         count += 1
-        depart, length_1 = direction_of(start, at_first)
-        _, length_2 = direction_of(at_first, at_second)
-        arrive, length_3 = direction_of(at_second, end)
         fill_route(row, target, length_1 + length_2 + length_3, depart, arrive, _TWICE)
         by_first = bounce(builds, first, abs(depart[0] * normal[first, 0] + depart[1] * normal[first, 1]))
         by_second = bounce(builds, second, abs(arrive[0] * normal[second, 0] + arrive[1] * normal[second, 1]))
         fill_bounce(row, first, (by_first[0] * by_second[0], by_first[1] * by_second[1], by_first[2] * by_second[2]))
-        row.wall2, row.foliage, row.other = second, foliage, other[m]
+        row.wall2, row.foliage, row.other = second, foliage, other[m] * over
     return rows[:count]
 
 

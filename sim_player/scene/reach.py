@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from models.physics.antenna import element_field
+from models.physics.diffraction import FADES_TO
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
 from sim_player.effects.edge_diffraction import open_edges
@@ -152,7 +153,9 @@ def _distant_mirrors(world: World, near: _Surroundings, origin: np.ndarray, ahea
     """Return the walls beyond reach that flash, nothing between, and leak into the map by more than `LEAK_DB`."""
     foot, beside_m, away_m = _feet(world, near.distant, origin)
     leaks = (beside_m <= 0.0) & (away_m > reach_m(world.setup)) & _leaks(world.setup, away_m)
-    leaks &= world.wall_height_m[near.distant] > world.radar_height_m
+    # over its top too, as far as anything is left
+    over_m = FADES_TO * np.sqrt(0.25 * world.radar.wavelength_m * away_m)
+    leaks &= world.wall_height_m[near.distant] > world.radar_height_m - over_m
     if ahead is not None:
         leaks &= (foot - origin) @ ahead >= 0.0
     walls, foot = near.distant[leaks], foot[leaks]

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from models.compiled import compiled
+
 #: Ends of walls nearer than this are one.
 SAME_END_M = 1e-6
+#: Ends nearer than this meet in one node, and an end so near to another wall stands against it.
+NODE_M = 1e-3
 #: So many ends are compared each with each.
 FEW_ENDS = 400
 
@@ -34,6 +39,28 @@ class WallEnds:
     alone: np.ndarray
     first: np.ndarray
     second: np.ndarray
+
+
+@dataclass(frozen=True)
+class EndNodes:
+    """N places at which walls end, and the F faces that leave them, counter-clockwise by node."""
+
+    #: Position [N, 2], where its faces begin [N + 1], the first of its ends (twice the wall, plus one for its b) [N].
+    position: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    #: Wall, direction [rad], and curvature of each face (positive: its centre lies to the left), [F].
+    wall: np.ndarray
+    face_rad: np.ndarray
+    curvature_per_m: np.ndarray
+    #: Node and direction [rad] of each wall's ends a and b, [W, 2]; -1 of what is no mirror.
+    node_of: np.ndarray
+    face_rad_of: np.ndarray
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The same as compiled code takes it."""
+        return self.position, self.start, self.wall, self.face_rad, self.curvature_per_m
 
 
 def corners_of(a: np.ndarray, b: np.ndarray, is_flat: np.ndarray) -> Corners:
@@ -76,6 +103,66 @@ def wall_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
         first=first[two],
         second=second[two],
     )
+
+
+def end_nodes(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirror: np.ndarray) -> EndNodes:
+    """Return where the mirrors among walls a -> b [W, 2] of some curvature [W] end, alone, together or on another.
+
+    A straight wall that goes on past the end of another has two faces there.
+    """
+    along = np.arctan2(*(b - a).T[::-1])
+    bend = np.arcsin(np.clip(0.5 * curvature_per_m * np.hypot(*(b - a).T), -1.0, 1.0))
+    face_rad = np.column_stack([along - bend, along + np.pi + bend])
+    straight = is_mirror & (curvature_per_m == 0.0)
+    node_of, first, node, wall, end = _nodes(np.stack([a, b], axis=1), is_mirror, straight)
+    # past an end: one face as at its own a, one as at its own b
+    rad = face_rad[wall, end] % (2.0 * np.pi)
+    order = np.lexsort((rad, node))
+    node, wall, end = node[order], wall[order], end[order]
+    return EndNodes(
+        position=np.stack([a, b], axis=1)[first // 2, first % 2],
+        start=np.searchsorted(node, np.arange(len(first) + 1)),
+        end=first,
+        wall=wall,
+        face_rad=rad[order],
+        curvature_per_m=np.where(end == 0, 1.0, -1.0) * curvature_per_m[wall],
+        node_of=node_of,
+        face_rad_of=face_rad,
+    )
+
+
+@compiled(error_model="numpy")
+def _nodes(ends, is_mirror, straight):  # type: ignore[no-untyped-def]
+    """Return the node of each end [W, 2], the first end of each node, and node, wall and end of all faces."""
+    walls = len(ends)
+    node_of, first = np.full((walls, 2), -1), [0 for _ in range(0)]
+    node, wall, end = [0 for _ in range(0)], [0 for _ in range(0)], [0 for _ in range(0)]
+    for index in range(2 * walls):
+        w, side = index // 2, index % 2
+        if not is_mirror[w] or node_of[w, side] >= 0:
+            continue
+        x, y = ends[w, side]
+        for v in range(walls):
+            if not is_mirror[v]:
+                continue
+            ax, ay, bx, by = ends[v, 0, 0] - x, ends[v, 0, 1] - y, ends[v, 1, 0] - x, ends[v, 1, 1] - y
+            if min(ax, bx) > NODE_M or max(ax, bx) < -NODE_M or min(ay, by) > NODE_M or max(ay, by) < -NODE_M:
+                continue
+            at_a, at_b = math.hypot(ax, ay), math.hypot(bx, by)
+            wx, wy = bx - ax, by - ay
+            aside = abs(ax * wy - ay * wx) <= NODE_M * math.hypot(wx, wy)
+            within = ax * wx + ay * wy < 0.0 and bx * wx + by * wy > 0.0 and min(at_a, at_b) > NODE_M
+            passes = straight[v] and aside and within
+            for at, far in ((0, at_a), (1, at_b)):
+                meets = node_of[v, at] < 0 and far <= NODE_M
+                if meets:
+                    node_of[v, at] = len(first)
+                if meets or passes:
+                    node.append(len(first))
+                    wall.append(v)
+                    end.append(at)
+        first.append(index)
+    return node_of, np.array(first), np.array(node), np.array(wall), np.array(end)
 
 
 def _same(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.vehicle import ego_motion
 from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
 from sim_player.scene.road_users import ScatteringCentres, scattering_centres
-from sim_player.scene.wall_ends import Corners, WallEnds, corners_of, share_an_end, wall_ends
+from sim_player.scene.wall_ends import Corners, EndNodes, WallEnds, corners_of, end_nodes, share_an_end, wall_ends
 from sim_player.trace.bounce import Builds, Layers, all_bounces, builds_of
 from sim_player.trace.mesh_rcs import mesh_centres
 from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers
@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 #: Patches of the diffuse return along a wall: shorter than a range bin.
 PATCH_M = 0.13
-#: Median and spread of the wall's own small scatterers (metal parts of a hand's size), every 1-3 m and at all ends.
+#: Median and spread of the wall's own small scatterers (metal parts of a hand's size), every 1-3 m.
 STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
 STRUCTURE_SPACING_M = (1.0, 3.0)
 #: Cosine of a direction (or so many metres of a point) behind the antenna from which on it is taken for behind.
@@ -182,18 +182,22 @@ class World:
         return wall_ends(self.wall_a, self.wall_b, self.wall_curvature_per_m, self.is_mirror)
 
     @cached_property
+    def end_nodes(self) -> EndNodes:
+        """Places at which mirrors end, alone, together or on another."""
+        return end_nodes(self.wall_a, self.wall_b, self.wall_curvature_per_m, self.is_mirror)
+
+    @cached_property
     def structure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the scatterers that are structure of walls higher than the radar; their points at its height."""
+        """Index of the scatterers that are structure of walls; their points at the radar's height."""
         return self._level(np.flatnonzero(self.speck_length_m == 0.0))
 
     @cached_property
     def rough_patches(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the patches of rough mirrors higher than the radar; their points at its height."""
+        """Index of the patches of rough mirrors; their points at the radar's height."""
         rough = self.is_mirror & (self.wall_roughness_m > 0.0)
         return self._level(np.flatnonzero((self.speck_length_m > 0.0) & rough[self.speck_wall]))
 
     def _level(self, specks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        specks = specks[self.wall_height_m[self.speck_wall[specks]] > self.radar_height_m]
         return specks, np.column_stack([self.speck_m[specks], np.full(len(specks), self.radar_height_m)])
 
     @cached_property
@@ -498,9 +502,8 @@ def _wall_specks(wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.nda
         count = max(round(wall_length / PATCH_M), 1)
         patch = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / count
         steps = np.cumsum(rng.uniform(*STRUCTURE_SPACING_M, int(wall_length / STRUCTURE_SPACING_M[0]) + 1))
-        joints = np.concatenate([[0.0, 1.0], steps[steps < wall_length] / wall_length])
-        # the ends a hand's breadth inside, where a real edge has its depth
-        joints = np.clip(joints, 0.02 / wall_length, max(1.0 - 0.02 / wall_length, 0.5))
+        # ends have an echo of their own (`los_surfaces`)
+        joints = steps[steps < wall_length] / wall_length
         share = np.concatenate([patch, joints])
         position.append(arc_points(a, b, curvature_per_m[index], share))
         normal.append(arc_normals(a, b, curvature_per_m[index], share))

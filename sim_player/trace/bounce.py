@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from models.compiled import compiled
+from models.physics.diffraction import passed_edge_at
 from models.physics.fresnel import slab_at, stack_at
 
 Layers = tuple[tuple[complex, float], ...]
@@ -48,6 +49,26 @@ def bounce(builds, wall, cosine):  # type: ignore[no-untyped-def]
         last = first + count
         whole, front = stack_at(permittivity[first:last], thickness_m[first:last], cosine, wavelength_m)
     return whole, front, rough
+
+
+@compiled(error_model="numpy")
+def below_top(wavelength_m, clearance_m, before_m, behind_m, rise):  # type: ignore[no-untyped-def]
+    """Return the field that a wall's top leaves of a mirrored ray that meets the wall so far below it (negative: over).
+
+    Lengths of the ray before and behind, `rise` its upright direction cosine. The mirror ends there as it does at its
+    upright ends: 1/2 where the ray meets the top, exactly 1 well below it and 0 well over it (`passed_edge_at`).
+    """
+    upright = math.sqrt(max(1.0 - rise * rise, 0.0))
+    return passed_edge_at(clearance_m * upright, max(before_m, 1e-3), max(behind_m, 1e-3), wavelength_m)
+
+
+@compiled(error_model="numpy")
+def all_below_top(wavelength_m, clearance_m, before_m, behind_m, rise):  # type: ignore[no-untyped-def]
+    """Return `below_top` of N rays."""
+    left = np.empty(len(clearance_m), np.complex128)
+    for n in range(len(left)):
+        left[n] = below_top(wavelength_m, clearance_m[n], before_m[n], behind_m[n], rise[n])
+    return left
 
 
 @compiled(error_model="numpy")

@@ -15,7 +15,7 @@ import numpy as np
 from models.compiled import compiled
 from sim_player.effects.names import bit
 from sim_player.scene.world import LIT_MARGIN, Snapshot
-from sim_player.trace.bounce import bounce
+from sim_player.trace.bounce import all_below_top, below_top, bounce
 from sim_player.trace.row_table import Column, RowTable
 from sim_player.trace.segments import Blockers, Occlusion, passage, without
 
@@ -93,6 +93,21 @@ def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int
     return routes, met.where(view.is_ahead(routes.depart)) if view.ahead_only else met
 
 
+def scatterer_routes(view: Snapshot, specks: np.ndarray, point_m: np.ndarray) -> tuple[np.ndarray, Routes]:
+    """Return which of some walls' scatterers (numbers and points [N]) are seen, and the straight routes to them.
+
+    Each has the share of the wall below its top that the wall's mirror has.
+    """
+    world = view.world
+    away_m = norm(point_m - view.antenna)
+    over_m = world.wall_height_m[world.speck_wall[specks]] - view.antenna[2]
+    left = all_below_top(world.radar.wavelength_m, over_m, away_m, away_m, np.zeros(len(specks)))
+    there = np.flatnonzero(left)
+    routes, occlusion = straight_routes(view, point_m[there])
+    routes = routes.with_columns(target=world.speck_id[specks[there]], other=np.sqrt(left[there]))
+    return there[occlusion.free], routes.take(occlusion.free)
+
+
 def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
     """Return all (piece of wall, point) pairs where the piece mirrors the point to a source [3], without occlusion.
 
@@ -100,7 +115,8 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
     `mirrors` [W]: the pieces to test.
     """
-    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls, view.lit_shares)
+    wavelength_m = view.world.radar.wavelength_m
+    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls, view.lit_shares, wavelength_m)
 
 
 def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
@@ -210,7 +226,7 @@ def grown(rows):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyped-def]
+def _plane_bounces(source, point, mirrors, walls, lit, wavelength_m):  # type: ignore[no-untyped-def]
     a, b, normal, offset, top = walls
     wall, target, points = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2, 3))
     count = 0
@@ -236,7 +252,10 @@ def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyp
             portion = reach / (reach + abs(height))
             rise = source[2] + portion * (point[n, 2] - source[2])
             if rise >= top[w]:
-                continue
+                dx, dy, dz = point[n, 0] - source[0], point[n, 1] - source[1], point[n, 2] - source[2]
+                ray = math.sqrt(dx * dx + dy * dy + dz * dz + 4.0 * source_height * height)
+                if below_top(wavelength_m, top[w] - rise, portion * ray, (1.0 - portion) * ray, dz / ray) == 0.0:
+                    continue
             if count == len(wall):
                 wall, target = grown(wall), grown(target)
                 more = np.empty((len(wall), 2, 3))
@@ -256,7 +275,7 @@ def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyp
 @compiled(error_model="numpy")
 def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: ignore[no-untyped-def]
     wall, target, points = bounces
-    normal, count = walls[2], len(wall)
+    normal, top, count = walls[2], walls[4], len(wall)
     rows, free, through = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count, np.complex128)
     foliage = np.empty(count)
     start = antenna[0], antenna[1], antenna[2]
@@ -275,6 +294,9 @@ def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: i
         fill_route(rows[m], n, length, depart, arrive, _MIRROR)
         fill_bounce(rows[m], w, bounce(builds, w, abs(towards)))
         rows[m].foliage = foliage[m]
+        portion = (specular[0] - start[0]) * depart[0] + (specular[1] - start[1]) * depart[1]
+        portion /= max(1.0 - depart[2] * depart[2], 1e-12)
+        rows[m].other = below_top(builds[3], top[w] - specular[2], portion, length - portion, depart[2])
     return rows, free, through, foliage
 
 
