@@ -166,7 +166,7 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
         if max(np.abs(built).max(), np.abs(front).max()) < FAINTEST:
             continue
         # seen from just before it: walls that meet there hide nothing of it
-        share = max(1.0 - 2.0 * NODE_M / away, 0.0)
+        share = max(1.0 - 1.1 * NODE_M / away, 0.0)
         before = start[0] - share * x, start[1] - share * y, start[2]
         free, _, foliage = passage(start, before, -1, pieces, True)
         if not free:

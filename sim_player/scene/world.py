@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from models.physics.materials import is_volume, permittivity, wall_layers
 from msgs.values.frames import Pose2
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.vehicle import ego_motion
+from sim_player.scene.coincident import Stretches, WallPieces, cut_coincident
 from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
 from sim_player.scene.road_users import ScatteringCentres, scattering_centres
 from sim_player.scene.wall_ends import Corners, EndNodes, WallEnds, corners_of, end_nodes, share_an_end, wall_ends
@@ -25,6 +27,7 @@ from sim_player.trace.mesh_rcs import mesh_centres
 from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers
 
 T = TypeVar("T")
+_LOG = logging.getLogger(__name__)
 
 #: Patches of the diffuse return along a wall: shorter than a range bin.
 PATCH_M = 0.13
@@ -86,6 +89,8 @@ class World:
     speck_id: np.ndarray
     object_id: np.ndarray
     centre_id: np.ndarray
+    #: What the scene draws twice in one place and is left out (`sim_player.scene.coincident`), one line each.
+    left_out: tuple[str, ...] = ()
     #: Half round trip up to which a part of a world has all paths of the whole (`sim_player.scene.reach`).
     reach_m: float = math.inf
 
@@ -234,9 +239,20 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     ]
     owner = np.array([index for *_, index in pieces], np.int32)
     surfaces = [scene.surfaces[index] for index in owner]
-    wall_a = np.array([a for a, *_ in pieces], np.float64).reshape(-1, 2)
-    wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
-    curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
+    drawn = WallPieces(
+        a=np.array([a for a, *_ in pieces], np.float64).reshape(-1, 2),
+        b=np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2),
+        height_m=np.array([surface.height_m for surface in surfaces], np.float64),
+        curvature_per_m=np.array([surface.curvature_per_m for surface in surfaces], np.float64),
+        is_volume=np.array([is_volume(surface.material) for surface in surfaces], bool),
+    )
+    standing = cut_coincident(drawn, setup.radar_height_m)
+    left_out = _left_out(owner, standing)
+    for line in left_out:
+        _LOG.warning("scene %r: %s", scene.name, line)
+    wall_a, wall_b, curvature = standing.a, standing.b, drawn.curvature_per_m[standing.piece]
+    owner = owner[standing.piece]
+    surfaces = [scene.surfaces[index] for index in owner]
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
     transmission, wall_build = _builds(scene, setup.radar, stacks, wall_stack, owner)
     objects = _object_arrays(scene, setup.radar.wavelength_m, seed)
@@ -248,7 +264,7 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         radar_height_m=setup.radar_height_m,
         wall_a=wall_a,
         wall_b=wall_b,
-        wall_height_m=np.array([surface.height_m for surface in surfaces], np.float64),
+        wall_height_m=standing.height_m,
         wall_curvature_per_m=curvature,
         wall_roughness_m=np.array([1e-3 * surface.roughness_mm for surface in surfaces], np.float64),
         wall_surface=owner,
@@ -262,6 +278,19 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         speck_id=np.arange(len(specks["speck_m"])),
         object_id=np.arange(len(scene.objects)),
         centre_id=np.arange(len(objects["centre_m"])),
+        left_out=left_out,
+    )
+
+
+def _left_out(surface: np.ndarray, standing: Stretches) -> tuple[str, ...]:
+    """Return what is left out of walls that coincide, one line a pair of surfaces; `surface` of each piece drawn."""
+    length_m: dict[tuple[int, int], float] = {}
+    for goes, stands, metres in standing.left_out:
+        pair = int(surface[goes]), int(surface[stands])
+        length_m[pair] = length_m.get(pair, 0.0) + metres
+    return tuple(
+        f"surfaces[{goes}].polyline_m: {metres:.3g} m coincide with surfaces[{stands}], which stands there alone"
+        for (goes, stands), metres in length_m.items()
     )
 
 
