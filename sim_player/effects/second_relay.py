@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from models.compiled import compiled
-from models.physics.diffraction import passed_share_at
+from models.physics.diffraction import FADES_TO, passed_edge_at, passed_share_at
 from models.physics.mirror import mirrored
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
@@ -21,6 +21,7 @@ from sim_player.scene.world import LIT_MARGIN, Snapshot, World
 from sim_player.trace.bounce import all_below_top, below_top, bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import (
+    NEAREST_M,
     ROUTE,
     Routes,
     bounce_routes,
@@ -60,7 +61,7 @@ def apply(tracing: TraceContext) -> Echoes:
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by two straight walls to points [N, 3]."""
     walls = np.flatnonzero(view.world.is_flat)
-    pairs = _search(view.origin, point_m, walls, view.walls, view.lit_shares, _seconds(view))
+    pairs = _search(view.origin, point_m, walls, view.walls, view.lit_shares, _seconds(view), 0.0)
     vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
     lit = in_sight(view, pairs[:, 0], vertices[:, 0])
     pairs, vertices = pairs[lit], vertices[lit]
@@ -90,9 +91,7 @@ def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.n
 
 def _loops(view: Snapshot) -> Echoes:
     """The radar's own image in two walls: out by one, back by the other, both ways round."""
-    routes = two_wall_routes(view, view.antenna[None], np.array([-1], np.int32))
-    joined = view.world.share_an_end(routes.wall, routes.wall2)
-    routes = join_routes([routes.take(~joined), _corners(view)])
+    routes = join_routes([_between_walls(view), _corners(view)])
     weight = flash_weight(view, routes.length_m)
     point = np.broadcast_to(view.antenna, (len(routes), 3)).copy()
     echoes = surface_echoes(view, routes, weight, point, routes.wall, bit("second_relay"))
@@ -108,6 +107,18 @@ def _loops(view: Snapshot) -> Echoes:
         back_m=0.5 * routes.length_m,
         rate_mps=0.5 * dot((routes.arrive - routes.depart)[:, :2], view.radar_velocity),
     )
+
+
+def _between_walls(view: Snapshot) -> Routes:
+    """Loops by two walls that share no end, with the share of the wave that the ends of both leave."""
+    radar, walls = view.world.radar, np.flatnonzero(view.world.is_flat)
+    wide = FADES_TO * math.sqrt(0.125 * radar.wavelength_m)
+    pairs = _search(view.origin, view.antenna[None], walls, view.walls, view.lit_shares, _seconds(view), wide)
+    pairs = pairs[~view.world.share_an_end(pairs[:, 0], pairs[:, 1])]
+    vertices = _two_bounces(view.antenna, view.antenna[None], pairs, view.walls)
+    share = _shares_of_ends(view.antenna, pairs, vertices, view.walls, radar.wavelength_m)
+    left = share != 0.0
+    return _routes(view, pairs[left], vertices[left], owners(-1, int(left.sum())), share[left])
 
 
 def _corners(view: Snapshot) -> Routes:
@@ -191,6 +202,30 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
 
 
 @compiled(error_model="numpy")
+def _shares_of_ends(antenna, pairs, vertices, walls, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return the share of each loop that the upright ends of both its walls leave, as a wall's top leaves of a ray."""
+    a, b, normal = walls[0], walls[1], walls[2]
+    share = np.ones(len(pairs), np.complex128)
+    for m in range(len(pairs)):
+        x1, y1, x2, y2 = vertices[m, 0, 0], vertices[m, 0, 1], vertices[m, 1, 0], vertices[m, 1, 1]
+        out = math.hypot(x1 - antenna[0], y1 - antenna[1])
+        back = math.hypot(x2 - antenna[0], y2 - antenna[1])
+        between = math.hypot(x2 - x1, y2 - y1)
+        for side in range(2):
+            w, x, y = pairs[m, side], vertices[m, side, 0], vertices[m, side, 1]
+            before = back if side else out
+            if before <= NEAREST_M:
+                continue
+            towards = abs((x - antenna[0]) * normal[w, 0] + (y - antenna[1]) * normal[w, 1]) / before
+            wx, wy = b[w, 0] - a[w, 0], b[w, 1] - a[w, 1]
+            long = math.hypot(wx, wy)
+            along = ((x - a[w, 0]) * wx + (y - a[w, 1]) * wy) / long
+            for clear in (along, long - along):
+                share[m] *= passed_edge_at(clear * towards, before, out + back + between - before, wavelength_m)
+    return share
+
+
+@compiled(error_model="numpy")
 def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-untyped-def]
     """Walls, vertices and share of the wave of all loops by corners [C] that the radar is in.
 
@@ -213,7 +248,14 @@ def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-unty
             share *= cmath.exp(2j * np.pi / wavelength_m * (2.0 * distance * cosine * cosine / (1.0 + sine)))
         along_1 = distance * max(cosine, 0.0) / max(tx * x2 + ty * y2, 1e-9)
         along_2 = distance * max(cosine, 0.0) / max(tx * x1 + ty * y1, 1e-9)
-        if abs(share) <= DARKEST or along_1 > long_1 or along_2 > long_2:
+        # the walls' other ends
+        out = math.hypot(ax + along_1 * x1 - antenna[0], ay + along_1 * y1 - antenna[1])
+        back = math.hypot(ax + along_2 * x2 - antenna[0], ay + along_2 * y2 - antenna[1])
+        between = math.hypot(along_2 * x2 - along_1 * x1, along_2 * y2 - along_1 * y1)
+        beside_1, beside_2 = abs(tx * y1 - ty * x1) * distance, abs(tx * y2 - ty * x2) * distance
+        for clear, beside, before in ((long_1 - along_1, beside_1, out), (long_2 - along_2, beside_2, back)):
+            share *= passed_edge_at(clear * beside / before, before, out + between + back - before, wavelength_m)
+        if abs(share) <= DARKEST:
             continue
         kept[count, 0], kept[count, 1], kept[count, 2] = pairs[corner, 0], pairs[corner, 1], 0
         vertices[count, 0, 0], vertices[count, 0, 1] = ax + along_1 * x1, ay + along_1 * y1
@@ -247,10 +289,11 @@ def _cut(start, end, line):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _search(origin, point, flat, walls, lit, visible):  # type: ignore[no-untyped-def]
+def _search(origin, point, flat, walls, lit, visible, wide):  # type: ignore[no-untyped-def]
     """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3].
 
-    Only by what the radar sees of the first wall and, where `visible` says so, of the second wall in the first.
+    Only by what the radar sees of the first wall and, where `visible` says so, of the second wall in the first. With
+    `wide` > 0 also by points beside it, by up to so much times the root of the route's length across the ray.
     """
     a, b, normal, offset, _ = walls
     start, seconds, shares = visible
@@ -270,7 +313,7 @@ def _search(origin, point, flat, walls, lit, visible):  # type: ignore[no-untype
             if len(start):
                 begin = max(shares[before + index, 0] - LIT_MARGIN, 0.0)
                 end = min(shares[before + index, 1] + LIT_MARGIN, 1.0)
-            if second == first or not _seen(ix, iy, reach, a, b, nx, ny, d, first, second):
+            if second == first or (wide == 0.0 and not _seen(ix, iy, reach, a, b, nx, ny, d, first, second)):
                 continue
             mx, my, e = normal[second, 0], normal[second, 1], offset[second]
             source = ix * mx + iy * my + e
@@ -286,13 +329,22 @@ def _search(origin, point, flat, walls, lit, visible):  # type: ignore[no-untype
                 place = ((point[target, 0] - a[second, 0]) * wx + (point[target, 1] - a[second, 1]) * wy) / square
                 # similar triangles: the feet of both, weighted by the other's height
                 share = (source_share * height + place * source) / (height + source)
-                if not begin <= share <= end:
+                margin_1, margin_2 = 0.0, 0.0
+                if wide > 0.0:
+                    across = (place - source_share) * math.sqrt(square)
+                    ray = math.hypot(height + source, across)
+                    margin_2 = wide * ray**1.5 / max(abs(height + source), 1e-9) / math.sqrt(square)
+                if not begin - margin_2 <= share <= end + margin_2:
                     continue
                 # the leg from the image must leave through the first wall, towards the antenna's side
                 x, y = a[second, 0] + share * wx, a[second, 1] + share * wy
                 if x * nx + y * ny + d <= 1e-9:
                     continue
-                if not low <= _place(ix, iy, reach, x, y, a, b, nx, ny, d, first) <= high:
+                if wide > 0.0:
+                    ux, uy = b[first, 0] - a[first, 0], b[first, 1] - a[first, 1]
+                    over = max((x - ix) * nx + (y - iy) * ny, 1e-9) / math.hypot(x - ix, y - iy)
+                    margin_1 = wide * math.sqrt(ray) / over / math.hypot(ux, uy)
+                if not low - margin_1 <= _place(ix, iy, reach, x, y, a, b, nx, ny, d, first) <= high + margin_1:
                     continue
                 if count == len(pairs):
                     grown = np.empty((2 * count, 3), np.int64)
