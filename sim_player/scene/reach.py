@@ -23,6 +23,7 @@ from sim_player.effects.edge_diffraction import open_edges
 from sim_player.effects.mirrored_diffraction import mirrors_beside
 from sim_player.scene.description import WHOLE_WALLS, reach_m
 from sim_player.scene.visibility import PlanWalls, lit_in_mirrors, lit_walls, split_walls
+from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import (
     BEHIND,
     RadarState,
@@ -167,7 +168,14 @@ def _distant_mirrors(world: World, near: _Surroundings, origin: np.ndarray, ahea
     free = segment_occlusion(antenna, foot, near.blockers).free
     if free.any():
         free[free] = segment_occlusion(antenna, foot[free], wall_blockers(world)).free
-    return np.asarray(walls[free])
+    return _with_neighbours(world, walls[free])
+
+
+def _with_neighbours(world: World, walls: np.ndarray) -> np.ndarray:
+    """Return some walls and all that meet their ends: without them a joint is an end that echoes."""
+    every = np.concatenate([world.wall_a, world.wall_b])
+    meet = [norm(every - end) <= NODE_M for wall in walls for end in (world.wall_a[wall], world.wall_b[wall])]
+    return np.unique(np.concatenate([walls, *(np.flatnonzero(near) % len(world.wall_a) for near in meet)]))
 
 
 def _leaks(setup: RadarSetup, away_m: np.ndarray) -> np.ndarray:

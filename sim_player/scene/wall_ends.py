@@ -112,11 +112,11 @@ def end_nodes(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
     """
     along = np.arctan2(*(b - a).T[::-1])
     bend = np.arcsin(np.clip(0.5 * curvature_per_m * np.hypot(*(b - a).T), -1.0, 1.0))
-    face_rad = np.column_stack([along - bend, along + np.pi + bend])
+    face_rad = np.column_stack([along - bend, along + np.pi + bend]) % (2.0 * np.pi)
     straight = is_mirror & (curvature_per_m == 0.0)
     node_of, first, node, wall, end = _nodes(np.stack([a, b], axis=1), is_mirror, straight)
     # past an end: one face as at its own a, one as at its own b
-    rad = face_rad[wall, end] % (2.0 * np.pi)
+    rad = face_rad[wall, end]
     order = np.lexsort((rad, node))
     node, wall, end = node[order], wall[order], end[order]
     return EndNodes(

@@ -12,7 +12,7 @@ from models.physics.materials import permittivity
 from models.physics.rough_lobe import RoughLobe
 from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.trace.echoes import echo_amplitude
-from sim_player.trace.routes import dot, straight_routes
+from sim_player.trace.routes import dot, scatterer_routes, straight_routes
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
 
 NAME = "diffuse_scattering"
@@ -90,6 +90,7 @@ def test_cosine_law_has_the_bytes_of_the_first_series() -> None:
     world = points_world(FAR, wall(*ENDS, diffuse_lobe="lambert", **ROUGH))
     tracing = traced(world, NAME)
     echoes, (routes, occlusion) = tracing.echoes[NAME], straight_routes(tracing.view, world.rough_patches[1])
+    assert np.all(np.abs(scatterer_routes(tracing.view, *world.rough_patches)[1].other) == 1.0)
     routes, patches = routes.take(np.flatnonzero(occlusion.free)), world.rough_patches[0][occlusion.free]
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     _, _, rough = world.reflection(world.speck_wall[patches], cosine)
@@ -101,7 +102,7 @@ def test_cosine_law_has_the_bytes_of_the_first_series() -> None:
 
 def test_smooth_low_or_hidden_walls_scatter_nothing() -> None:
     rough = {"material": "brick", "roughness_mm": 1.0}
-    low = points_world(FAR, wall((12.0, -8.0), (12.0, 8.0), height_m=0.8, **rough))
+    low = points_world(FAR, wall((2.0, -0.3), (2.0, 0.3), height_m=0.2, **rough))
     assert len(traced(low, NAME).echoes[NAME]) == 0
     hidden = points_world(FAR, wall((12.0, -8.0), (12.0, 8.0), **rough), wall((6.0, -9.0), (6.0, 9.0)))
     assert len(traced(hidden, NAME).echoes[NAME]) == 0

@@ -92,14 +92,6 @@ def test_a_kerb_hides_the_bounce_and_not_the_sight() -> None:
         assert (found.routes[NAME].wall < 0).sum() == (0 if hidden else 1)
 
 
-def test_bounces_above_a_low_mirror_are_none() -> None:
-    """Wall 12 m away: by the ground its point is 0.2 m high, 12/20 of the way from 1 m down to -1 m and folded up."""
-    for height, seen in ((0.19, 0), (0.21, 1)):
-        low = wall((12.0, -5.0), (12.0, 8.0), height_m=height)
-        routes = traced(points_world([(4.0, 6.0, 1.0)], low, GROUND), NAME).routes[NAME]
-        assert (routes.wall == 0).sum() == seen
-
-
 def test_rough_ground_reflects_less() -> None:
     """1 mm rms: field times exp(-1/2 (4 pi s cos / lambda)^2)."""
     ground = Surface(role="ground", material="asphalt", roughness_mm=1.0)

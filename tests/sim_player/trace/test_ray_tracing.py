@@ -165,8 +165,8 @@ def test_both_legs_of_a_mirror_path_must_be_free() -> None:
 
 
 def test_rays_pass_over_low_walls() -> None:
-    """A kerb of 0.2 m hides nothing; neither does it mirror a radar at 1 m."""
-    kerb = wall((8.0, -3.0), (8.0, 3.0), height_m=0.2)
+    """A kerb of 0.2 m hides nothing; neither does it mirror a radar at 1 m close by."""
+    kerb = wall((2.0, -0.3), (2.0, 0.3), height_m=0.2)
     paths = paths_of(kerb, car(15.0, 0.0))
     assert objects_seen(paths) == {0}
     assert (paths.surface == -1).all()
@@ -228,7 +228,7 @@ def test_phases_are_the_scenes_own() -> None:
 
 
 def test_empty_view_has_no_paths() -> None:
-    paths = paths_of(wall((5.0, 3.0), (8.0, 3.0), height_m=0.3))
+    paths = paths_of(wall((1.2, 1.0), (1.6, 1.0), height_m=0.2))
     assert len(paths) == 0
     assert paths.point_m.shape == (0, 3)
 
