@@ -32,6 +32,8 @@ from sim_player.trace.snapshot import TraceContext
 
 #: Ends that send back less than this of a mirror as far away send nothing: such are joints of one facade.
 FAINTEST = 1e-5
+#: An end is looked at from the radar up to here before it: what ends in the same place does not hide it.
+END_SLACK_M = 1.1 * NODE_M
 #: Least of 1 - distance / radius at an arc's end: nearer to the focus the uniform theory does not hold.
 LEAST_BENT = 0.05
 
@@ -166,7 +168,7 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
         if max(np.abs(built).max(), np.abs(front).max()) < FAINTEST:
             continue
         # seen from just before it: walls that meet there hide nothing of it
-        share = max(1.0 - 1.1 * NODE_M / away, 0.0)
+        share = max(1.0 - END_SLACK_M / away, 0.0)
         before = start[0] - share * x, start[1] - share * y, start[2]
         free, _, foliage = passage(start, before, -1, pieces, True)
         if not free:

@@ -15,7 +15,7 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.diffraction import FADES_TO, passed_edge_at, passed_share_at
 from models.physics.mirror import mirrored
-from sim_player.effects.los_surfaces import flash_weight
+from sim_player.effects.los_surfaces import END_SLACK_M, flash_weight
 from sim_player.effects.names import bit
 from sim_player.scene.world import LIT_MARGIN, Snapshot, World
 from sim_player.trace.bounce import all_below_top, below_top, bounce
@@ -35,9 +35,11 @@ from sim_player.trace.routes import (
     owners,
     plane_bounces,
 )
-from sim_player.trace.segments import clear_series
+from sim_player.trace.segments import clear_series, passage
 from sim_player.trace.snapshot import TraceContext
 
+#: What `_seconds` says of a view in which every wall may be seen in every other.
+_ALL_IN_ALL = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))
 #: Least share of the wave for which a loop by a corner's apex is followed.
 DARKEST = 0.02
 _TWICE = bit("specular_relay") | bit("second_relay")
@@ -74,7 +76,7 @@ def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     them [N, 2]; of a view that knows no pairs all three empty.
     """
     if view.seen_pairs is None:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))
+        return _ALL_IN_ALL
     flat = np.flatnonzero(view.world.is_flat[view.seen_pairs.second])
     start = np.searchsorted(view.seen_pairs.first[flat], np.arange(len(view.world.wall_a) + 1))
     return start, view.seen_pairs.second[flat], view.seen_pairs.share[flat]
@@ -111,12 +113,14 @@ def _loops(view: Snapshot) -> Echoes:
 
 def _between_walls(view: Snapshot) -> Routes:
     """Loops by two walls that share no end, with the share of the wave that the ends of both leave."""
-    radar, walls = view.world.radar, np.flatnonzero(view.world.is_flat)
-    wide = FADES_TO * math.sqrt(0.125 * radar.wavelength_m)
-    pairs = _search(view.origin, view.antenna[None], walls, view.walls, view.lit_shares, _seconds(view), wide)
+    radar, wide = view.world.radar, FADES_TO * math.sqrt(0.125 * view.world.radar.wavelength_m)
+    # the first leg and the last end at the radar: it sees both walls
+    walls = np.flatnonzero(view.world.is_flat & (view.lit[:, 0] <= view.lit[:, 1]))
+    every, of_all = np.tile([0.0, 1.0], (len(view.lit), 1)), _ALL_IN_ALL
+    pairs = _search(view.origin, view.antenna[None], walls, view.walls, every, of_all, wide)
     pairs = pairs[~view.world.share_an_end(pairs[:, 0], pairs[:, 1])]
     vertices = _two_bounces(view.antenna, view.antenna[None], pairs, view.walls)
-    share = _shares_of_ends(view.antenna, pairs, vertices, view.walls, radar.wavelength_m)
+    share = _shares_of_ends(view.antenna, pairs, vertices, view.walls, view.blockers.pieces, radar.wavelength_m)
     left = share != 0.0
     return _routes(view, pairs[left], vertices[left], owners(-1, int(left.sum())), share[left])
 
@@ -202,8 +206,11 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
 
 
 @compiled(error_model="numpy")
-def _shares_of_ends(antenna, pairs, vertices, walls, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return the share of each loop that the upright ends of both its walls leave, as a wall's top leaves of a ray."""
+def _shares_of_ends(antenna, pairs, vertices, walls, pieces, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return the share of each loop that the upright ends of both its walls leave, as a wall's top leaves of a ray.
+
+    Nothing of a loop beside a wall's end that the radar does not see.
+    """
     a, b, normal = walls[0], walls[1], walls[2]
     share = np.ones(len(pairs), np.complex128)
     for m in range(len(pairs)):
@@ -220,8 +227,13 @@ def _shares_of_ends(antenna, pairs, vertices, walls, wavelength_m):  # type: ign
             wx, wy = b[w, 0] - a[w, 0], b[w, 1] - a[w, 1]
             long = math.hypot(wx, wy)
             along = ((x - a[w, 0]) * wx + (y - a[w, 1]) * wy) / long
-            for clear in (along, long - along):
+            for clear, ex, ey in ((along, a[w, 0], a[w, 1]), (long - along, b[w, 0], b[w, 1])):
                 share[m] *= passed_edge_at(clear * towards, before, out + back + between - before, wavelength_m)
+                if clear < 0.0 and share[m] != 0.0:
+                    near = max(1.0 - END_SLACK_M / math.hypot(ex - antenna[0], ey - antenna[1]), 0.0)
+                    end = antenna[0] + near * (ex - antenna[0]), antenna[1] + near * (ey - antenna[1]), antenna[2]
+                    if not passage((antenna[0], antenna[1], antenna[2]), end, -1, pieces, True)[0]:
+                        share[m] = 0.0
     return share
 
 
