@@ -5,8 +5,9 @@ edge sends back too, by the uniform theory (Kouyoumjian and Pathak, 1974) with s
 foot of the perpendicular passes the end, the flash ends and the edge's echo changes its sign, and their sum is the
 Fresnel integral over the wall, half a flash at the end itself. Walls that meet are one wedge: a joint of two pieces in
 one line is no edge, one of two materials sends back the difference of what they reflect. Over a wall's top the
-integral over heights does the same (`passed_edge_at`). Left out: the shadow border of another wall on a wall, which
-cuts the flash at once.
+integral over heights does the same (`passed_edge_at`), and where something else hides a part of the wall, the integral
+is over what is in sight. Left out: that the border of such a shadow is soft itself (with an occluder half-way it is
+-10 dB where this says -6), glass and foliage as occluders, and shadows of arcs beyond their chords.
 
 Structure is small scatterers every 1-3 m; their level is an engineering choice, not a measurement.
 """
@@ -19,7 +20,7 @@ import math
 import numpy as np
 
 from models.compiled import compiled
-from models.physics.diffraction import passed_edge_at, reflected_term_at, wedge_terms_at
+from models.physics.diffraction import FADES_TO, passed_edge_at, reflected_term_at, wedge_terms_at
 from sim_player.effects.edge_diffraction import turn_from_face
 from sim_player.effects.names import bit
 from sim_player.scene.wall_ends import NODE_M
@@ -27,13 +28,17 @@ from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
 from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, join_routes, scatterer_routes
-from sim_player.trace.segments import passage
+from sim_player.trace.segments import VOLUME, passage
 from sim_player.trace.snapshot import TraceContext
 
 #: Ends that send back less than this of a mirror as far away send nothing: such are joints of one facade.
 FAINTEST = 1e-5
 #: An end is looked at from the radar up to here before it: what ends in the same place does not hide it.
 END_SLACK_M = 1.1 * NODE_M
+#: A foot so near to a shadow is looked at no more: the shadow knows.
+BESIDE_M = 1e-4
+#: So many shadows on one wall at most.
+MAX_SHADOWS = 32
 #: Least of 1 - distance / radius at an arc's end: nearer to the focus the uniform theory does not hold.
 LEAST_BENT = 0.05
 
@@ -76,7 +81,9 @@ def _flashes(view: Snapshot) -> Echoes:
     nodes = world.end_nodes
     scene = world.builds, view.blockers.pieces, world.radar.wavelength_m
     ends = nodes.position, nodes.node_of, nodes.face_rad_of
-    wall, point, rows = _feet(view.antenna, np.flatnonzero(world.is_flat), view.walls, ends, scene)
+    stands = view.blockers.kind != VOLUME
+    screens = view.blockers.a[stands], view.blockers.b[stands], view.blockers.height_m[stands]
+    wall, point, rows = _feet(view.antenna, np.flatnonzero(world.is_flat), view.walls, ends, screens, scene)
     # a number that is no scatterer's
     feet = Routes(rows).with_columns(target=NONE - world.wall_id[wall])
     node, end_point, end_rows = _ends(view.antenna, nodes.arrays, view.walls[4], scene)
@@ -90,8 +97,12 @@ def _flashes(view: Snapshot) -> Echoes:
 
 
 @compiled(error_model="numpy")
-def _feet(antenna, flat, walls, ends, scene):  # type: ignore[no-untyped-def]
-    """Walls, their points and the routes there; one bounce on a round trip is half of it each way."""
+def _feet(antenna, flat, walls, ends, screens, scene):  # type: ignore[no-untyped-def]
+    """Walls, their points and the routes there; one bounce on a round trip is half of it each way.
+
+    Where something stands before a part of the wall, the foot has what is left of the integral over the wall without
+    what the wall's ends in sight have.
+    """
     _, _, normal, offset, top = walls
     position, node_of, face_rad = ends
     builds, pieces, wavelength_m = scene
@@ -105,26 +116,122 @@ def _feet(antenna, flat, walls, ends, scene):  # type: ignore[no-untyped-def]
         over = passed_edge_at(top[w] - start[2], distance, distance, wavelength_m)
         if over == 0.0:
             continue
-        is_on = True
+        # along the wall from its foot to its ends, low one first; whether the foot is on the wall's side of each
+        places, on = np.empty(2), np.empty(2, np.bool_)
         for end in range(2):
             # as in the end's own echo, so that both say the same to the last digit
             x, y = start[0] - position[node_of[w, end], 0], start[1] - position[node_of[w, end], 1]
             turn = min(turn_from_face(x, y, face_rad[w, end], 1.0), turn_from_face(x, y, face_rad[w, end], -1.0))
-            is_on &= np.pi - 2.0 * turn >= 0.0
-        if not is_on:
+            places[end], on[end] = ny * x - nx * y, np.pi - 2.0 * turn >= 0.0
+        if places[0] > places[1]:
+            places, on = places[::-1].copy(), on[::-1].copy()
+        zone = FADES_TO * math.sqrt(0.25 * wavelength_m * distance)
+        if places[0] > zone or places[1] < -zone:
+            continue
+        line = nx, ny, offset[w], distance
+        shadows, is_hidden = _shadows(start, line, places, zone, screens, wavelength_m), False
+        for low, high in shadows:
+            # rays stop a clearance beside what stands
+            is_hidden |= low - BESIDE_M < 0.0 < high + BESIDE_M
+        share = _share_in_sight(places, on, shadows, distance, wavelength_m)
+        if abs(share) < FAINTEST:
             continue
         foot = start[0] - distance * nx, start[1] - distance * ny, start[2]
-        free, _, foliage = passage(start, foot, -1, pieces, True)
-        if not free:
-            continue
+        foliage = 1.0
+        if not is_hidden:
+            free, _, foliage = passage(start, foot, -1, pieces, True)
+            if not free:
+                continue
         fill_route(rows[count], NONE, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
         whole, front, rough = bounce(builds, w, 1.0)
         rows[count].whole, rows[count].front = cmath.sqrt(whole), cmath.sqrt(front)
-        rows[count].rough, rows[count].foliage, rows[count].other = math.sqrt(rough), foliage, cmath.sqrt(over)
+        rows[count].rough, rows[count].foliage, rows[count].other = math.sqrt(rough), foliage, cmath.sqrt(over * share)
         wall[count] = w
         point[count, 0], point[count, 1], point[count, 2] = foot
         count += 1
     return wall[:count], point[:count], rows[:count]
+
+
+@compiled(error_model="numpy")
+def _shadows(start, line, places, zone, screens, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return from where to where along a wall, from its foot, something before it hides it from the radar, [N, 2].
+
+    In order and none touching another, within `zone`; `line`: the wall's normal, offset and distance. What meets the
+    wall itself is no screen: that is a corner.
+    """
+    a, b, height = screens
+    nx, ny, offset, distance = line
+    fx, fy = start[0] - distance * nx, start[1] - distance * ny
+    shadows, count = np.empty((MAX_SHADOWS, 2)), 0
+    near, far = END_SLACK_M, distance - NEAREST_M
+    for m in range(len(a)):
+        over_a, over_b = a[m, 0] * nx + a[m, 1] * ny + offset, b[m, 0] * nx + b[m, 1] * ny + offset
+        if max(over_a, over_b) <= near or min(over_a, over_b) >= far:
+            continue
+        at_a, at_b = (fy - a[m, 1]) * -nx + (fx - a[m, 0]) * ny, (fy - b[m, 1]) * -nx + (fx - b[m, 0]) * ny
+        meets = False
+        for over, at in ((over_a, at_a), (over_b, at_b)):
+            meets |= abs(over) <= near and places[0] - near <= at <= places[1] + near
+        if meets:
+            continue
+        # the part of it between wall and radar
+        low, high = 0.0, 1.0
+        rise = over_b - over_a
+        if rise != 0.0:
+            first, second = (near - over_a) / rise, (far - over_a) / rise
+            low, high = max(low, min(first, second)), min(high, max(first, second))
+        if low >= high:
+            continue
+        ends = np.empty(2)
+        for end in range(2):
+            part = high if end else low
+            over, at = over_a + part * rise, at_a + part * (at_b - at_a)
+            ends[end] = at * distance / (distance - over)
+        over = over_a + 0.5 * (low + high) * rise
+        # what is only just high enough is left to the ray itself
+        stands = passed_edge_at(height[m] - start[2], distance - over, distance + over, wavelength_m) == 1.0
+        if ends.max() < -zone or ends.min() > zone or not stands or count == MAX_SHADOWS:
+            continue
+        shadows[count, 0], shadows[count, 1] = ends.min(), ends.max()
+        count += 1
+    shadows = shadows[:count][np.argsort(shadows[:count, 0])]
+    joined = 0
+    for m in range(count):
+        if joined and shadows[m, 0] <= shadows[joined - 1, 1] + 1e-9:
+            shadows[joined - 1, 1] = max(shadows[joined - 1, 1], shadows[m, 1])
+        else:
+            shadows[joined] = shadows[m]
+            joined += 1
+    return shadows[:joined]
+
+
+@compiled(error_model="numpy")
+def _share_in_sight(places, on, shadows, distance, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return the Fresnel integral over what is seen of a wall, without the parts that its ends in sight send back.
+
+    1 where nothing hides it and its foot is on it, 0 where that is not. `places` of its ends along it from the foot.
+    """
+    if len(shadows) == 0:
+        return (1.0 if on[0] and on[1] else 0.0) + 0.0j
+    share, place, seen = 0.0j, places[0], np.ones(2, np.bool_)
+    for low, high in shadows:
+        for end in range(2):
+            seen[end] &= not low + END_SLACK_M < places[end] < high - END_SLACK_M
+        if low > place:
+            share += _below(min(low, places[1]), distance, wavelength_m) - _below(place, distance, wavelength_m)
+        place = max(place, min(high, places[1]))
+    share += _below(places[1], distance, wavelength_m) - _below(place, distance, wavelength_m)
+    if seen[0]:
+        share += _below(places[0], distance, wavelength_m) if on[0] else -_below(-places[0], distance, wavelength_m)
+    if seen[1]:
+        share += _below(-places[1], distance, wavelength_m) if on[1] else -_below(places[1], distance, wavelength_m)
+    return share
+
+
+@compiled(error_model="numpy")
+def _below(place, distance, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return the share of a flash that a wall up to some place along it, from the foot, sends back."""
+    return passed_edge_at(place, distance, distance, wavelength_m)
 
 
 @compiled(error_model="numpy")
