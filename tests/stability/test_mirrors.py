@@ -18,6 +18,9 @@ from models.physics.mirror import (
     wall_from_ends,
 )
 from models.physics.plane import segment_distance_m
+from sim_player.effects import los_surfaces
+from sim_player.scene.description import Scene, Surface
+from sim_player.scene.world import prepare, snapshot
 from tests.models.physics.curved_reference import arc_crosses, focusing, one_way_field
 from tests.stability.catalogue import Errors
 
@@ -544,3 +547,35 @@ def test_nearly_flat_and_nearly_half_circles() -> None:
 
 def test_no_targets_no_bounces() -> None:
     assert len(bounces(np.zeros(2), np.zeros((0, 2)), *HOLLOW, 0.03)) == 0
+
+
+@pytest.mark.hard(
+    where="sim_player.effects.los_surfaces",
+    naive="a flash of each piece on which the foot's share of the length lies within 0..1",
+    bound=1e-6,
+    unit="of the flash of the facade in one piece",
+    source="a facade's field does not depend on how many pieces it is drawn in",
+)
+def test_foot_on_a_joint_in_any_direction(errors: Errors) -> None:
+    """A facade in two pieces that meet at the foot of the perpendicular, turned by 100 angles: rounding puts the foot
+    on both, on one or on none of them.
+    """
+    naive, ours = [], []
+    for turn in np.random.default_rng(4).uniform(-np.pi, np.pi, 100):
+        cosine, sine = np.cos(turn), np.sin(turn)
+        low, foot, high = (np.array([20.0 * cosine - y * sine, 20.0 * sine + y * cosine]) for y in (-30.0, 0.0, 40.0))
+        along = (high - low) / 70.0
+        naive.append(sum(0.0 <= -(a @ along) <= 1.0 * ((b - a) @ along) for a, b in ((low, foot), (foot, high))) - 1)
+        one, two = (_flash(*points) for points in ((low, high), (low, foot, high)))
+        ours.append(abs(two / one - 1.0))
+    errors(naive=float(np.abs(naive).max()), ours=max(ours))
+
+
+def _flash(*points: np.ndarray) -> complex:
+    """Field of the echoes within a metre of the foot of a wall 20 m away."""
+    surface = Surface(role="relay", material="metal", polyline_m=tuple((float(x), float(y)) for x, y in points))
+    view = snapshot(prepare(Scene(name="facade", surfaces=(surface,))))
+    echoes = los_surfaces._flashes(view)
+    echoes = echoes.take(echoes.out_m < 20.02)
+    phase = np.exp(-2j * np.pi / WAVELENGTH_M * (echoes.out_m + echoes.back_m))
+    return complex(np.sum(echoes.weight * echoes.whole * phase))
