@@ -73,7 +73,7 @@ def structure(view: Snapshot) -> Echoes:
 
 
 def _flashes(view: Snapshot) -> Echoes:
-    """The foot of the perpendicular on every straight piece of wall, where it lies on the piece and is seen; the ends.
+    """The foot of the perpendicular on every straight piece of wall, where it lies on it and is in sight; the ends.
 
     Ends of arcs are among them.
     """
@@ -207,23 +207,23 @@ def _shadows(start, line, places, zone, screens, wavelength_m):  # type: ignore[
 
 @compiled(error_model="numpy")
 def _share_in_sight(places, on, shadows, distance, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return the Fresnel integral over what is seen of a wall, without the parts that its ends in sight send back.
+    """Return the Fresnel integral over what is visible of a wall, without the parts of its ends in sight.
 
     1 where nothing hides it and its foot is on it, 0 where that is not. `places` of its ends along it from the foot.
     """
     if len(shadows) == 0:
         return (1.0 if on[0] and on[1] else 0.0) + 0.0j
-    share, place, seen = 0.0j, places[0], np.ones(2, np.bool_)
+    share, place, in_sight = 0.0j, places[0], np.ones(2, np.bool_)
     for low, high in shadows:
         for end in range(2):
-            seen[end] &= not low + END_SLACK_M < places[end] < high - END_SLACK_M
+            in_sight[end] &= not low + END_SLACK_M < places[end] < high - END_SLACK_M
         if low > place:
             share += _below(min(low, places[1]), distance, wavelength_m) - _below(place, distance, wavelength_m)
         place = max(place, min(high, places[1]))
     share += _below(places[1], distance, wavelength_m) - _below(place, distance, wavelength_m)
-    if seen[0]:
+    if in_sight[0]:
         share += _below(places[0], distance, wavelength_m) if on[0] else -_below(-places[0], distance, wavelength_m)
-    if seen[1]:
+    if in_sight[1]:
         share += _below(-places[1], distance, wavelength_m) if on[1] else -_below(places[1], distance, wavelength_m)
     return share
 
@@ -274,7 +274,7 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
             built[0], front[0] = built[0] + built[1], front[0] + front[1]
         if max(np.abs(built).max(), np.abs(front).max()) < FAINTEST:
             continue
-        # seen from just before it: walls that meet there hide nothing of it
+        # looked at from just before it: walls that meet there hide nothing of it
         share = max(1.0 - END_SLACK_M / away, 0.0)
         before = start[0] - share * x, start[1] - share * y, start[2]
         free, _, foliage = passage(start, before, -1, pieces, True)

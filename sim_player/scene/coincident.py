@@ -72,8 +72,8 @@ def cut_coincident(walls: WallPieces, radar_height_m: float) -> Stretches:
             ends.append(_points(walls, index, np.array([begin, end])))
             height.append(max([float(walls.height_m[index]), *higher]))
             piece.append(index)
-    placed = np.array(ends).reshape(-1, 2, 2)
-    return Stretches(placed[:, 0], placed[:, 1], np.array(height), np.array(piece, np.int64), left_out)
+    stretch = np.array(ends).reshape(-1, 2, 2)
+    return Stretches(stretch[:, 0], stretch[:, 1], np.array(height), np.array(piece, np.int64), left_out)
 
 
 def _left(
