@@ -34,7 +34,7 @@ EFFECTS = frozenset({*PATH_EFFECTS, *WEIGHTS}) - {"ground_bounce", "object_inter
 #: Echoes weaker than this below the strongest get no gate of their own: they would tie strong ones together.
 GATED_DB = 50.0
 #: What walls alone return; diffuse patches have random phases and are compared by power.
-WALL_GROUPS = ("flash", "radar twice mirrored")
+WALL_GROUPS = ("flash", "end", "radar twice mirrored")
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ def _draw_errors(axes, groups: list[Group]) -> None:  # type: ignore[no-untyped-
     axes.grid(axis="y", alpha=0.3)
 
 
-_KINDS = ["flash", "direct", "mirrored", "twice mirrored", "mixed", "diffracted", "several"]
+_KINDS = ["flash", "end", "direct", "mirrored", "twice mirrored", "mixed", "diffracted", "several"]
 
 
 def _kind(group: Group) -> str:
@@ -268,6 +268,7 @@ def _kind(group: Group) -> str:
     parts = set(group.name.split(" + "))
     for kind, names in {
         "flash": {"flash"},
+        "end": {"end"},
         "direct": {"direct"},
         "mirrored": {"mirrored"},
         "twice mirrored": {"twice mirrored", "radar twice mirrored"},

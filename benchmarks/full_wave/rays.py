@@ -27,6 +27,7 @@ from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
 from sim_player.fdtd.line_source import LineGrid
+from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import Snapshot, World, snapshot
 from sim_player.trace.conversion import weights
 from sim_player.trace.echoes import Echoes, echo_amplitude
@@ -75,7 +76,7 @@ def ray_field(
     field = np.where(
         is_object, of_object * amplitude[:, None], np.where(is_diffuse, of_object * _plane(view, echoes), flash)
     )
-    return RayField(field.T, _names(echoes), _delay_m(out_rad + back_rad, frequency_hz))
+    return RayField(field.T, _names(world, echoes), _delay_m(out_rad + back_rad, frequency_hz))
 
 
 def _phase(
@@ -162,11 +163,14 @@ def _delay_m(phase_rad: np.ndarray, frequency_hz: np.ndarray) -> np.ndarray:
     return np.asarray(slope * SPEED_OF_LIGHT_MPS)
 
 
-def _names(echoes: Echoes) -> list[str]:
+def _names(world: World, echoes: Echoes) -> list[str]:
     """Return the path group of every echo."""
+    ends = np.concatenate([world.wall_a, world.wall_b])
+    apart = np.linalg.norm(echoes.point[:, None, :2] - ends, axis=-1).min(axis=1)
     needs = [{name for name in _NAMED if row & bit(name)} for row in echoes.needs]
     same = np.isclose(echoes.out_m, echoes.back_m) & np.all(np.isclose(echoes.depart, echoes.arrive), axis=1)
-    return [_name(*row) for row in zip(needs, echoes.object_index >= 0, same, echoes.order, strict=True)]
+    names = [_name(*row) for row in zip(needs, echoes.object_index >= 0, same, echoes.order, strict=True)]
+    return ["end" if name == "flash" and away < NODE_M else name for name, away in zip(names, apart, strict=True)]
 
 
 _NAMED = ("edge_diffraction", "mirrored_diffraction", "second_relay", "diffuse_scattering", "non_cofocal")
