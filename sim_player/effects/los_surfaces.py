@@ -263,6 +263,9 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
             # an arc's foot moves along it the slower or faster by its bend, and so does the border
             bent = 1.0 - sense * curvature[f] * away
             bent = math.copysign(max(abs(bent), LEAST_BENT), bent)
+            if abs(bent - 1.0) > 1e-6:
+                # an arc has its foot at the right angle too, and beyond its focus on the other side of that
+                turn -= math.copysign(1e-14, bent)
             term = reflected_term_at(n, turn, 0.5 * away / bent, wavelength_m)
             if n > 1.0:
                 # currents that send back r send as much forwards: of a sheet, and of metal, exactly
