@@ -133,15 +133,17 @@ def _feet(antenna, flat, walls, ends, screens, scene):  # type: ignore[no-untype
         for low, high in shadows:
             # rays stop a clearance beside what stands
             is_hidden |= low - BESIDE_M < 0.0 < high + BESIDE_M
-        share = _share_in_sight(places, on, shadows, distance, wavelength_m)
+        # beyond the zone nothing counts
+        near = np.array([max(places[0], -zone), min(places[1], zone)])
+        share, middle = _share_in_sight(near, on, shadows, distance, wavelength_m)
         if abs(share) < FAINTEST:
             continue
         foot = start[0] - distance * nx, start[1] - distance * ny, start[2]
-        foliage = 1.0
-        if not is_hidden:
-            free, _, foliage = passage(start, foot, -1, pieces, True)
-            if not free:
-                continue
+        # the foot itself is looked at, or the middle of what is in sight
+        aside = middle if is_hidden or not (on[0] and on[1]) else 0.0
+        free, _, foliage = passage(start, (foot[0] - ny * aside, foot[1] + nx * aside, foot[2]), -1, pieces, True)
+        if not free:
+            continue
         fill_route(rows[count], NONE, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
         whole, front, rough = bounce(builds, w, 1.0)
         rows[count].whole, rows[count].front = cmath.sqrt(whole), cmath.sqrt(front)
@@ -209,23 +211,30 @@ def _shadows(start, line, places, zone, screens, wavelength_m):  # type: ignore[
 def _share_in_sight(places, on, shadows, distance, wavelength_m):  # type: ignore[no-untyped-def]
     """Return the Fresnel integral over what is visible of a wall, without the parts of its ends in sight.
 
+    And the middle of the longest visible stretch.
     1 where nothing hides it and its foot is on it, 0 where that is not. `places` of its ends along it from the foot.
     """
     if len(shadows) == 0:
-        return (1.0 if on[0] and on[1] else 0.0) + 0.0j
+        return (1.0 if on[0] and on[1] else 0.0) + 0.0j, 0.0
     share, place, in_sight = 0.0j, places[0], np.ones(2, np.bool_)
+    longest, middle = 0.0, 0.0
     for low, high in shadows:
         for end in range(2):
             in_sight[end] &= not low + END_SLACK_M < places[end] < high - END_SLACK_M
-        if low > place:
-            share += _below(min(low, places[1]), distance, wavelength_m) - _below(place, distance, wavelength_m)
+        until = min(low, places[1])
+        if until > place:
+            share += _below(until, distance, wavelength_m) - _below(place, distance, wavelength_m)
+            if until - place > longest:
+                longest, middle = until - place, 0.5 * (until + place)
         place = max(place, min(high, places[1]))
     share += _below(places[1], distance, wavelength_m) - _below(place, distance, wavelength_m)
+    if places[1] - place > longest:
+        longest, middle = places[1] - place, 0.5 * (places[1] + place)
     if in_sight[0]:
         share += _below(places[0], distance, wavelength_m) if on[0] else -_below(-places[0], distance, wavelength_m)
     if in_sight[1]:
         share += _below(-places[1], distance, wavelength_m) if on[1] else -_below(places[1], distance, wavelength_m)
-    return share
+    return (share if longest > 0.0 else 0.0j), middle
 
 
 @compiled(error_model="numpy")
@@ -241,7 +250,7 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
     Of each node the wedge of air between two faces that the radar is in: half a turn for a straight joint, a whole one
     around a free end. In a corner of 90 deg or less no face has its foot beyond the apex: its images are all there is.
     """
-    position, start_of, face_wall, face_rad, curvature = nodes
+    position, start_of, slack_m, face_wall, face_rad, curvature = nodes
     builds, pieces, wavelength_m = scene
     room = 2 * len(position)
     node, point, rows, count = np.empty(room, np.int64), np.empty((room, 3)), np.empty(room, ROUTE), 0
@@ -277,8 +286,8 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
             built[0], front[0] = built[0] + built[1], front[0] + front[1]
         if max(np.abs(built).max(), np.abs(front).max()) < FAINTEST:
             continue
-        # looked at from just before it: walls that meet there hide nothing of it
-        share = max(1.0 - END_SLACK_M / away, 0.0)
+        # looked at up to just before it: walls that meet there hide nothing of it
+        share = max(1.0 - slack_m[i] / away, 0.0)
         before = start[0] - share * x, start[1] - share * y, start[2]
         free, _, foliage = passage(start, before, -1, pieces, True)
         if not free:

@@ -13,6 +13,8 @@ from models.compiled import compiled
 SAME_END_M = 1e-6
 #: Ends nearer than this meet in one node, and an end so near to another wall stands against it.
 NODE_M = 1e-3
+#: Rounding of ends that are one.
+ALIKE_M = 1e-5
 #: So many ends are compared each with each.
 FEW_ENDS = 400
 
@@ -49,6 +51,8 @@ class EndNodes:
     position: np.ndarray
     start: np.ndarray
     end: np.ndarray
+    #: How far from a node something of its own may stand before it as seen from anywhere, [N].
+    slack_m: np.ndarray
     #: Wall, direction [rad], and curvature of each face (positive: its centre lies to the left), [F].
     wall: np.ndarray
     face_rad: np.ndarray
@@ -60,7 +64,7 @@ class EndNodes:
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
         """The same as compiled code takes it."""
-        return self.position, self.start, self.wall, self.face_rad, self.curvature_per_m
+        return self.position, self.start, self.slack_m, self.wall, self.face_rad, self.curvature_per_m
 
 
 def corners_of(a: np.ndarray, b: np.ndarray, is_flat: np.ndarray) -> Corners:
@@ -114,7 +118,7 @@ def end_nodes(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
     bend = np.arcsin(np.clip(0.5 * curvature_per_m * np.hypot(*(b - a).T), -1.0, 1.0))
     face_rad = np.column_stack([along - bend, along + np.pi + bend]) % (2.0 * np.pi)
     straight = is_mirror & (curvature_per_m == 0.0)
-    node_of, first, node, wall, end = _nodes(np.stack([a, b], axis=1), is_mirror, straight)
+    node_of, first, slack_m, node, wall, end = _nodes(np.stack([a, b], axis=1), is_mirror, straight)
     # past an end: one face as at its own a, one as at its own b
     rad = face_rad[wall, end]
     order = np.lexsort((rad, node))
@@ -123,6 +127,7 @@ def end_nodes(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
         position=np.stack([a, b], axis=1)[first // 2, first % 2],
         start=np.searchsorted(node, np.arange(len(first) + 1)),
         end=first,
+        slack_m=slack_m,
         wall=wall,
         face_rad=rad[order],
         curvature_per_m=np.where(end == 0, 1.0, -1.0) * curvature_per_m[wall],
@@ -133,8 +138,9 @@ def end_nodes(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
 
 @compiled(error_model="numpy")
 def _nodes(ends, is_mirror, straight):  # type: ignore[no-untyped-def]
-    """Return the node of each end [W, 2], the first end of each node, and node, wall and end of all faces."""
+    """Return the node of each end [W, 2], first end and slack of each node, and node, wall and end of all faces."""
     walls = len(ends)
+    slack_m = [0.0 for _ in range(0)]
     node_of, first = np.full((walls, 2), -1), [0 for _ in range(0)]
     node, wall, end = [0 for _ in range(0)], [0 for _ in range(0)], [0 for _ in range(0)]
     for index in range(2 * walls):
@@ -142,6 +148,7 @@ def _nodes(ends, is_mirror, straight):  # type: ignore[no-untyped-def]
         if not is_mirror[w] or node_of[w, side] >= 0:
             continue
         x, y = ends[w, side]
+        off = 0.0
         for v in range(walls):
             if not is_mirror[v]:
                 continue
@@ -150,19 +157,22 @@ def _nodes(ends, is_mirror, straight):  # type: ignore[no-untyped-def]
                 continue
             at_a, at_b = math.hypot(ax, ay), math.hypot(bx, by)
             wx, wy = bx - ax, by - ay
-            aside = abs(ax * wy - ay * wx) <= NODE_M * math.hypot(wx, wy)
+            beside = abs(ax * wy - ay * wx) / math.hypot(wx, wy)
             within = ax * wx + ay * wy < 0.0 and bx * wx + by * wy > 0.0 and min(at_a, at_b) > NODE_M
-            passes = straight[v] and aside and within
+            passes = straight[v] and beside <= NODE_M and within
+            off = max(off, beside if passes else 0.0)
             for at, far in ((0, at_a), (1, at_b)):
                 meets = node_of[v, at] < 0 and far <= NODE_M
                 if meets:
+                    off = max(off, far)
                     node_of[v, at] = len(first)
                 if meets or passes:
                     node.append(len(first))
                     wall.append(v)
                     end.append(at)
         first.append(index)
-    return node_of, np.array(first), np.array(node), np.array(wall), np.array(end)
+        slack_m.append(2.0 * off + ALIKE_M)
+    return node_of, np.array(first), np.array(slack_m), np.array(node), np.array(wall), np.array(end)
 
 
 def _same(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
