@@ -45,7 +45,7 @@ def points_world(
     motion = motion or [(0.0, 0.0)] * len(points)
     # the bodies that carry them stand far away
     things = [
-        SceneObject(class_="pedestrian", x_m=-600.0 - 9.0 * index, y_m=0.0, speed_mps=speed, yaw_deg=yaw)
+        SceneObject(class_="pedestrian", x_m=-600.0 - 3.0 * index, y_m=0.0, speed_mps=speed, yaw_deg=yaw)
         for index, (speed, yaw) in enumerate(motion)
     ]
     scene = Scene(
