@@ -79,8 +79,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Effects to simulate: auto (what the scene calls for under the budget), basic, all, or names between commas.
     effects: str = "auto"
     budget_db: float = -20.0
-    #: What effects "auto" keep: samples, peaks or objects.
-    purpose: str = "samples"
+    #: What effects "auto" keep: samples, peaks or objects, what perception needs.
+    purpose: str = "objects"
     #: Walls of a scene to publish once a scan, as a map knows them: none, true, or noisy (`MapErrors`).
     walls: Literal["none", "true", "noisy"] = "none"
     #: False where a car on a CAN bus says how the vehicle moves.
@@ -570,7 +570,8 @@ def _require_for_lidar(params: Params) -> None:
     default = Params(scene=params.scene)
     for name in radar_only:
         value = getattr(params, name)
-        if value != getattr(default, name):
+        # `sim run` asks for samples where nothing is said
+        if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
             raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 

@@ -83,6 +83,16 @@ class ScenePlayer:
         period_ns = ns_from_s(self.setup.radar.scan_period_s)
         return self.setup.stamp_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
+    def described(self) -> dict[str, str]:
+        """Return what the beams were made of, for people: effects, and what a plan was for."""
+        plan = self._plan
+        if plan is None:
+            return {"effects": "basic"}
+        made = {"effects": " ".join(sorted(plan.used))}
+        if math.isinf(plan.budget_db):
+            return made
+        return made | {"for": str(plan.purpose), "budget_db": f"{plan.budget_db:g}"}
+
     def plan(self, scan: int) -> Plan | None:
         """Return the effects of a scan as planned at the start; None: the basic ones, without a plan."""
         return self._plan
@@ -91,7 +101,7 @@ class ScenePlayer:
         """Return all paths at a time after start, under the effects of a scan."""
         if (time_s, scan) not in self._traced:
             plan = self.plan(scan)
-            paths = trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.used)
+            paths = trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.present)
             # only the last ones are kept: those of all beams of a digital array
             self._traced = {(time_s, scan): paths}
         return self._traced[time_s, scan]

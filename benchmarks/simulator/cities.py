@@ -70,8 +70,7 @@ class Everything:
     def change_db(self, profiles: np.ndarray, purpose: Purpose = Purpose.SAMPLES) -> float:
         """Largest change of a cell over the purpose's reference where other profiles take the place of all."""
         cells = cells_of(self.setup)
-        asked = cells.asked(self.setup, purpose, self.paths, self.rms)
-        off = cells.off(self.profiles + self.noise, profiles + self.noise, self.rms, purpose, asked).max()
+        off = cells.off(self.profiles + self.noise, profiles + self.noise, self.rms, purpose).max()
         return float(20.0 * np.log10(max(off, 1e-20)))
 
     def plan_db(self, plan: Plan) -> float:

@@ -1,14 +1,13 @@
-"""The law of plans of scenes that move, how long a selection of paths holds, and what it saves.
+"""The law of plans of scenes that move, and how long a selection of paths holds.
 
 Random places in which every object moves at 1 to 15 m/s (pedestrians at 1 to 2 m/s) and the radar at 0.5 to 8 m/s,
 turning by up to 20 deg/s. For each purpose:
 - every beam of 12 scans: what is left out (echoes are a sum), in each range bin of eight Doppler bins, over the noise's
   rms or the threshold; the same on the 256 azimuths of the map that the beams make, each of its own time. A violation
   is a scan with a cell over the budget;
-- a selection that is kept beyond its span: the number of beams until what it leaves out breaks the law;
-- processor time of a recording of 12 scans with everything and as planned, and of choosing paths.
+- a selection that is kept beyond its span: the number of beams until what it leaves out breaks the law.
 `--rows FILE` keeps the rows of places that are done (JSON lines), and goes on where it ended.
-Usage: OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks.simulator.moving_plans [--places 30] [--timed 8]
+Usage: OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 python -m benchmarks.simulator.moving_plans [--places 30]
                                         [--budget-db -20] [--seed 23] [--json]
 """
 
@@ -18,7 +17,6 @@ import argparse
 import json
 import os
 import platform
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,12 +27,9 @@ from rich.progress import track
 
 from models.perception.forming.slow_time_sums import group_edges
 from sim_player.generate.places import random_place
-from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import plan_world
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.spans import SpanSelection
-from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import RANGE_BINS, echo_terms, noise_rms
@@ -44,8 +39,7 @@ from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 
 SCANS = 12
-#: `objects` is the law of `peaks` where a scene moves.
-PURPOSES = (Purpose.SAMPLES, Purpose.PEAKS)
+PURPOSES = tuple(Purpose)
 
 
 def in_motion(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -155,40 +149,7 @@ def law_rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield row
 
 
-def recording_s(seed: int, index: int, effects: str, purpose: Purpose, budget_db: float) -> dict[str, float]:
-    """Processor times of a recording's echoes, from tracing to the beats of every beam, and of choosing paths in it."""
-    scene = in_motion(random_place(seed, index), np.random.default_rng([seed, index]))
-    chosen_s, kept = 0.0, SpanSelection.kept
-
-    def timed(self: SpanSelection, first: Paths, last: Paths, step_s: float) -> np.ndarray:
-        nonlocal chosen_s
-        begin_s = time.process_time()
-        mask = kept(self, first, last, step_s)
-        chosen_s += time.process_time() - begin_s
-        return mask
-
-    SpanSelection.kept = timed  # type: ignore[method-assign]
-    start_s = time.process_time()
-    player = ScenePlayer(scene, index, effects=effects, budget_db=budget_db, purpose=purpose)
-    for scan in range(SCANS):
-        for beam in range(len(player.setup.beams)):
-            player.echoes(scan, beam)
-    echoes_s = time.process_time() - start_s
-    SpanSelection.kept = kept  # type: ignore[method-assign]
-    return {"echoes_s": echoes_s, "chosen_s": chosen_s}
-
-
-def time_rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Times of the first places, everything and each purpose in turn."""
-    recording_s(arguments.seed, 0, "auto", Purpose.SAMPLES, arguments.budget_db)  # compiles
-    for index in track(range(arguments.timed), transient=True):
-        everything = recording_s(arguments.seed, index, "all", Purpose.SAMPLES, arguments.budget_db)
-        for purpose in PURPOSES:
-            planned = recording_s(arguments.seed, index, "auto", purpose, arguments.budget_db)
-            yield {"place": index, "purpose": purpose, "all_s": everything["echoes_s"], **planned}
-
-
-def report(laws: list[dict[str, Any]], times: list[dict[str, Any]]) -> None:
+def report(laws: list[dict[str, Any]]) -> None:
     """Print the figures of each purpose."""
     for purpose in PURPOSES:
         mine = [row for row in laws if row["purpose"] == purpose]
@@ -207,33 +168,22 @@ def report(laws: list[dict[str, Any]], times: list[dict[str, Any]]) -> None:
             f"        kept beyond its span a selection breaks the law after {np.median(broken):.0f} beams (median), "
             f"in {np.mean(broken < 25):.0%} of scans before their end"
         )
-        timed = [row for row in times if row["purpose"] == purpose]
-        if timed:
-            ratio = np.array([row["all_s"] / row["echoes_s"] for row in timed])
-            share = np.array([row["chosen_s"] / row["all_s"] for row in timed])
-            print(
-                f"        echoes of {SCANS} scans: all / auto median {np.median(ratio):.2f} ({ratio.min():.2f}.."
-                f"{ratio.max():.2f}), choosing / all {np.median(share):.3f}, {len(timed)} places"
-            )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--places", type=int, default=30)
-    parser.add_argument("--timed", type=int, default=8)
     parser.add_argument("--budget-db", type=float, default=-20.0)
     parser.add_argument("--seed", type=int, default=23)
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    planner.MIN_PATHS_TO_PLAN = 0
     laws = list(law_rows(arguments))
-    times = list(time_rows(arguments))
     if arguments.json:
         machine = f"{platform.machine()}, {os.cpu_count()} cores"
-        print(json.dumps({"machine": machine, "seed": arguments.seed, "laws": laws, "times": times}))
+        print(json.dumps({"machine": machine, "seed": arguments.seed, "laws": laws}))
         return
-    report(laws, times)
+    report(laws)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,12 @@
 Every scene is simulated with all effects and as planned for each purpose under each budget, same noise, at the kernel
 level. Cells are those of `sim_player.planner.cells`: range bins of every steering angle, and of every azimuth of the
 512 x 256 map. Two answers are held against each law: the profiles of a plan that is asked for profiles only (the kernel
-level), and the paths that are left by one that is asked for beats. Purpose `samples` is asked however few paths a scene
-has.
-`--alone N` drops each effect alone in the first N scenes: bound minus actual change, both laws. `--beats N` times the
-beats of a whole scan of the first N scenes, `--literal N` one beam at the literal level. Times are processor times of
-this process: `all` is tracing and signal of everything, `auto` planning (tracing included) and signal of what is left.
+level), and the paths that are left by one that is asked for beats.
+`--alone N` drops each effect alone in the first N scenes: bound minus actual change, both laws. Times are processor
+times of this process at the kernel level: `all` is tracing and signal of everything, `auto` planning (tracing included)
+and signal of what is left.
 `--rows FILE` keeps the rows of scenes that are done (JSON lines), and goes on where it ended.
-Usage: python -m benchmarks.simulator.planner_law [--scenes 500] [--alone 60] [--beats 0] [--literal 0] [--seed 3]
+Usage: python -m benchmarks.simulator.planner_law [--scenes 500] [--alone 60] [--seed 3]
                                         [--preset xband] [--rows FILE.jsonl] [--out FILE.json] [--pictures DIR]
 """
 
@@ -34,13 +33,11 @@ from msgs.values.radar import RadarSetup
 from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, PATHS
 from sim_player.generate.places import random_place
-from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, manual_plan, noisy_profiles, plan_world, planned_profiles
 from sim_player.planner.purposes import DETECTION, Purpose
 from sim_player.scene.world import World, prepare
-from sim_player.signal.levels import beam_beats, noise_profiles, noise_rms
-from sim_player.signal.literal import literal_profiles
+from sim_player.signal.levels import noise_profiles, noise_rms
 
 Preset = Literal["xband", "77ghz"]
 BUDGETS_DB = (-10.0, -20.0, -30.0)
@@ -100,8 +97,7 @@ class Place:
     def off_db(self, reference: np.ndarray, planned: np.ndarray, purpose: Purpose) -> float:
         """The law's ratio in the worst cell of beams and map, in dB."""
         cells = cells_of(self.setup)
-        asked = cells.asked(self.setup, purpose, self.everything[1].paths, self.rms)
-        ratio = cells.off(reference, planned, self.rms, purpose, asked).max()
+        ratio = cells.off(reference, planned, self.rms, purpose).max()
         return float(20.0 * np.log10(max(ratio, 1e-15)))
 
     def moved_db(self, planned: np.ndarray) -> tuple[float, int]:
@@ -250,34 +246,6 @@ def _slack(alone: list[dict[str, Any]], purpose: Purpose) -> dict[str, Any]:
     }
 
 
-# --- dearer levels
-
-
-def beat_row(place: Place, purpose: Purpose) -> tuple[float, float, float]:
-    """Processor times of the beats of all beams: (all, auto at -20 dB, planning), tracing and planning included."""
-    setup, front_end = place.setup, place.world.scene.radar.front_end
-
-    def beats(plan: Plan) -> float:
-        return timed(lambda: [beam_beats(setup, paths, flags, front_end) for paths, flags in plan.groups()])[0]
-
-    all_s, everything = timed(lambda: manual_plan(place.world, setup))
-    plan_s, plan = timed(lambda: plan_world(place.world, setup, -20.0, purpose=purpose))
-    return all_s + beats(everything), plan_s + beats(plan), plan_s - all_s
-
-
-def literal_row(place: Place, purpose: Purpose) -> tuple[float, float]:
-    """Processor times of the middle beam at the literal level: (all, auto at -20 dB), times the number of beams."""
-    setup, front_end = place.setup, place.world.scene.radar.front_end
-    beams = len(setup.beams)
-
-    def literal(plan: Plan) -> float:
-        jobs = [(setup, paths, flags, front_end, [beams // 2]) for paths, flags in plan.groups()]
-        return beams * timed(lambda: [literal_profiles(*job) for job in jobs])[0]
-
-    plan_s, plan = timed(lambda: plan_world(place.world, setup, -20.0, purpose=purpose))
-    return place.everything[0] + literal(place.everything[1]), plan_s + literal(plan)
-
-
 def draw_worst(rows: list[dict[str, Any]], seed: int, preset: Preset, out: Path, count: int = 10) -> None:
     """The scenes nearest to their budget of -20 dB for samples: map of all, and where the planned one is off."""
     from mirrorwave.plots.scene import draw_scene
@@ -340,27 +308,6 @@ def report(found: dict[str, Any]) -> None:
             print("    " + ", ".join(f"{name} {value:.1f}" for name, (value, _) in one["by_effect"].items()))
 
 
-def dearer_levels(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Times of beats and of the literal level, printed too."""
-    found: dict[str, Any] = {}
-    for purpose in Purpose:
-        places = [Place(arguments.seed, index, arguments.preset) for index in range(arguments.beats)]
-        times = np.array([beat_row(place, purpose) for place in places]).reshape(-1, 3)
-        if len(times):
-            share, ratio = np.median(times[:, 2] / times[:, 0]), np.median(times[:, 0] / times[:, 1])
-            found[f"beats_{purpose}"] = {"planning_share": float(share), "ratio": float(ratio)}
-            print(f"beats, {purpose}, {len(times)} scenes: planning / all {share:.3f}, all / auto {ratio:.2f}")
-        places = [Place(arguments.seed, index, arguments.preset) for index in range(arguments.literal)]
-        times = np.array([literal_row(place, purpose) for place in places]).reshape(-1, 2)
-        if len(times):
-            ratio = np.median(times[:, 0] / times[:, 1])
-            found[f"literal_{purpose}"] = {"ratio": float(ratio), "all_s": float(np.median(times[:, 0]))}
-            print(
-                f"literal, {purpose}, {len(times)} scenes: all / auto {ratio:.2f}, all {np.median(times[:, 0]):.0f} s"
-            )
-    return found
-
-
 def all_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """Rows of all scenes; those that are there already are read."""
     done = []
@@ -380,20 +327,16 @@ def main() -> None:
     parser.add_argument("--alone", type=int, default=60)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--preset", choices=("xband", "77ghz"), default="xband")
-    parser.add_argument("--beats", type=int, default=0)
-    parser.add_argument("--literal", type=int, default=0)
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     arguments = parser.parse_args()
-    planner.MIN_PATHS_TO_PLAN = 0
     scene_rows(arguments.seed, 0, arguments.preset, False)  # compiles and fills the kernels
     rows = all_rows(arguments)
     found = summary(rows)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
     found |= {"machine": machine, "seed": arguments.seed, "preset": arguments.preset, "effects": sorted(ALL_EFFECTS)}
     report(found)
-    found |= dearer_levels(arguments)
     if arguments.out:
         arguments.out.write_text(json.dumps({"summary": found, "rows": rows}))
     if arguments.pictures:

@@ -98,9 +98,9 @@ class LabelledDrive:
         scene: Scene,
         seed: int,
         setup: RadarSetup,
-        effects: str = "all",
+        effects: str = "auto",
         budget_db: float = -20.0,
-        purpose: str = "samples",
+        purpose: str = "objects",
     ) -> None:
         self._player = ScenePlayer(scene, seed, setup, effects=effects, budget_db=budget_db, purpose=purpose)
         self._scene, self._setup, self._seed = scene, self._player.setup, seed

@@ -114,7 +114,7 @@ def labelled_scan(
     choice: EffectChoice = "auto",
     budget_db: float = -20.0,
     gain_db: float = 0.0,
-    purpose: str = "samples",
+    purpose: str = "objects",
 ) -> LabelledScan:
     """Return one scan as a data set stores it, "auto" planned for a purpose; ValueError as above."""
     plans = PlanRequest(budget_db, purpose_of(purpose))
@@ -167,7 +167,7 @@ class _Scan:
         self.setup = scene.setup if choice == "basic" else stronger(scene.setup, self.gain)
         self.world = prepare(scene, seed, self.setup)
         self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, plans)
-        self.paths = trace(self.world) if self.plan is None else self.plan.paths
+        self.paths = trace(self.world) if self.plan is None else self.plan.labelled
 
     def labelled(self) -> LabelledScan:
         """Return the profiles and labels."""
@@ -196,7 +196,7 @@ class _Scan:
 
     def _planned_profiles(self, plan: Plan) -> np.ndarray:
         """Return the echoes and noise under a plan, the converter only where this level can hold it."""
-        objections = kernel_objections(self.setup, self.paths, plan.signal, self.scene.radar.front_end)
+        objections = kernel_objections(self.setup, plan.paths, plan.signal, self.scene.radar.front_end)
         if objections:
             self.plan = plan = without_converter(plan, "; ".join(objections))
         front_end = self.scene.radar.front_end

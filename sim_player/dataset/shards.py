@@ -71,18 +71,18 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     effects: "auto" (planned per scene for a `purpose` under `budget_db`), "all", "basic" (the chain of
     `sim_player.signal.fmcw`), or names; None: "basic" for `street_v1`, else "auto". purpose: a word of
-    `sim_player.planner.purposes`, for plans alone; labels are those of the paths that it keeps. `street_v1` has no 77
-    GHz scenes. shift: "hard" makes the places rougher and fuller, and the board faulty
+    `sim_player.planner.purposes`, for plans alone, None: "objects"; labels are those of all effects. `street_v1` has no
+    77 GHz scenes. shift: "hard" makes the places rougher and fuller, and the board faulty
     (`sim_player.generate.domain_shift`), whose faults are those of steered beams. scans: a scene is one of so many
-    consecutive scans of a drive (`sim_player.generate.drives`) at its true pace; None: a place at rest. Drives have the
-    effects "all" unless told otherwise. truth: the facts list all objects, as those of drives always do.
+    consecutive scans of a drive (`sim_player.generate.drives`) at its true pace; None: a place at rest. truth: the
+    facts list all objects, as those of drives always do.
     """
 
     places: Places = "any"
     preset: Preset = "xband"
     effects: str | tuple[str, ...] | None = None
     budget_db: float = -20.0
-    purpose: str = "samples"
+    purpose: str | None = None
     shift: Shift = "none"
     scans: int | None = None
     truth: bool = False
@@ -117,7 +117,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError("effects must be auto, all, basic or a list of names, got nothing")
         if isinstance(self.effects, tuple):
             check_effects(frozenset(self.effects))
-        if purpose_of(self.purpose) is not Purpose.SAMPLES and self.choice != "auto":
+        if self.purpose is not None and purpose_of(self.purpose) is not Purpose.SAMPLES and self.choice != "auto":
             raise ValueError(f"purpose must be samples unless effects are auto, got {self.purpose!r}")
 
     def _check_drives(self) -> None:
@@ -136,10 +136,15 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def choice(self) -> EffectChoice:
         """The effects as `labelled_scan` takes them."""
         if self.effects is None:
-            return "basic" if self.places == "street_v1" else "auto" if self.scans is None else "all"
+            return "basic" if self.places == "street_v1" else "auto"
         if isinstance(self.effects, tuple):
             return frozenset(self.effects)
         return self.effects  # type: ignore[return-value]
+
+    @property
+    def planned_for(self) -> str:
+        """The purpose of planned effects, by default what perception needs."""
+        return self.purpose or (Purpose.OBJECTS if self.choice == "auto" else Purpose.SAMPLES).value
 
     @property
     def kind(self) -> PlaceKind | None:
@@ -167,10 +172,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
         plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
-        # series older than the shift have no such field, nor than drives, their truth or purposes
+        # series older than the shift have no such field, nor than drives, their truth or purposes (samples)
         del plain["shift"], plain["scans"], plain["truth"], plain["purpose"]
-        if self.purpose != Purpose.SAMPLES:
-            plain["purpose"] = self.purpose
+        if choice == "auto":
+            plain["purpose"] = self.planned_for
         if self.truth:
             plain |= {"truth": True, "walls": True}
         if self.scans is not None:
@@ -284,7 +289,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         scene, place = draw_scene(recipe, seed, index)
         gain_db = draw_gain_db(seed, index)
         scan_seed = scene_seed(seed, index)
-        scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db, recipe.purpose)
+        scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db, recipe.planned_for)
         if recipe.shift == "hard":
             boards.append(draw_faults(shift_rng(seed, index, 1), len(scan.profiles)))
             scan = replace(scan, profiles=faulty_profiles(scan.profiles, boards[-1], scene.setup, scan_seed))
@@ -324,7 +329,7 @@ def _drive_arrays(recipe: Recipe, scans: int, seed: int, first: int, count: int)
         place, gain_db = _draw_drive(recipe, scans, seed, index), draw_gain_db(seed, index)
         scene, setup = place.scene, stronger(place.scene.setup, ratio_from_db(gain_db))
         effects = ",".join(sorted(recipe.choice)) if isinstance(recipe.choice, frozenset) else recipe.choice
-        drive = LabelledDrive(scene, scene_seed(seed, index), setup, effects, recipe.budget_db, recipe.purpose)
+        drive = LabelledDrive(scene, scene_seed(seed, index), setup, effects, recipe.budget_db, recipe.planned_for)
         for number in range(scans):
             scan = drive.scan(number)
             labels.append(scan.labels)
@@ -396,9 +401,7 @@ def _plan_line(recipe: Recipe, scan: LabelledScan | DriveScan) -> bytes:
     if plan is not None:
         line |= {"traced": plan.traced, "plan": msgspec.to_builtins(plan.effects)}
     if plan is not None and recipe.choice == "auto":
-        line |= {"budget_db": plan.budget_db, "spent_db": plan.spent_db}
-        if plan.purpose is not Purpose.SAMPLES:
-            line["purpose"] = plan.purpose
+        line |= {"budget_db": plan.budget_db, "spent_db": plan.spent_db, "purpose": plan.purpose}
     return msgspec.json.encode(line)
 
 

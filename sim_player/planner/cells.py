@@ -6,15 +6,14 @@ What is bounded in the beams is bounded on the map by the inversion's magnitudes
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from models.compiled import compiled
 from models.perception.forming.coarray import AzimuthInterpolator
 from msgs.values.radar import ArrayParams, BeamGrid, ElementPattern, RadarParams, RadarSetup
-from sim_player.planner.purposes import DETECTION, Purpose, object_paths
-from sim_player.trace.paths import Paths
+from sim_player.planner.purposes import LEAST, Purpose
 
 
 class Cells:
@@ -25,15 +24,11 @@ class Cells:
         self._matrix = inversion.coherent_matrix  # [beams, azimuths]
         self._magnitude = np.abs(self._matrix).T
         self._noise_gain = np.linalg.norm(self._matrix, axis=0)
-        self._azimuth_rad = np.concatenate([setup.beams.azimuth_rad, inversion.grid.azimuth_rad])
-        apart_rad = np.abs(inversion.grid.azimuth_rad[:, None] - setup.beams.azimuth_rad)
-        self._owner = apart_rad.argmin(axis=1)
-        self._range_bin_m = setup.radar.range_bin_m
         aperture_m = setup.array.columns * setup.array.column_spacing(setup.radar.wavelength_m)
-        self._half_beam_rad = 0.443 * setup.radar.wavelength_m / aperture_m
+        half_beam_rad = 0.443 * setup.radar.wavelength_m / aperture_m
         step_rad = float(np.median(np.diff(setup.beams.azimuth_rad))) if len(setup.beams) > 1 else np.inf
-        self._near_beams = int(self._half_beam_rad / abs(step_rad))
-        self._near_azimuths = int(self._half_beam_rad / inversion.grid.azimuth_step_rad)
+        self._near_beams = int(half_beam_rad / abs(step_rad))
+        self._near_azimuths = int(half_beam_rad / inversion.grid.azimuth_step_rad)
 
     def values(self, profiles: np.ndarray) -> np.ndarray:
         """Beams [beams, bins] and the map they make, complex [beams + azimuths, bins]."""
@@ -43,10 +38,10 @@ class Cells:
         """Bounds in the beams, and on the map that their signals make, [beams + azimuths, bins]."""
         return np.concatenate([bound, self._magnitude @ bound])
 
-    def nearest(self, limit: np.ndarray) -> np.ndarray:
-        """Return the least limit of each beam and of the azimuths of the map nearest to it, [beams, bins]."""
-        beams = len(limit) - self._matrix.shape[1]
-        return _least_of(limit, self._owner, beams)
+    @cached_property
+    def map_share(self) -> float:
+        """Return the share of its reference by whose magnitude all beams may change so that no azimuth changes more."""
+        return float(min(1.0, (self._noise_gain / self._magnitude.sum(axis=1)).min()))
 
     def floor(
         self,
@@ -65,27 +60,11 @@ class Cells:
         left = self.bounds(np.broadcast_to(np.asarray(unknown, np.float32), profiles.shape)) + sigmas * rms
         sure = np.abs(self.values(profiles)) - left
         if purpose is not Purpose.SAMPLES:
-            return np.asarray(np.maximum(sure, DETECTION * rms))
+            return np.asarray(np.maximum(sure, LEAST[purpose] * rms))
         near = np.concatenate(
             [_strongest_near(sure[:beams], self._near_beams), _strongest_near(sure[beams:], self._near_azimuths)]
         )
         return np.asarray(np.maximum(near, rms))
-
-    def asked(self, setup: RadarSetup, purpose: Purpose, paths: Paths, noise_rms: np.ndarray) -> np.ndarray | None:
-        """Return the cells in which a purpose's law holds, bool [beams + azimuths, bins]; None: in all of them.
-
-        `paths` are those of all effects. Cells of a path lie within one range bin and half a beam.
-        """
-        if purpose is not Purpose.OBJECTS:
-            return None
-        mine = paths.take(object_paths(setup, paths, noise_rms))
-        bins = len(noise_rms)
-        mask = np.zeros((len(self._azimuth_rad), bins), bool)
-        centre = np.rint(0.5 * mine.length_m / self._range_bin_m).astype(int)
-        for azimuth_rad, cell in zip(mine.azimuth_rad, centre, strict=True):
-            rows = np.abs(self._azimuth_rad - azimuth_rad) <= self._half_beam_rad
-            mask[rows, max(cell - 1, 0) : min(cell + 2, bins)] = True
-        return mask
 
     def off(
         self,
@@ -93,12 +72,10 @@ class Cells:
         planned: np.ndarray,
         noise_rms: np.ndarray,
         purpose: Purpose = Purpose.SAMPLES,
-        asked: np.ndarray | None = None,
     ) -> np.ndarray:
-        """The law's ratio of two maps with the same noise, [beams + azimuths, bins]; 0 where it does not hold."""
+        """The law's ratio of two maps with the same noise, [beams + azimuths, bins]."""
         difference = np.abs(self.values(everything) - self.values(planned))
-        ratio = difference / self.floor(everything, noise_rms, purpose=purpose)
-        return np.asarray(ratio if asked is None else np.where(asked, ratio, 0.0))
+        return np.asarray(difference / self.floor(everything, noise_rms, purpose=purpose))
 
 
 def cells_of(setup: RadarSetup) -> Cells:
@@ -127,14 +104,4 @@ def _strongest_near(values, rows_near):  # type: ignore[no-untyped-def]
         for near in range(max(row - rows_near, 0), min(row + rows_near + 1, rows)):
             for cell in range(bins):
                 out[row, cell] = max(out[row, cell], wide[near, cell])
-    return out
-
-
-@compiled
-def _least_of(limit, owner, beams):  # type: ignore[no-untyped-def]
-    """Least of the rows that each of the first `beams` rows owns among the rest, and of its own."""
-    out = limit[:beams].copy()
-    for row in range(len(owner)):
-        for cell in range(limit.shape[1]):
-            out[owner[row], cell] = min(out[owner[row], cell], limit[beams + row, cell])
     return out

@@ -1,4 +1,4 @@
-"""What an effect alone changes in every cell, all others as they stand in the ablation.
+"""What an effect alone changes in every cell, all others on.
 
 Dropping a path effect takes its paths away, a weight effect changes the weight of paths, an array effect the two-way
 pattern: all that is evaluated. What the receiver adds is bounded by its statistics or its own profile. The effects in
@@ -16,7 +16,7 @@ import numpy as np
 from models.physics.waveform import window_noise_gain
 from msgs.values.radar import RadarParams
 from sim_player.effects.curved_wall import as_chords
-from sim_player.effects.table import EFFECTS, ArrayEffect, PathEffect, WeightEffect
+from sim_player.effects.table import ALL_EFFECTS, EFFECTS, ArrayEffect, PathEffect, WeightEffect
 from sim_player.planner.ablation import FAR_SIGMAS, Change, EffectAblation
 from sim_player.planner.sweep_terms import SweepTerms
 from sim_player.signal.receiver import (
@@ -37,34 +37,30 @@ def change_of(ablation: EffectAblation, name: str) -> Change:
         return _OWN_CHANGE[name](ablation)
     match EFFECTS[name]:
         case PathEffect():
-            return ablation.whole(ablation.terms, ablation.made_by(name), ablation.selection.overlaps)
+            return ablation.whole(ablation.terms, ablation.made_by(name))
         case WeightEffect():
             return _weight_change(ablation, name)
         case ArrayEffect():
-            other = ablation.terms_of(ablation.paths, frozenset(ablation.used) - {name})
-            return _difference(ablation, other.unsquinted(~ablation.selection.squints))
+            return _difference(ablation, ablation.terms_of(ablation.paths, ALL_EFFECTS - {name}))
     raise KeyError(f"effect {name} has no bound")
 
 
 def _difference(ablation: EffectAblation, other: SweepTerms) -> Change:
-    """Return what the echoes as they stand have over the same echoes otherwise."""
-    overlaps = ablation.selection.overlaps
-    now, then = ablation.whole(ablation.terms, None, overlaps), ablation.whole(other, None, overlaps)
-    return Change(now.values - then.values, now.bound + then.bound)
+    """Return what the echoes have over the same echoes otherwise."""
+    then = ablation.whole(other)
+    return Change(ablation.evaluated.values - then.values, ablation.evaluated.bound + then.bound)
 
 
 def _weight_change(ablation: EffectAblation, name: str) -> Change:
     """Evaluate the echoes with the difference of both weights."""
-    used = frozenset(ablation.used)
-    change = weights(ablation.echoes, ablation.world, used) - weights(ablation.echoes, ablation.world, used - {name})
-    terms = ablation.terms_of(replace(ablation.paths, amplitude=change)).unsquinted(~ablation.selection.squints)
-    return ablation.whole(terms, None, ablation.selection.overlaps)
+    change = ablation.paths.amplitude - weights(ablation.echoes, ablation.world, ALL_EFFECTS - {name})
+    return ablation.whole(ablation.terms_of(replace(ablation.paths, amplitude=change)))
 
 
 def _curved_wall(ablation: EffectAblation) -> Change:
     """Evaluate its paths, and those that chords put in their place."""
-    mine = ablation.whole(ablation.terms, ablation.made_by("curved_wall"), ablation.selection.overlaps)
-    chords = as_paths(ablation.view, as_chords(TraceContext(ablation.view)), frozenset(ablation.used))
+    mine = ablation.whole(ablation.terms, ablation.made_by("curved_wall"))
+    chords = as_paths(ablation.view, as_chords(TraceContext(ablation.view)), ALL_EFFECTS)
     instead = ablation.whole(ablation.terms_of(chords))
     return Change(mine.values - instead.values, mine.bound + instead.bound)
 
@@ -73,11 +69,10 @@ def _non_cofocal(ablation: EffectAblation) -> Change:
     """Evaluate its paths, and how far arrays that stand apart turn and shift every other echo."""
     mine = ablation.made_by("non_cofocal")
     if ablation.world.scene.radar.separation_m == 0.0:
-        return ablation.whole(ablation.terms, mine, ablation.selection.overlaps)
-    together = as_paths(ablation.view, ablation.echoes, frozenset(ablation.used) - {"non_cofocal"})
+        return ablation.whole(ablation.terms, mine)
+    together = as_paths(ablation.view, ablation.echoes, ALL_EFFECTS - {"non_cofocal"})
     amplitude = np.where(mine, 0.0, together.amplitude)
-    terms = ablation.terms_of(replace(together, amplitude=amplitude)).unsquinted(~ablation.selection.squints)
-    return _difference(ablation, terms)
+    return _difference(ablation, ablation.terms_of(replace(together, amplitude=amplitude)))
 
 
 def _motion(ablation: EffectAblation) -> Change:
@@ -92,7 +87,7 @@ def _squint(ablation: EffectAblation) -> Change:
 
 def _chirp_overlap(ablation: EffectAblation) -> Change:
     """Evaluate what the start of the chirp changes, over all paths that overlap."""
-    return ablation.head(ablation.terms, ablation.selection.overlaps)
+    return ablation.overlap(ablation.terms, np.ones(len(ablation.terms), bool))
 
 
 def _bounded(ablation: EffectAblation, bound: np.ndarray | float) -> Change:
@@ -132,8 +127,7 @@ def _adc(ablation: EffectAblation) -> Change:
 
 def _iq_imbalance(ablation: EffectAblation) -> Change:
     """Bound the change of gain on all that is there, and the image."""
-    standing = ablation.whole(ablation.terms, None, ablation.selection.overlaps)
-    return _bounded(ablation, ablation.unbalanced(standing))
+    return _bounded(ablation, ablation.unbalanced(ablation.evaluated))
 
 
 def _spurs(ablation: EffectAblation) -> Change:

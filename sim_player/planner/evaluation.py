@@ -25,6 +25,8 @@ OVERSAMPLING, WIDTH, SHAPE = 2, 8, 18.4
 ROUNDING, SPREAD = 1e-6, 1e-7
 #: The grid reaches so many bins beyond the range bins at most: echoes farther off fall under the window's skirts.
 BEYOND_BINS = 128
+#: The grid ends at a multiple of so many bins.
+BLOCK_BINS = 64
 #: Bins between two at which the overlapped start is evaluated, those beyond either end, taps to either side.
 COARSE, GUARD, TAPS = 8, 80, 10
 #: Shape of the window of that interpolation, which leaves exp(-shape).
@@ -50,7 +52,9 @@ def evaluate(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bin
     if most == 0:
         return np.zeros((beams, range_bins), np.complex64)
     margin = WIDTH // 2
-    size = OVERSAMPLING * (range_bins + BEYOND_BINS) + 2 * margin
+    # whole blocks of bins up to the farthest echo, so that scenes share their kernels
+    blocks = int(echoes.tone[part != NOTHING].max()) // BLOCK_BINS + 1
+    size = OVERSAMPLING * BLOCK_BINS * blocks + 2 * margin
     kernels = _kernels(radar.samples_per_chirp, range_bins, size)
     grid = np.zeros((most, size, beams), np.complex64)
     _gather(
@@ -348,7 +352,7 @@ def _weighted_sum(spectra, kernels):  # type: ignore[no-untyped-def]
     return out
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def _kernels(count: int, range_bins: int, size: int) -> np.ndarray:
     """Return the transforms of the kernels that carry the grid to the bins, complex64 [terms, frequencies].
 

@@ -1,18 +1,18 @@
 """Plan of the effects that a scene needs: the least that keeps the law of a purpose within a budget.
 
-The law (`sim_player.planner.purposes`): |RA(planned) - RA(all)| <= budget x reference in every cell of the purpose, for
-the same noise. It is kept by construction: an ablation goes from all effects to the planned ones in steps, each of
-which drops paths, the squint or overlap of paths, or an effect. What the steps change together is evaluated in every
-cell, phases and all, over a lower bound of the reference (`sim_player.planner.ablation`).
+The law (`sim_player.planner.purposes`): |RA(planned) - RA(all)| <= budget x reference in every cell of beams and map,
+for the same noise. Questions go from cheap to dear, and asking ends with the first answer:
 
-A plan of a scene at rest holds as long as nothing moves. In a scene that moves the phases turn within a wavelength and
-paths come and go: there only effects are left out that the scene has nothing of, which holds at any time, and the
-weakest paths, by magnitudes alone, which holds from one instant of tracing to the next (`sim_player.planner.spans`).
+1. what the scene has nothing of is absent, whatever its strength;
+2. all other paths are traced: rays are cheap, what costs time is their signal, most of all its sweep;
+3. by magnitudes alone the weakest paths go, the squint and the overlap of others, and weights that change too little
+   (`sim_player.planner.weakest`); an effect whose paths all go is skipped;
+4. phases are asked where the map is all that is wanted: what is left is evaluated with a bound of its error
+   (`sim_player.planner.answer`), which is the map.
 
-Cells are range bins of every steering angle, as the radar measures them and section 2.1.1 assembles them, and of every
-azimuth of the map that the co-array inversion makes of them (`sim_player.planner.cells`). Rays are cheap: all paths are
-traced to know them. What costs time is their signal, most of all its sweep: squint takes a tone per instant, overlap a
-stretch of samples per path. So these two are asked path by path.
+Every caller asks the same questions, so what `sim effects` shows is what runs; a thorough plan only adds what each
+effect alone would change (`sim_player.planner.changes`). In a scene that moves the third question is asked again from
+one instant of tracing to the next, and effects are left out only that it has nothing of.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import msgspec
@@ -28,11 +28,13 @@ import numpy as np
 
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
-from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
-from sim_player.planner.ablation import Answer, EffectAblation, signal_effects
+from sim_player.effects.names import bit
+from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, WEIGHTS, check_effects
+from sim_player.planner.ablation import FAR_SIGMAS, EffectAblation, clutter_rms, signal_effects
+from sim_player.planner.answer import Law, evaluated
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.spans import SpanSelection
+from sim_player.planner.weakest import WEIGHT_SHARE, Choice, Weakest
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.clutter import clutter_profiles, profile_power_mw
@@ -40,20 +42,21 @@ from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import dither_objection
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.conversion import as_paths
+from sim_player.trace.conversion import as_paths, weights
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.path_tracks import scene_step_s
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
 
 BUDGET_DB = -20.0
-#: Share of the budget that dropped paths, squint and overlap may take; effects that cost nothing have the rest.
-SELECTED_SHARE = 0.8
-#: For `samples` no file with fewer paths than this is asked for: those made by earlier versions stay as they are.
-MIN_PATHS_TO_PLAN = 3000
-#: Why no effect that a moving scene has is left out, and no path where none is asked for.
-MOVES = "kept at any time, the scene moves"
-WEAKEST = "kept at any time, the scene moves; its weakest paths are left out from one instant of tracing to the next"
+#: So many steady paths for each that is swept have a signal of their own.
+FEWEST = 1.0 / 3.0
+#: Share of the budget that echoes of rain, snow and fog may take if they go.
+RAIN_SHARE = 0.05
+#: Why nothing is left out that a scene has.
+MOVES = "kept, the scene moves"
+WEAKEST = "kept, the scene moves; its weakest paths go from instant to instant"
+ROUNDS = "kept, rounding is no noise here and nothing bounds it"
 #: Bounds in JSON end here.
 MAX_DB = 200.0
 
@@ -65,6 +68,7 @@ class EffectPlan(msgspec.Struct, frozen=True, kw_only=True):
     used: bool
     #: The most it can change in any cell, relative to noise or what stands there; None: nothing, or not asked.
     bound_db: float | None
+    #: What it costs a signal as planned.
     cost_s: float
     reason: str
 
@@ -86,12 +90,17 @@ class Plan:
     traced: int
     #: Bound of the whole difference in any cell, in dB; None: no difference.
     spent_db: float | None
+    #: Processor times of the questions.
     timing_s: dict[str, float]
-    #: The answer at the kernel level, found on the way to the plan: profiles of all echoes with all effects but leakage
+    #: What is left out of the costs of the effects.
+    saved_s: float
+    #: Names of the effects under which labels are made: of all that the scene has.
+    present: frozenset[str]
+    #: The answer at the kernel level, found on the way to the plan: profiles of its echoes with all effects but leakage
     #: and spurs; None where nothing was evaluated or the error is over the budget; complex64 [beams, bins].
     evaluated: np.ndarray | None = None
     #: What chooses the paths of a scene that moves, from one instant of tracing to the next; None: all of them.
-    spans: SpanSelection | None = None
+    spans: Weakest | None = None
     #: How long what is left out stays so before it is chosen again: from one instant of tracing to the next.
     holds_s: float = math.inf
 
@@ -106,20 +115,34 @@ class Plan:
         return as_paths(self.view, self.echoes, self.used)
 
     @cached_property
+    def labelled(self) -> Paths:
+        """The planned paths with all effects that the scene has on them: what labels are made of, as without a plan."""
+        return self.paths if self.present == self.used else as_paths(self.view, self.echoes, self.present)
+
+    @cached_property
     def signal(self) -> SignalEffects:
         """The planned effects of antenna, waveform and receiver."""
         return signal_effects(self.used)
 
+    def share_of(self, effect: EffectPlan) -> float:
+        """Return what an effect costs of what all cost together, in percent; 0 where nothing costs anything."""
+        whole_s = self.saved_s + sum(other.cost_s for other in self.effects)
+        return 100.0 * effect.cost_s / whole_s if whole_s else 0.0
+
     def groups(self) -> list[tuple[Paths, SignalEffects]]:
-        """Paths that share the same effects of the sweep, at least one group."""
-        paths, groups = self.paths, []
-        for squint in (True, False):
-            for overlap in (True, False):
-                in_group = (self.squints == squint) & (self.overlaps == overlap)
-                flags = msgspec.structs.replace(self.signal, squint=squint, chirp_overlap=overlap)
-                if in_group.any():
-                    groups.append((paths.take(in_group), flags))
-        return groups or [(paths, self.signal)]
+        """Paths that share the same effects of the sweep, one group or two: what squints or overlaps does both.
+
+        A few steady paths are swept with the others, for a group has transforms of its own.
+        """
+        swept = self.squints | self.overlaps
+        flags = msgspec.structs.replace(
+            self.signal, squint=bool(self.squints.any()), chirp_overlap=bool(self.overlaps.any())
+        )
+        if FEWEST * swept.sum() > (~swept).sum():
+            return [(self.paths, flags)]
+        steady = msgspec.structs.replace(flags, squint=False, chirp_overlap=False)
+        groups = [(self.paths.take(mask), part) for mask, part in ((swept, flags), (~swept, steady)) if mask.any()]
+        return groups or [(self.paths, flags)]
 
 
 def plan_world(
@@ -133,17 +156,16 @@ def plan_world(
 ) -> Plan:
     """Return the plan of a prepared scene for a purpose; a thorough one asks what each effect alone would change.
 
-    Where only profiles are wanted, no beats, paths are selected only if the evaluated profiles miss the budget. Raises
-    ValueError for a budget that is not negative.
+    Where only profiles are wanted, no beats, they are evaluated on the way. Raises ValueError for a budget that is not
+    negative.
     """
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
-    start = time.perf_counter()
-    ablation = EffectAblation(world, setup, time_s, purpose, 10.0 ** (budget_db / 20.0), thorough)
-    planner = _Planner(ablation, thorough, profiles_only)
-    planner.timing_s["trace"] = time.perf_counter() - start
+    planner = _Planner(world, setup, time_s, purpose, budget_db, profiles_only)
     planner.run()
-    return planner.plan(budget_db)
+    if thorough:
+        planner.bound_each()
+    return planner.plan()
 
 
 def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFECTS, time_s: float = 0.0) -> Plan:
@@ -152,7 +174,7 @@ def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFE
     Effects that the scene has nothing of stay unused, whatever is asked.
     """
     wanted, view = check_effects(frozenset(names)), reachable_snapshot(world, time_s)
-    start = time.perf_counter()
+    start = time.process_time()
     echoes = trace_echoes(view, wanted)
     effects = tuple(_by_hand(name, wanted, world) for name in EFFECTS)
     used = frozenset(effect.name for effect in effects if effect.used)
@@ -168,7 +190,9 @@ def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFE
         overlaps=every & ("chirp_overlap" in used),
         traced=len(echoes),
         spent_db=None,
-        timing_s={"trace": time.perf_counter() - start},
+        saved_s=0.0,
+        present=used,
+        timing_s={"trace": time.process_time() - start},
     )
 
 
@@ -206,7 +230,9 @@ def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
     """Return the same without the noise: in single precision what the plan has evaluated, wherever it has."""
     front_end = plan.view.world.scene.radar.front_end
     if plan.evaluated is None or precision != "float32":
-        return planned_profiles(plan, setup, seed, precision)
+        # one sweep for all paths costs less than one for each group
+        echoes = kernel_profiles(setup, plan.paths, plan.signal, front_end, precision=precision, seed=seed)
+        return echoes + _of_the_air(plan, setup, seed).astype(echoes.dtype)
     echoes = plan.evaluated + _of_the_air(plan, setup, seed).astype(plan.evaluated.dtype)
     faults = (plan.signal.leakage and front_end.leakage_dbm is not None) or (plan.signal.spurs and front_end.spurs)
     if not faults:
@@ -244,137 +270,175 @@ def _of_the_air(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:
 
 
 class _Planner:
-    """Takes the steps of the ablation, books each one, and states why."""
+    """Asks the questions in turn, books each answer, and states why."""
 
-    def __init__(self, ablation: EffectAblation, thorough: bool, profiles_only: bool) -> None:
-        self.ablation, self.thorough, self.profiles_only = ablation, thorough, profiles_only
-        self.answer: Answer | None = None
-        self.spans: SpanSelection | None = None
-        self.spent = 0.0
+    def __init__(
+        self, world: World, setup: RadarSetup, time_s: float, purpose: Purpose, budget_db: float, profiles_only: bool
+    ) -> None:
+        self.world, self.setup, self.time_s, self.purpose, self.budget_db = world, setup, time_s, purpose, budget_db
+        self.budget, self.profiles_only = 10.0 ** (budget_db / 20.0), profiles_only
+        self.front_end = world.scene.radar.front_end
         self.found: dict[str, EffectPlan] = {}
-        self.traced = len(ablation.echoes)
         self.timing_s: dict[str, float] = {}
+        self.profiles: np.ndarray | None = None
+        self.weakest: Weakest | None = None
+        self.spent = self.saved_s = 0.0
 
     def run(self) -> None:
-        """All steps in turn."""
+        """All questions."""
+        world = self.world
         for name, effect in EFFECTS.items():
-            reason = effect.absent(self.ablation.world)
-            if reason is not None:
-                self._row(name, False, None, 0, reason)
-        few = self.ablation.purpose is Purpose.SAMPLES and self.traced < MIN_PATHS_TO_PLAN and not self.thorough
-        if self.ablation.world.scene.moves:
-            self.spans = None if few else self._spans()
-            self._take_all(MOVES if self.spans is None else WEAKEST)
+            if (reason := effect.absent(world)) is not None:
+                self._row(name, False, 0, reason)
+        self.present = frozenset(EFFECTS).difference(self.found)
+        self.flags = signal_effects(self.present)
+        self._timed("trace", self._trace)
+        every = np.ones(len(self.echoes), bool)
+        self.choice = Choice(every, every & self.flags.squint, every & self.flags.chirp_overlap, 0.0)
+        if dither_objection(self.setup, self.front_end, thermal=True) is not None:
+            self._take_all(MOVES if world.scene.moves else ROUNDS)
             return
-        if few:
-            self._take_all(f"not asked, {self.traced} paths are few")
+        self.weakest = Weakest(self.setup, self.flags, self.front_end, self.purpose, self.budget)
+        if world.scene.moves:
+            self.spent = 1.0
+            self._take_all(WEAKEST)
             return
-        self._timed("floor", self._evaluate)
-        if self.answer is not None and self.profiles_only:
-            self._take_all("evaluated with all others, under the budget")
-            self.spent = self.answer.off
-            return
-        # what each effect alone would change is asked before anything is left out
-        self._timed("alone", self._alone)
-        self._timed("select", self._select)
-        self._timed("free", self._free)
-        self.spent = self.ablation.ratio(self.ablation.spent)
+        self._timed("choose", self._choose)
+        if self.profiles_only and not world.scene.moves:
+            self._timed("evaluate", self._evaluate)
 
-    def plan(self, budget_db: float) -> Plan:
+    def bound_each(self) -> None:
+        """Add what each effect alone would change of everything at most; where the scene moves nothing bounds it."""
+        if self.world.scene.moves or self.weakest is None:
+            return
+        ablation = EffectAblation(self.world, self.setup, self.time_s, self.purpose, self.budget)
+        for name in self.present:
+            bound_db = _decibel(ablation.ratio(change_of(ablation, name)))
+            self.found[name] = msgspec.structs.replace(self.found[name], bound_db=bound_db)
+
+    def plan(self) -> Plan:
         """Return the decisions, in the order of the effects."""
-        ablation, every = self.ablation, np.ones(len(self.ablation.echoes), bool)
+        kept, moves = self.choice.kept, self.world.scene.moves
         return Plan(
-            purpose=ablation.purpose,
-            budget_db=budget_db,
+            purpose=self.purpose,
+            budget_db=self.budget_db,
             effects=tuple(self.found[name] for name in EFFECTS),
-            view=ablation.view,
-            setup=ablation.setup,
-            echoes=ablation.echoes,
-            squints=ablation.selection.squints if ablation.begun else every & ("squint" in ablation.used),
-            overlaps=ablation.selection.overlaps if ablation.begun else every & ("chirp_overlap" in ablation.used),
-            traced=self.traced,
-            spent_db=_decibel(self.spent),
+            view=self.view,
+            setup=self.setup,
+            echoes=self.echoes if kept.all() else self.echoes.take(kept),
+            squints=self.choice.squints[kept],
+            overlaps=self.choice.overlaps[kept],
+            traced=len(kept),
+            spent_db=_decibel(self.budget * self.spent),
             timing_s=self.timing_s,
-            evaluated=None if self.answer is None else self.answer.profiles,
-            spans=self.spans,
-            holds_s=math.inf if self.spans is None else scene_step_s(ablation.world),
+            saved_s=self.saved_s,
+            present=self.present,
+            evaluated=self.profiles,
+            spans=self.weakest if moves else None,
+            holds_s=scene_step_s(self.world) if moves and self.weakest is not None else math.inf,
         )
 
-    def _spans(self) -> SpanSelection | None:
-        """Return what chooses the paths of a scene that moves; None where rounding is no noise that adds to them."""
-        ablation = self.ablation
-        setup, front_end = ablation.setup, ablation.front_end
-        if dither_objection(setup, front_end, thermal=True) is not None:
-            return None
-        self.spent = ablation.budget
-        return SpanSelection(setup, ablation.flags(), front_end, ablation.purpose, ablation.budget)
-
     def _timed(self, name: str, step: Callable[[], None]) -> None:
-        start = time.perf_counter()
+        start = time.process_time()
         step()
-        self.timing_s[name] = time.perf_counter() - start
+        self.timing_s[name] = time.process_time() - start
+
+    def _trace(self) -> None:
+        """Trace what the scene has; behind the antenna, where its elements are blind, nothing that is at rest."""
+        self.view = reachable_snapshot(self.world, self.time_s, ahead_only=not self.world.scene.moves)
+        self.echoes = trace_echoes(self.view, self.present)
+
+    def _choose(self) -> None:
+        """Leave out by magnitudes; the effects that are left with nothing are skipped."""
+        assert self.weakest is not None
+        self.paths = paths = as_paths(self.view, self.echoes, self.present)
+        self.span = self.weakest.span(paths, paths)
+        self.choice = choice = self.weakest.choose(paths, self.span)
+        self.spent = choice.spent
+        for name in [name for name in EFFECTS if name not in self.found]:
+            if name in PATHS:
+                self._row_of_paths(name)
+            elif name in ("squint", "chirp_overlap"):
+                mask = choice.squints if name == "squint" else choice.overlaps
+                left = int(mask.sum())
+                text = f"{left} of {counted(int(choice.kept.sum()), 'path')} left: {EFFECTS[name].about}"
+                self._row(name, bool(left), left, text, len(paths))
+            elif name == "rain_clutter":
+                self._row_of_rain()
+            elif name in WEIGHTS:
+                self._row_of_weights(name, paths)
+            else:
+                self._row(name, True, 0, f"costs nothing: {EFFECTS[name].about}")
+
+    def _row_of_paths(self, name: str) -> None:
+        mine = (self.echoes.needs & np.uint32(bit(name))) != 0
+        count, left = int(mine.sum()), int((mine & self.choice.kept).sum())
+        # a path costs once: it is booked to the last effect that it needs
+        own = mine & (self.echoes.needs < np.uint32(2 * bit(name)))
+        # arrays that stand apart move every echo, not those alone that this effect makes
+        apart = name == "non_cofocal" and self.world.scene.radar.separation_m > 0.0
+        text = f"{left} of {counted(count, 'path')}: {PATHS[name].about}"
+        self._row(name, apart or bool(left), int((own & self.choice.kept).sum()), text, int(own.sum()))
+
+    def _row_of_rain(self) -> None:
+        """Skip echoes of the air whose draws stay under a share of the budget."""
+        assert self.weakest is not None
+        most = FAR_SIGMAS * clutter_rms(self.view, self.setup, self.flags) / self.weakest.limit
+        fits = float(most.max()) <= RAIN_SHARE
+        self.spent += RAIN_SHARE if fits else 0.0
+        text = f"draws reach {float(most.max()):.2g} of what may change: {EFFECTS['rain_clutter'].about}"
+        self._row("rain_clutter", not fits, 0, text)
+
+    def _row_of_weights(self, name: str, paths: Paths) -> None:
+        """Skip a weight that changes too little, whatever phases are."""
+        assert self.weakest is not None
+        parts = sum(weight in self.present for weight in WEIGHTS)
+        without = weights(self.echoes, self.world, self.present - {name})
+        change = np.abs(paths.amplitude - without) / np.maximum(np.abs(paths.amplitude), 1e-300) * self.choice.kept
+        fits = self.weakest.fits(self.span, change, parts)
+        changes = change > 0.0
+        self.spent += WEIGHT_SHARE / parts if fits and changes.any() else 0.0
+        most_db = 20.0 * math.log10(1.0 + float(change.max(initial=0.0)))
+        text = f"changes {counted(int(changes.sum()), 'path')} by {most_db:.2g} dB at most: {EFFECTS[name].about}"
+        self._row(name, not fits, 0, text)
 
     def _evaluate(self) -> None:
-        """Evaluate everything, and see whether that is an answer."""
-        self.ablation.begin()
-        self.answer = self.ablation.answer()
+        """Make the map of what is left."""
+        assert self.weakest is not None
+        kept, choice = self.choice.kept, self.choice
+        used, paths = self.used, self.paths.take(kept)
+        if any(name not in used for name in WEIGHTS if name in self.present):
+            paths = replace(paths, amplitude=weights(self.echoes.take(kept), self.world, used))
+        left = Choice(kept[kept], choice.squints[kept], choice.overlaps[kept], choice.spent)
+        law = Law(self.purpose, self.budget, self.weakest.limit, 1.0 - self.spent)
+        answer = evaluated(self.setup, paths, left, signal_effects(used), self.front_end, law)
+        if answer is not None:
+            self.profiles, self.spent = answer.profiles, self.spent + answer.spent
+
+    @property
+    def used(self) -> frozenset[str]:
+        """Names of the effects that are used as far as is known."""
+        return frozenset(name for name, effect in self.found.items() if effect.used)
 
     def _take_all(self, why: str) -> None:
         """Use everything that the scene has."""
-        for name in (name for name in EFFECTS if name not in self.found):
-            self._row(name, True, None, self.traced, f"{why}: {EFFECTS[name].about}")
+        for name in (name for name in EFFECTS if name in self.present):
+            count = len(self.echoes)
+            if name in PATHS:
+                count = int(((self.echoes.needs >> np.uint32(int(math.log2(bit(name))))) == 1).sum())
+            self._row(name, True, count, f"{why}: {EFFECTS[name].about}")
 
-    def _alone(self) -> None:
-        """Largest change by each effect alone, if it is asked for."""
-        names = [name for name in EFFECTS if name not in self.found] if self.thorough else []
-        changes = {name: self.ablation.ratio(change_of(self.ablation, name)) for name in names}
-        self.alone_db = {name: _decibel(change) for name, change in changes.items()}
-
-    def _select(self) -> None:
-        """Drop paths, squint and overlap of paths; the effects that are left with none are skipped."""
-        ablation = self.ablation
-        made = {name: ablation.made_by(name) for name in PATHS if name not in self.found}
-        selection = ablation.select(SELECTED_SHARE)
-        for name, mine in made.items():
-            count, left = int(mine.sum()), int((mine & ~selection.dropped).sum())
-            text = f"{left} of {counted(count, 'path')}: {PATHS[name].about}"
-            # arrays that stand apart move every echo, not those alone that this effect makes
-            apart = name == "non_cofocal" and ablation.world.scene.radar.separation_m > 0.0
-            self._row(name, apart or bool(left), self.alone_db.get(name), left, text)
-        kept = ~selection.dropped
-        for name, mask in (("squint", selection.squints), ("chirp_overlap", selection.overlaps)):
-            if name not in self.found:
-                left = int(mask.sum())
-                text = f"{left} of {counted(int(kept.sum()), 'path')} left: {EFFECTS[name].about}"
-                self._row(name, bool(left), self.alone_db.get(name), left, text)
-        ablation.settle()
-
-    def _free(self) -> None:
-        """Effects that cost nothing: used, or in a thorough plan dropped while the budget lasts."""
-        ablation = self.ablation
-        names = [name for name in EFFECTS if name not in self.found]
-        if not self.thorough:
-            for name in names:
-                self._row(name, True, None, 0, f"costs nothing: {EFFECTS[name].about}")
-            return
-        for name in sorted(names, key=lambda name: self.alone_db[name] or -math.inf):
-            change = change_of(ablation, name)
-            fits = ablation.fits(change)
-            self._row(name, not fits, self.alone_db[name], 0, EFFECTS[name].about)
-            if fits:
-                ablation.spent = ablation.spent + change
-                ablation.refresh()
-
-    def _row(self, name: str, used: bool, bound_db: float | None, count: int, text: str) -> None:
-        """Write down one decision."""
-        if not used:
-            self.ablation.used.discard(name)
-        if bound_db is not None:
-            budget_db = 20.0 * math.log10(self.ablation.budget)
-            side = "over" if bound_db > budget_db else "under" if not used else "within, but not beside others in,"
-            text = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {text}"
-        cost_s = count * EFFECTS[name].cost_s
-        self.found[name] = EffectPlan(name=name, used=used, bound_db=bound_db, cost_s=cost_s, reason=text)
+    def _row(self, name: str, used: bool, count: int, text: str, of: int = 0) -> None:
+        """Write down one decision: `count` paths of its kind are left, `of` so many."""
+        cost_s = EFFECTS[name].cost_s
+        self.found[name] = EffectPlan(
+            name=name,
+            used=used,
+            bound_db=None,
+            cost_s=count * cost_s,
+            reason=text,
+        )
+        self.saved_s += max(of - count, 0) * cost_s
 
 
 def _by_hand(name: str, wanted: frozenset[str], world: World) -> EffectPlan:

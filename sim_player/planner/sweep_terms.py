@@ -7,7 +7,7 @@ array's peak. The weakest paths need no term, weak ones need one, the strongest 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -66,23 +66,19 @@ class SweepTerms:
         """Return some of the echoes, bool [P]."""
         return SweepTerms(**{field.name: getattr(self, field.name)[mask] for field in fields(self)})
 
-    def unsquinted(self, mask: np.ndarray) -> SweepTerms:
-        """Return the echoes, some of them as in the middle of the sweep all the way, bool [P]."""
-        terms = self.terms.copy()
-        terms[mask] = 0.0
-        terms[mask, 0] = self.middle[mask]
-        return replace(
-            self,
-            terms=terms,
-            count=np.where(mask, np.minimum(self.count, 1), self.count),
-            remainder=np.where(mask & (self.count > 0), np.float32(0.0), self.remainder),
-        )
-
 
 def sweep_terms(
-    setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, tolerance: float | np.ndarray
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects,
+    front_end: FrontEnd,
+    tolerance: float | np.ndarray,
+    squints: np.ndarray | None = None,
 ) -> SweepTerms:
-    """Return the echoes with their pattern along the sweep to a tolerance in sqrt(mW), one for all or [P]."""
+    """Return the echoes with their pattern along the sweep to a tolerance in sqrt(mW), one for all or [P].
+
+    `squints`: which of them squint, bool [P]; None: all, if anything does.
+    """
     radar, array = setup.radar, setup.array
     wavelength_m = radar.wavelength_m
     directions = (
@@ -96,12 +92,13 @@ def sweep_terms(
     both = array.steered_ways != 1
     swing_rad = np.pi * radar.bandwidth_hz / SPEED_OF_LIGHT_MPS * _reach_m(setup, across, up, both)
     full = gain * np.abs(paths.amplitude) * float(array.columns * array.rows) ** (1.0 if both else 0.5)
-    swept_rad = swing_rad if effects.squint else np.zeros(len(paths))
+    swept = np.full(len(paths), effects.squint) if squints is None else squints & effects.squint
+    swept_rad = np.where(swept, swing_rad, 0.0)
     count, remainder = _needed(full, swept_rad, np.broadcast_to(tolerance, len(paths)))
     weights = column_weights(setup, effects, front_end)
     recorded = np.conj(paths.amplitude) * np.exp(1j * beat_phase_rad(radar, paths.length_m)) * gain
     delay_s = paths.length_m / SPEED_OF_LIGHT_MPS
-    centre = sweep_ratio(radar, 0.5 * radar.chirp_period_s - delay_s) if effects.squint else np.ones(len(paths))
+    centre = np.where(swept, sweep_ratio(radar, 0.5 * radar.chirp_period_s - delay_s), 1.0)
     overlap = overlap_samples(radar, paths.length_m) if effects.chirp_overlap else np.zeros(len(paths))
     terms, middle = _fill_terms(
         np.ascontiguousarray(weights.T.real, np.float32),

@@ -45,7 +45,7 @@ Kept = Callable[[Paths, Paths, float], np.ndarray]
 class PathTrack:
     """Paths of one scene at any time, traced at multiples of `step_s` only; deterministic whatever the order asked.
 
-    `kept` chooses the paths of each span between two instants (`sim_player.planner.spans`); None: all.
+    `kept` chooses the paths of each span between two instants (`sim_player.planner.weakest`); None: all.
     """
 
     def __init__(self, trace: Callable[[float], Paths], step_s: float, kept: Kept | None = None) -> None:

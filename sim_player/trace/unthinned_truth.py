@@ -61,7 +61,7 @@ def trace_again(drawn: DrawnScene) -> Paths:
     world = prepare(scene, scene_seed(drawn.series["seed"], drawn.index), setup)
     if effects == "auto":
         purpose = purpose_of(drawn.series.get("purpose", "samples"))
-        return plan_world(world, setup, drawn.series["budget_db"], purpose=purpose, profiles_only=True).paths
+        return plan_world(world, setup, drawn.series["budget_db"], purpose=purpose).labelled
     if effects == "basic":
         return trace(world)
     return manual_plan(world, setup, ALL_EFFECTS if effects == "all" else frozenset(effects)).paths

@@ -28,7 +28,7 @@ def print_info(contents: Any) -> None:
 
 
 #: Where a recording comes from: of a graph, or of a simulated scene.
-_ORIGIN = ("started_utc", "part", "command", "scene", "seed")
+_ORIGIN = ("started_utc", "part", "command", "scene", "seed", "effects", "for", "budget_db")
 
 
 def origin_lines(metadata: dict[str, str]) -> list[str]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mirrorwave.commands.sim.effects import For
 from mirrorwave.console import AsJson, Progress, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted, duration_text
 
@@ -67,12 +66,15 @@ def dataset(
     preset: Annotated[PresetOption, typer.Option(help="Radar.")] = PresetOption.XBAND,
     effects: Annotated[
         str | None,
-        typer.Option(
-            metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1, all for drives.", show_default=False
-        ),
+        typer.Option(metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1.", show_default=False),
     ] = None,
     budget_db: Annotated[float, typer.Option(help="What planned effects may leave out, in any cell.")] = -20.0,
-    purpose: For = "samples",
+    purpose: Annotated[
+        Literal["samples", "peaks", "objects"] | None,
+        typer.Option(
+            "--for", help="What --effects auto keeps; default objects, what perception needs.", show_default=False
+        ),
+    ] = None,
     shift: Annotated[
         ShiftOption, typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
     ] = ShiftOption.NONE,

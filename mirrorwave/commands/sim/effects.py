@@ -27,7 +27,9 @@ Effects = Annotated[
 #: Purposes as `sim_player.planner.purposes` has them.
 For = Annotated[
     Literal["samples", "peaks", "objects"],
-    typer.Option("--for", help="What --effects auto keeps: every sample, detected peaks, images of hidden objects."),
+    typer.Option(
+        "--for", help="What --effects auto keeps: every sample, detected peaks, what detectors tell from noise."
+    ),
 ]
 
 
@@ -37,9 +39,15 @@ def effects(
     choice: Effects = "auto",
     purpose: For = "samples",
     seed: int = 0,
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture: maps with all effects and as planned, their difference, the time.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the effects that a scene needs, what each could change, and why it is used or skipped."""
+    """Show the effects that a scene needs, what each could change, and why it is used or skipped.
+
+    As `sim run`, `sim dataset` and the player use them, with the same --for and --budget-db.
+    """
     import msgspec
 
     from sim_player.effects.table import ALL_EFFECTS
@@ -58,6 +66,8 @@ def effects(
             raise ValueError(
                 f"{scene}: --effects, --for and --budget-db must stay at their defaults, radar.preset is 'spad'"
             )
+        if plot is not None:
+            raise ValueError(f"{scene}: --plot draws maps of radars, radar.preset is 'spad'")
         _print_light_plan(plan_optics(world, loaded.lidar), as_json)
         return
     with progress_bar("tracing and planning"):
@@ -66,6 +76,10 @@ def effects(
         else:
             resolved = resolve_plan(world, loaded.setup, choice, budget_db)
             plan = resolved or manual_plan(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
+        if plot is not None:
+            from mirrorwave.plots.plan import write_plan
+
+            write_plan(plot, plan, seed)
     if as_json:
         rows = msgspec.to_builtins(plan.effects)
         answer = {"purpose": plan.purpose.value, "budget_db": plan.budget_db, "effects": rows}
@@ -73,6 +87,8 @@ def effects(
         print_json({**answer, "paths": len(plan.echoes), "traced": plan.traced, "levels": levels})
         return
     _print_plan(plan, loaded.name)
+    if plot is not None:
+        print_line(f"picture: {plot}")
 
 
 #: What the plain signal chain has.
@@ -95,15 +111,23 @@ def _print_plan(plan: Plan, name: str) -> None:
     from sim_player.planner.levels import levels_of
 
     rows = [
-        (e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
-        for e in plan.effects
+        (
+            effect.name,
+            "used" if effect.used else "skipped",
+            _db(effect.bound_db),
+            f"{1e3 * effect.cost_s:.1f}",
+            f"{plan.share_of(effect):.0f}",
+            effect.reason,
+        )
+        for effect in plan.effects
     ]
-    rows += [(level.part, level.choice, "-", "-", level.reason) for level in levels_of(plan)]
-    print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
+    rows += [(level.part, level.choice, "-", "-", "-", level.reason) for level in levels_of(plan)]
+    print_table(("effect", "", "bound dB", "cost ms", "share %", "why"), rows)
     if not len(plan.echoes):
         typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)
     effects = f"{sum(e.used for e in plan.effects)} of {counted(len(plan.effects), 'effect')}"
-    used = f"{effects}, {len(plan.echoes)} of {counted(plan.traced, 'path')}"
+    share = f", {sum(map(plan.share_of, plan.effects)):.0f} % of the signal's time"
+    used = f"{effects}, {len(plan.echoes)} of {counted(plan.traced, 'path')}{share}"
     if math.isinf(plan.budget_db):
         print_line(f"{name}: {used}; chosen by hand, nothing bounded")
         return

@@ -95,6 +95,8 @@ def run(
         sent = player.with_walls(player.scene_events(source, scans), source, params)
         events = _counted_by(advance, (event.outgoing for event in sent))
         origin = {"scene": source.scene.name, "seed": str(seed)}
+        if isinstance(source, ScenePlayer):
+            origin |= source.described()
         if out.suffix == ".mcap":
             write_recording(out, iter(events), origin)
         elif isinstance(source, ScenePlayer):

@@ -59,7 +59,7 @@ def simulator_plan(full: bool, seed: int) -> SimulatorPlan:
     """Places for a coffee, or for the record; `len(plan.jobs)` is how often `run_simulator` ticks."""
     levels, places = (8, 30) if full else (2, 3)
     cases = {"signal level": levels, "rays": len(BODIES), "fdtd": len(SMOOTH_WALLS)}
-    cases |= dict.fromkeys(("effect budget", "effects auto", "all but"), places)
+    cases |= dict.fromkeys(("effect budget", "all but"), places)
     ordered = {name: cases[name] for name in GROUPS}
     return SimulatorPlan(seed=seed, repeats=2, literal_beams=3 if full else 1, cases=ordered)
 

@@ -165,9 +165,7 @@ class _Levels(_Place):
 
 
 class _Planned(_Place):
-    """Effects under a budget, every one of them asked: what `sim effects` tells."""
-
-    thorough = True
+    """Effects under a budget, as `sim effects` shows them."""
 
     def answer(self, value: Value, clock: Clock) -> np.ndarray:
         """Profiles with noise; aside, the beats of the scan."""
@@ -177,13 +175,12 @@ class _Planned(_Place):
             if isinstance(value, str):
                 plan = manual_plan(self.world, self.setup, ALL_EFFECTS if value == "all" else value.split(","))
             else:
-                plan = plan_world(self.world, self.setup, value, thorough=self.thorough)
+                plan = plan_world(self.world, self.setup, value, profiles_only=True)
         with clock.part("signal"):
             clean = clean_profiles(plan, self.setup, self.index)
-        if self.thorough:
-            with clock.aside("beats"):
-                for paths, flags in plan.groups():
-                    beam_beats(self.setup, paths, flags, self.front_end)
+        with clock.aside("beats"):
+            for paths, flags in plan.groups():
+                beam_beats(self.setup, paths, flags, self.front_end)
         return clean + noise_profiles(self.setup, self.index, plan.signal, self.front_end)
 
     def _basic(self, clock: Clock) -> np.ndarray:
@@ -195,12 +192,6 @@ class _Planned(_Place):
         with clock.aside("beats"):
             beam_beats(self.setup, paths)
         return clean + noise_profiles(self.setup, self.index, PLAIN)
-
-
-class _Auto(_Planned):
-    """The same as `--effects auto` plans it: places of few paths are taken whole."""
-
-    thorough = False
 
 
 class _Without(_Place):
@@ -302,14 +293,8 @@ GROUPS: dict[str, Group] = {
         ("basic", *reversed(BUDGETS_DB), "all"),
         _Planned,
         "dB",
-        f"Effects planned under a budget, each of them asked, against all effects: {_LAW}; time of paths, planning and "
+        f"Effects planned under a budget, for samples, against all effects: {_LAW}; time of paths, planning and "
         "signal at the kernel level, and beside it that of a scan's beats.",
-    ),
-    "effects auto": Group(
-        (*reversed(BUDGETS_DB), "all"),
-        _Auto,
-        "dB",
-        "The same as `--effects auto` plans: a place of fewer than 3000 paths is taken whole.",
     ),
     "all but": Group(
         ("all", MIRRORS, *PATHS, *WEIGHTS, *ANTENNA_AND_SWEEP),

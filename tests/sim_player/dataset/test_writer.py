@@ -375,23 +375,22 @@ def test_faulty_shard_is_made_again(tmp_path: Path, streets: Path, fault: str) -
 
 
 def test_places_planned_for_a_purpose_are_evaluated_to_what_it_needs(tmp_path: Path) -> None:
-    """A series for peaks has the same places and labels, and maps within its law; for samples nothing changes."""
-    for_peaks = msgspec.structs.replace(PLACES, purpose="peaks")
-    ours, theirs = (
-        write_dataset(tmp_path / name, 2, 3, recipe).parent
-        for name, recipe in (("samples", PLACES), ("peaks", for_peaks))
+    """A series of all effects and one as planned have the same places and labels; maps keep the law of objects."""
+    everything, planned = (
+        read_shard(write_dataset(tmp_path / effects, 2, 3, recipe).parent / "shard-00000.npz")
+        for effects in ("all", "auto")
+        for recipe in [msgspec.structs.replace(PLACES, effects=effects)]
     )
-    samples, peaks = read_shard(ours / "shard-00000.npz"), read_shard(theirs / "shard-00000.npz")
-    assert list(samples["scene_yaml"]) == list(peaks["scene_yaml"])
-    lines = [[msgspec.json.decode(bytes(line)) for line in shard["plan"]] for shard in (samples, peaks)]
-    assert all("purpose" not in line for line in lines[0])
-    assert all(line["purpose"] == "peaks" for line in lines[1])
-    assert [line["paths"] for line in lines[1]] == [line["paths"] for line in lines[0]]
-    assert not np.array_equal(samples["profiles"], peaks["profiles"])
-    for before, after in zip(samples["profiles"], peaks["profiles"], strict=True):
+    for name in ("scene_yaml", "facts", *shards.LABELS):
+        assert np.array_equal(everything[name], planned[name]), name
+    lines = [msgspec.json.decode(bytes(line)) for line in planned["plan"]]
+    assert all(line["purpose"] == "objects" for line in lines)
+    for before, after in zip(everything["profiles"], planned["profiles"], strict=True):
         setup = RadarSetup()
-        ratio = cells_of(setup).off(before, after, noise_rms(setup), Purpose.PEAKS)
+        ratio = cells_of(setup).off(before, after, noise_rms(setup), Purpose.OBJECTS)
         assert 0.0 < ratio.max() <= 0.1
+    for_peaks = msgspec.structs.replace(PLACES, purpose="peaks")
+    peaks = read_shard(write_dataset(tmp_path / "peaks", 2, 3, for_peaks).parent / "shard-00000.npz")
     for index in range(2):
         scene, gain_db = scene_from_yaml(str(peaks["scene_yaml"][index]), Path()), float(peaks["gain_db"][index])
         scan = labelled_scan(scene, shards.scene_seed(3, index), "auto", -20.0, gain_db, "peaks")
@@ -402,13 +401,12 @@ def test_places_planned_for_a_purpose_are_evaluated_to_what_it_needs(tmp_path: P
 
 def test_a_series_names_its_purpose_and_a_resumed_run_keeps_it(tmp_path: Path) -> None:
     for_objects = msgspec.structs.replace(PLACES, purpose="objects")
-    assert "purpose" not in PLACES.described(1)
-    assert for_objects.described(1) == PLACES.described(1) | {"purpose": "objects"}
+    assert for_objects.described(1) == PLACES.described(1)
+    assert PLACES.described(1)["purpose"] == "objects"
     write_dataset(tmp_path, 1, 1, for_objects)
-    write_dataset(tmp_path, 1, 1, for_objects)
-    for recipe, wanted in ((PLACES, "None"), (msgspec.structs.replace(PLACES, purpose="peaks"), "'peaks'")):
-        with pytest.raises(ValueError, match=f"holds another data set: purpose 'objects', wanted {wanted}"):
-            write_dataset(tmp_path, 1, 1, recipe)
+    write_dataset(tmp_path, 1, 1, PLACES)
+    with pytest.raises(ValueError, match="holds another data set: purpose 'objects', wanted 'peaks'"):
+        write_dataset(tmp_path, 1, 1, msgspec.structs.replace(PLACES, purpose="peaks"))
 
 
 def test_another_series_folder_is_refused(tmp_path: Path) -> None:
@@ -434,7 +432,6 @@ def test_another_series_folder_is_refused(tmp_path: Path) -> None:
         ({"purpose": "peaks", "effects": "all"}, "purpose must be samples unless effects are auto, got 'peaks'"),
         ({"purpose": "peaks", "effects": ("squint",)}, "purpose must be samples unless effects are auto, got 'peaks'"),
         ({"purpose": "peaks", "places": "street_v1"}, "purpose must be samples unless effects are auto, got 'peaks'"),
-        ({"purpose": "objects", "scans": 2}, "purpose must be samples unless effects are auto, got 'objects'"),
         ({"places": "nowhere"}, "places must be one of any, street, .*, got 'nowhere'"),
         ({"preset": "spad"}, "preset must be one of xband, 77ghz, got 'spad'"),
         ({"places": "street_v1", "preset": "77ghz"}, "preset must be xband for places street_v1"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msgs.values.radar import BeamGrid, RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import BeamGrid, RadarSetup
 from sim_player.planner.cells import cells_of
 from sim_player.planner.purposes import Purpose
 
@@ -40,18 +40,6 @@ def test_peaks_stand_alone_over_the_threshold() -> None:
     np.testing.assert_allclose(floor, 10.0 ** (13.0 / 20.0))
 
 
-def test_nearest_limits_are_those_of_the_azimuths_about_a_beam() -> None:
-    """A limit of 1 at one azimuth binds the beam that looks there, no other."""
-    setup = RadarSetup()
-    limit = np.full((25 + 256, 2), 7.0)
-    limit[25 + 128, 0] = 1.0
-    nearest = CELLS.nearest(limit)
-    beam = int(np.argmin(np.abs(setup.beams.azimuth_rad - RangeAzimuthGrid().azimuth_rad[128])))
-    assert nearest[beam, 0] == 1.0
-    assert (np.delete(nearest[:, 0], beam) == 7.0).all()
-    assert (nearest[:, 1] == 7.0).all()
-
-
 def test_noise_of_the_map_is_that_of_its_beams_added_up() -> None:
     """White noise through the inversion: rms of 4,000 draws against the floor of an empty map, 3 %."""
     rng = np.random.default_rng(0)
@@ -67,3 +55,9 @@ def test_what_bounds_the_beams_bounds_the_map() -> None:
     magnitude = rng.exponential(1.0, (25, 64))
     signal = magnitude * np.exp(2j * np.pi * rng.random((25, 64)))
     assert (np.abs(CELLS.values(signal)) <= CELLS.bounds(magnitude) * (1.0 + 1e-6)).all()
+
+
+def test_beams_by_their_share_keep_the_map() -> None:
+    """All beams changed by the share, as bad as signs allow: the worst azimuth changes by its own noise, no more."""
+    worst = CELLS.bounds(np.full((25, 1), CELLS.map_share))[25:, 0] / CELLS.floor(np.zeros((25, 1)), np.ones(1))[25:, 0]
+    assert worst.max() == pytest.approx(1.0)

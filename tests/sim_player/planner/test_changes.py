@@ -10,7 +10,7 @@ import pytest
 
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.effects.table import EFFECTS, SIGNAL, ArrayEffect, SignalEffect, always
-from sim_player.planner.ablation import EffectAblation, _crowd, _mirror_skirts
+from sim_player.planner.ablation import EffectAblation, _mirror_skirts, crowd
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Weather
@@ -37,9 +37,7 @@ def ablation(front_end: FrontEnd = FRONT_END) -> EffectAblation:
         radar=SceneRadar(front_end=front_end),
         weather=Weather(rain_mm_per_h=5.0),
     )
-    found = EffectAblation(prepare(scene), scene.setup, 0.0, Purpose.SAMPLES, 0.1)
-    found.begin()
-    return found
+    return EffectAblation(prepare(scene), scene.setup, 0.0, Purpose.SAMPLES, 0.1)
 
 
 def change_bound(found: EffectAblation, name: str) -> np.ndarray:
@@ -94,7 +92,7 @@ def test_noise_stays_under_its_bound() -> None:
     The bound is to hold for 10^13 cells, 5.5 rms; a much wider one would keep noise that nobody sees.
     """
     plain = ablation(FrontEnd())
-    draws = [noise_profiles(plain.setup, seed, plain.flags(), plain.front_end) for seed in range(40)]
+    draws = [noise_profiles(plain.setup, seed, plain.flags, plain.front_end) for seed in range(40)]
     strongest = float((np.abs(draws).max(axis=0) / change_bound(plain, "thermal_noise")).max())
     assert 3.2 / 5.5 < strongest < 4.0 / 5.5
 
@@ -112,7 +110,7 @@ def test_paths_share_what_is_left_out_with_those_two_bins_away() -> None:
     """In bins 0, 10, 10, 12 and 13: three about the tenth, four about the twelfth, two about the thirteenth."""
     radar = RadarSetup().radar
     length_m = 2.0 * radar.range_bin_m * (np.array([0, 10, 10, 12, 13]) + 0.3)
-    assert _crowd(radar, SimpleNamespace(length_m=length_m)).tolist() == [1, 3, 3, 4, 2]  # type: ignore[arg-type]
+    assert crowd(radar, SimpleNamespace(length_m=length_m)).tolist() == [1, 3, 3, 4, 2]  # type: ignore[arg-type]
 
 
 def test_an_image_lies_as_far_below_zero_as_its_echo_above() -> None:

@@ -35,9 +35,8 @@ class Everything:
     def largest_change(self, plan: Plan) -> float:
         """Return the law's ratio in the plan's worst cell, by its paths and by its evaluated answer, same noise."""
         cells = cells_of(self._setup)
-        asked = cells.asked(self._setup, plan.purpose, self._paths, self._rms)
         answers = [answer(plan, self._setup) + self._noise for answer in (planned_profiles, clean_profiles)]
-        return max(float(cells.off(self._profiles, answer, self._rms, plan.purpose, asked).max()) for answer in answers)
+        return max(float(cells.off(self._profiles, answer, self._rms, plan.purpose).max()) for answer in answers)
 
 
 @pytest.mark.slow
@@ -54,13 +53,12 @@ def test_the_law_holds_against_the_whole_city(kind: CityKind, walls: int, seed: 
         assert everything.largest_change(plan) <= 0.1
 
 
-def test_a_thorough_plan_looks_all_round() -> None:
+def test_bounds_look_all_round() -> None:
     """What the element pattern alone changes is asked of all paths: behind the antenna it takes everything."""
     world = prepare(made_city(100, "detached", objects=2))
     quick, thorough = (plan_world(world, world.setup, thorough=flag, purpose=Purpose.PEAKS) for flag in (False, True))
     assert quick.view.ahead_only
-    assert not thorough.view.ahead_only
     bound_db = {effect.name: effect.bound_db for effect in thorough.effects}["element_pattern"]
     assert bound_db is not None
     assert bound_db > 0.0
-    assert np.isin(quick.echoes.chain, trace_echoes(thorough.view, ALL_EFFECTS).chain).all()
+    np.testing.assert_array_equal(quick.echoes.chain, thorough.echoes.chain)

@@ -226,7 +226,7 @@ def test_a_plan_knows_it() -> None:
     assert row.used
     assert row.bound_db is not None
     assert 0.0 < row.bound_db - over_noise_db(scene(), 1.5, 12) - 20.0 * math.log10(5.5) < 10.0
-    drizzle = prepare(scene(weather=Weather(rain_mm_per_h=1e-4)))
+    drizzle = prepare(scene(weather=Weather(rain_mm_per_h=1e-6)))
     skipped = {effect.name: effect for effect in plan_world(drizzle, drizzle.setup, thorough=True).effects}
     assert not skipped["rain_clutter"].used
     every = noisy_profiles(manual_plan(world, world.setup), world.setup, 2)

@@ -81,7 +81,7 @@ def test_a_purpose_reaches_the_series(tmp_path: Path, capsys: pytest.CaptureFixt
     words = ["--out", str(tmp_path / "data"), "--count", "1", "--seed", "3", "--json"]
     app(args=[*words, "--for", "peaks"], standalone_mode=False)
     assert json.loads(capsys.readouterr().out)["series"]["purpose"] == "peaks"
-    with pytest.raises(ValueError, match="holds another data set: purpose 'peaks', wanted None"):
+    with pytest.raises(ValueError, match="holds another data set: purpose 'peaks', wanted 'objects'"):
         app(args=words, standalone_mode=False)
     with pytest.raises(ValueError, match="purpose must be samples unless effects are auto, got 'peaks'"):
         app(args=[*words, "--for", "peaks", "--effects", "all"], standalone_mode=False)

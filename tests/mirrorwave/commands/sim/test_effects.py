@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections import Counter
 from pathlib import Path
@@ -11,7 +12,17 @@ import pytest
 from matplotlib.figure import Figure
 
 from mirrorwave.cli import main
+from mirrorwave.commands.sim.effects import effects
+from mirrorwave.commands.sim.group import run
+from nodes.player import Params, scene_player
+from sim_player.dataset.labelled_scan import labelled_scan
+from sim_player.dataset.shards import Recipe
 from sim_player.effects.table import ALL_EFFECTS
+from sim_player.planner.plan import resolve_plan
+from sim_player.planner.purposes import Purpose
+from sim_player.player import ScenePlayer
+from sim_player.scene.description import load_scene
+from sim_player.scene.world import prepare
 from tests.mirrorwave.figures import assert_readable_at_page_width
 
 SCENE = "launch/scenes/corner.yaml"
@@ -28,6 +39,40 @@ def test_effects_as_the_contract_says(capsys: pytest.CaptureFixture[str]) -> Non
         if not row["used"] and row["bound_db"] is not None:
             assert row["bound_db"] <= -10.0
     assert 0 < found["paths"] <= found["traced"]
+
+
+@pytest.mark.parametrize("purpose", Purpose)
+@pytest.mark.parametrize("scene", [SCENE, "launch/scenes/nothing_hidden.yaml"])
+def test_what_is_shown_is_what_runs(scene: str, purpose: Purpose, capsys: pytest.CaptureFixture[str]) -> None:
+    """The plan that `sim effects` prints, that of `sim run`, of the player, of a data set's scan, and of the API."""
+    assert main(["sim", "effects", scene, "--for", purpose.value, "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    loaded = load_scene(Path(scene))
+    played = scene_player(Params(scene=scene, purpose=purpose.value))
+    assert isinstance(played, ScenePlayer)
+    stored = labelled_scan(loaded, 0, purpose=purpose.value)
+    called = resolve_plan(prepare(loaded), loaded.setup, "auto", purpose=purpose)
+    used = {row["name"] for row in shown["effects"] if row["used"]}
+    for plan in (played.plan(0), stored.plan, called):
+        assert plan is not None
+        assert plan.used == used
+        assert (len(plan.echoes), plan.traced) == (shown["paths"], shown["traced"])
+        assert [effect.reason for effect in plan.effects] == [row["reason"] for row in shown["effects"]]
+
+
+def test_purposes_by_use() -> None:
+    """Perception is fed with `objects`: live play and data sets; a record of what a radar measures holds `samples`."""
+    assert Params(scene=SCENE).purpose == "objects"
+    assert Recipe().described(0)["purpose"] == "objects"
+    assert Recipe(scans=2).described(0)["purpose"] == "objects"
+    assert [inspect.signature(verb).parameters["purpose"].default for verb in (effects, run)] == ["samples", "samples"]
+
+
+def test_effects_as_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    picture = tmp_path / "plan.png"
+    assert main(["sim", "effects", SCENE, "--for", "objects", "--plot", str(picture)]) == 0
+    assert f"picture: {picture}" in capsys.readouterr().out
+    assert picture.stat().st_size > 10_000
 
 
 def test_effects_for_people_say_why(capsys: pytest.CaptureFixture[str]) -> None:

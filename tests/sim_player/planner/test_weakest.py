@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from sim_player.generate.places import random_place
-from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
-from sim_player.planner.plan import MOVES, WEAKEST, Plan, plan_world
+from sim_player.planner.plan import MOVES, ROUNDS, WEAKEST, Plan, plan_world
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.spans import REACH, SQUINTED, SpanSelection, _sines
+from sim_player.planner.weakest import REACH, SQUINTED, Weakest, _sines
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.front_end import FrontEnd
@@ -55,7 +54,7 @@ def planned(world: World, purpose: Purpose = Purpose.PEAKS, budget_db: float = -
     return plan_world(world, world.setup, budget_db, purpose=purpose)
 
 
-def selection(plan: Plan) -> SpanSelection:
+def selection(plan: Plan) -> Weakest:
     assert plan.spans is not None
     return plan.spans
 
@@ -69,11 +68,10 @@ def span_of(plan: Plan, start_s: float = 0.0) -> Span:
 @pytest.mark.slow
 @pytest.mark.parametrize("index", range(4))
 @pytest.mark.parametrize("purpose", Purpose)
-def test_the_law_holds_in_every_cell_of_a_scan(index: int, purpose: Purpose, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_law_holds_in_every_cell_of_a_scan(index: int, purpose: Purpose) -> None:
     """Beams and map of one scan, each beam of its own time and span: what is left out stays under the budget, and is
     some of what there is. A budget ten times as wide breaks the law, so the test can fail.
     """
-    monkeypatch.setattr(planner, "MIN_PATHS_TO_PLAN", 0)
     world = moving_place(index)
     off = {}
     for budget_db in (-20.0, WIDE_DB):
@@ -115,7 +113,7 @@ def test_fields_stay_under_their_bound_and_not_far_under_it(index: int) -> None:
     """Every path in every beam at every instant of the sweep, at four times of a span; the best beams come near."""
     plan = planned(moving_place(index))
     span = span_of(plan)
-    bound = selection(plan).magnitude(*span.ends())
+    bound = selection(plan).span(*span.ends(), plan.holds_s).magnitude
     front_end = plan.view.world.scene.radar.front_end
     for share in SHARES:
         swept = swept_echoes(plan.setup, span.at(share * plan.holds_s), plan.signal, front_end, precision="float64")
@@ -169,12 +167,13 @@ def test_plans_say_how_long_they_hold() -> None:
 
 
 def test_what_is_kept_whole() -> None:
-    """Few paths under `samples`, as at rest, and a converter whose rounding is no noise."""
-    world = prepare(scene(WALL, CAR))
+    """A converter whose rounding is no noise: nothing bounds what weak paths change, in motion and at rest."""
     coarse = SceneRadar(front_end=FrontEnd(adc_bits=6))
-    for plan in (planned(world, Purpose.SAMPLES), planned(prepare(scene(WALL, CAR, radar=coarse)))):
+    for car, why in ((CAR, MOVES), (msgspec.structs.replace(CAR, speed_mps=0.0), ROUNDS)):
+        plan = planned(prepare(scene(WALL, car, radar=coarse)))
         assert (plan.spans, plan.holds_s, plan.spent_db) == (None, math.inf, None)
-        assert next(effect for effect in plan.effects if effect.name == "los_objects").reason.startswith(MOVES + ":")
+        assert len(plan.echoes) == plan.traced
+        assert next(effect for effect in plan.effects if effect.name == "los_objects").reason.startswith(why + ":")
 
 
 def test_same_bytes_in_any_order() -> None:

@@ -1,0 +1,86 @@
+"""The map of the paths that a plan keeps, at the kernel level: evaluated in single precision, its error bounded.
+
+Each path takes as few terms along the sweep as the budget lets it; what they leave out and what is rounded is bounded
+before anything is asked of the map, and over what stands in its cells where that alone is not enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from msgs.values.radar import RadarSetup
+from sim_player.planner.ablation import SIGMAS, crowd, mirrored
+from sim_player.planner.cells import cells_of
+from sim_player.planner.evaluation import WHOLE, HeadChange, error, evaluate
+from sim_player.planner.purposes import Purpose
+from sim_player.planner.sweep_terms import sweep_terms
+from sim_player.planner.weakest import INFLATION, Choice
+from sim_player.scene.front_end import FrontEnd
+from sim_player.signal.levels import RANGE_BINS, noise_rms
+from sim_player.signal.receiver import iq_factors
+from sim_player.signal.switches import SignalEffects
+from sim_player.trace.paths import Paths
+
+#: What terms along the sweep may leave out in a range bin, and the overlap of the weakest, of what errors may take.
+TERMS_SHARE = 0.4
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Profiles of the kept paths, I and Q unbalanced, complex64 [B, bins]; the share of the budget that errors take.
+
+    Without leakage and spurs.
+    """
+
+    profiles: np.ndarray
+    spent: float
+
+
+@dataclass(frozen=True)
+class Law:
+    """What may change: the purpose, the budget (a field ratio), and the most in each range bin of any beam, [bins];
+    the share of that which is left for errors.
+    """
+
+    purpose: Purpose
+    budget: float
+    limit: np.ndarray
+    left: float
+
+
+def evaluated(
+    setup: RadarSetup, paths: Paths, choice: Choice, effects: SignalEffects, front_end: FrontEnd, law: Law
+) -> Answer | None:
+    """Return the profiles of kept paths, all that `choice` holds; None where their errors do not fit the budget."""
+    radar, spare = setup.radar, TERMS_SHARE * law.left * float(law.limit.min())
+    terms = sweep_terms(setup, paths, effects, front_end, spare / crowd(radar, paths), choice.squints)
+    every = np.full(len(terms), WHOLE)
+    bound = error(radar, terms, every, RANGE_BINS)
+    values = evaluate(radar, terms, every, RANGE_BINS)
+    if choice.overlaps.any():
+        heads, loose = HeadChange(radar, terms.take(choice.overlaps), RANGE_BINS, spare)(
+            np.ones(int(choice.overlaps.sum()), bool)
+        )
+        values, bound = values + heads, bound + loose
+    wanted, image = iq_factors(front_end)
+    if image != 0.0:
+        bound = (bound + abs(image) * mirrored(np.abs(values) + bound)).max(axis=0)
+    spent = float((bound / law.limit).max())
+    if spent > law.left:
+        faulty = image != 0.0 or front_end.leakage_dbm is not None or bool(front_end.spurs) or effects.rain_clutter
+        spent = INFLATION * _over_what_stands(setup, values, bound, noise_rms(setup, effects, front_end), law)
+        # faults may take off what stands in a cell
+        if faulty or spent > law.left:
+            return None
+    factor = np.complex64(wanted if setup.beat_sign > 0 else np.conj(wanted))
+    return Answer(values * factor, spent)
+
+
+def _over_what_stands(setup: RadarSetup, values: np.ndarray, bound: np.ndarray, rms: np.ndarray, law: Law) -> float:
+    """Return the largest error over what the law allows where it counts what surely stands in a cell."""
+    cells, everywhere = cells_of(setup), np.broadcast_to(bound.astype(np.float32), values.shape)
+    # of everything, what was left out may be missing here
+    floor = cells.floor(values, rms, everywhere + law.limit.astype(np.float32), SIGMAS, law.purpose)
+    return float((cells.bounds(everywhere) / floor).max()) / law.budget
