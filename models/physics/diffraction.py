@@ -114,7 +114,12 @@ def passed_edge_at(clearance_m, before_m, behind_m, wavelength_m):  # type: igno
     `passed_share_at` of v = clearance sqrt(2 (1 / before + 1 / behind) / lambda) (ITU-R P.526-15, Eq. 26): 1/2 where
     the ray meets the edge. What the edge adds to the ray is faded out far off: exactly 1 or 0 beyond `FADES_TO`.
     """
-    v = clearance_m * math.sqrt(2.0 * (1.0 / before_m + 1.0 / behind_m) / wavelength_m)
+    return faded_share_at(clearance_m * math.sqrt(2.0 * (1.0 / before_m + 1.0 / behind_m) / wavelength_m))
+
+
+@compiled(error_model="numpy")
+def faded_share_at(v):  # type: ignore[no-untyped-def]
+    """Return `passed_share_at` of v with the edge's own wave faded out: exactly 1 or 0 beyond `FADES_TO`."""
     lit = 1.0 if v >= 0.0 else 0.0
     if abs(v) >= FADES_TO:
         return lit + 0.0j

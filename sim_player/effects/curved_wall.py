@@ -13,7 +13,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import all_below_top
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
-from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
+from sim_player.trace.routes import Routes, clear_ways, dot, join_routes, make_routes, mirror_routes, no_routes
 from sim_player.trace.segments import free_segments
 from sim_player.trace.snapshot import TraceContext
 
@@ -41,7 +41,7 @@ def as_chords(tracing: TraceContext) -> Echoes:
     for wall in np.flatnonzero(view.world.is_curved):
         only = np.arange(len(view.world.wall_a)) == wall
         routes, occlusion = mirror_routes(view, view.centre, only, tracing.owner, ignore_wall=int(wall))
-        parts.append(routes.take(occlusion.free))
+        parts.append(clear_ways(routes, occlusion))
     routes = join_routes(parts) if parts else no_routes()
     tracing.routes["specular_relay"] = join_routes([tracing.routes.get("specular_relay", no_routes()), routes])
     return object_echoes(view, routes, cofocal(routes))
@@ -92,7 +92,8 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
         front=front,
         rough=rough,
     )
-    return routes.take(occlusion.free & (over != 0.0))
+    there = np.flatnonzero(over != 0.0)
+    return clear_ways(routes.take(there), occlusion.take(there))
 
 
 def _flashes(view: Snapshot) -> Echoes:

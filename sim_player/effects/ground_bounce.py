@@ -26,7 +26,7 @@ from sim_player.trace.routes import (
     join_routes,
     plane_bounces,
 )
-from sim_player.trace.segments import clear_series
+from sim_player.trace.segments import series
 from sim_player.trace.snapshot import TraceContext
 
 _GROUND = bit("ground_bounce")
@@ -69,15 +69,15 @@ def _straight(antenna, centre, owner, face, pieces):  # type: ignore[no-untyped-
         end = centre[n, 0], centre[n, 1], centre[n, 2]
         share = start[2] / (start[2] + end[2])
         bounce_point = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), 0.0
-        leaves = clear_series((start, bounce_point, end), owner[n], pieces)
-        if leaves < 0.0:
+        over, leaves, _ = series((start, bounce_point, end), owner[n], pieces, False)
+        if over == 0.0:
             continue
         depart, length = direction_of(start, (end[0], end[1], -end[2]))
         # it rises to its target after the bounce
         fill_route(rows[count], n, length, depart, (depart[0], depart[1], -depart[2]), _GROUND)
         at_ground, left = _reflection(face, abs(depart[2]))
         rows[count].whole, rows[count].front, rows[count].rough = at_ground, at_ground, left
-        rows[count].ground, rows[count].foliage = True, leaves
+        rows[count].ground, rows[count].foliage, rows[count].other = True, leaves, over
         count += 1
     return rows[:count]
 
@@ -103,8 +103,8 @@ def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # 
             x, y = mirrored(x, y, nx, ny, offset[w])
         at_ground = x, y, 0.0
         first, second = (at_ground, at_wall) if early else (at_wall, at_ground)
-        leaves = clear_series((start, first, second, end), owner[n], pieces)
-        if leaves < 0.0:
+        over, leaves, _ = series((start, first, second, end), owner[n], pieces, False)
+        if over == 0.0:
             continue
         depart, length = direction_of(start, image)
         portion = reach / math.hypot(image[0] - start[0], image[1] - start[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, object_echoes
+from sim_player.trace.routes import clear_ways
 from sim_player.trace.snapshot import TraceContext
 
 
@@ -15,7 +16,6 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: TraceContext) -> Echoes:
     """Scattering centres whose straight leg is free, out and back."""
-    routes, occlusion = tracing.straight
-    clear = routes.take(occlusion.free)
+    clear = clear_ways(*tracing.straight)
     tracing.routes["los_objects"] = clear
     return object_echoes(tracing.view, clear, cofocal(clear), bit("los_objects"))

@@ -28,7 +28,7 @@ from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
 from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, join_routes, scatterer_routes
-from sim_player.trace.segments import VOLUME, passage
+from sim_player.trace.segments import VOLUME, series
 from sim_player.trace.snapshot import TraceContext
 
 #: Ends that send back less than this of a mirror as far away send nothing: such are joints of one facade.
@@ -141,13 +141,15 @@ def _feet(antenna, flat, walls, ends, screens, scene):  # type: ignore[no-untype
         foot = start[0] - distance * nx, start[1] - distance * ny, start[2]
         # the foot itself is looked at, or the middle of what is in sight
         aside = middle if is_hidden or not (on[0] and on[1]) else 0.0
-        free, _, foliage = passage(start, (foot[0] - ny * aside, foot[1] + nx * aside, foot[2]), -1, pieces, True)
-        if not free:
+        at = foot[0] - ny * aside, foot[1] + nx * aside, foot[2]
+        before, foliage, _ = series((start, at), -1, pieces, False)
+        if before == 0.0:
             continue
         fill_route(rows[count], NONE, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
         whole, front, rough = bounce(builds, w, 1.0)
         rows[count].whole, rows[count].front = cmath.sqrt(whole), cmath.sqrt(front)
-        rows[count].rough, rows[count].foliage, rows[count].other = math.sqrt(rough), foliage, cmath.sqrt(over * share)
+        rows[count].rough, rows[count].foliage = math.sqrt(rough), foliage
+        rows[count].other = cmath.sqrt(over * share) * before
         wall[count] = w
         point[count, 0], point[count, 1], point[count, 2] = foot
         count += 1
@@ -289,14 +291,14 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
         # looked at up to just before it: walls that meet there hide nothing of it
         share = max(1.0 - slack_m[i] / away, 0.0)
         before = start[0] - share * x, start[1] - share * y, start[2]
-        free, _, foliage = passage(start, before, -1, pieces, True)
-        if not free:
+        passed, foliage, _ = series((start, before), -1, pieces, False)
+        if passed == 0.0:
             continue
         direction = (-x / away, -y / away, 0.0)
         for face in range(1 if alike else 2):
             fill_route(rows[count], NONE, away, direction, direction, 0)
             rows[count].whole, rows[count].front = cmath.sqrt(built[face]), cmath.sqrt(front[face])
-            rows[count].rough, rows[count].foliage = math.sqrt(left[face]), foliage
+            rows[count].rough, rows[count].foliage, rows[count].other = math.sqrt(left[face]), foliage, passed
             rows[count].edge = face
             node[count] = i
             point[count, 0], point[count, 1], point[count, 2] = position[i, 0], position[i, 1], start[2]

@@ -4,8 +4,8 @@ Routes antenna -> edge -> wall -> centre and antenna -> wall -> edge -> centre, 
 by images: behind the mirror the ray goes on unfolded, so the bend is that of `edge_diffraction` with the lengths of the
 unfolded way, and the mirror that of `specular_relay`. Edges on the mirror's own line are none of these: what an end of
 the mirror bends is in `edge_diffraction`, whose reflection terms are those of that wall.
-Left out: two edges on one way, two mirrors and a bend, arcs as mirrors, the ground, and bends that leave little
-(`LEAST_BEND`, `LEAST_BOTH`).
+The legs may lead through walls too. Left out: two edges on one way, two mirrors and a bend, joints of two builds, arcs
+as mirrors, the ground, and bends that leave little (`LEAST_BEND`, `LEAST_BOTH`).
 """
 
 from __future__ import annotations
@@ -17,17 +17,24 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.mirror import mirrored
 from sim_player.effects.edge_diffraction import (
+    BLOCKED,
+    LEAST_BEND,
     NEAREST_EDGE_M,
+    OPEN,
     Edges,
+    bend_bound,
     bend_field,
+    most_bent,
+    most_factor,
     open_edges,
     point_groups,
+    stands_beside,
     turn_from_face,
 )
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World, wall_lines
 from sim_player.trace.bounce import below_top, bounce
-from sim_player.trace.echoes import Echoes, join_echoes, object_echoes, same_target
+from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import (
     ROUTE,
     Routes,
@@ -38,14 +45,10 @@ from sim_player.trace.routes import (
     join_routes,
     owners,
 )
-from sim_player.trace.segments import Blockers, clear_series, is_screened, passage
+from sim_player.trace.segments import Blockers, is_clear, is_screened, series
 from sim_player.trace.snapshot import TraceContext
 
-#: Bends that leave less than this of the field of a free ray as long are left out, and echoes of which the bends out
-#: and back together leave less than that (-60 dB).
-LEAST_BEND = 0.03
-LEAST_BOTH = 1e-3
-_BENT = bit("mirrored_diffraction")
+_BENT, _THROUGH = bit("mirrored_diffraction"), bit("wall_transmission")
 #: Number of an edge behind the mirror, in `Routes.edge`: -2 and less, so that both orders are told apart.
 _BEHIND_MIRROR = -2
 
@@ -60,14 +63,13 @@ def absent(world: World) -> str | None:
 
 
 def apply(tracing: TraceContext) -> Echoes:
-    """Out and back by one such route, or back by another way to the same centre: clear, bent or the like."""
+    """Out and back by one such route, or back by another way to the same centre: clear, through walls, bent."""
     view = tracing.view
-    routes, bends = mirrored_edge_routes(view, view.centre, tracing.owner)
+    routes, bends = mirrored_edge_routes(view, view.centre, tracing.owner, tracing.walls_let_through)
     tracing.routes["mirrored_diffraction"] = routes
-    clear = tracing.clear_routes("los_objects", "specular_relay", "curved_wall", "second_relay")
-    bent = tracing.clear_routes("edge_diffraction")
-    every = join_routes([routes, clear, bent])
-    left = np.concatenate([bends, np.ones(len(clear)), most_factor(bent)])
+    straight, bent = tracing.unbent_routes, tracing.clear_routes("edge_diffraction")
+    every = join_routes([routes, straight, bent])
+    left = np.concatenate([bends, np.minimum(np.abs(straight.other), 1.0), most_factor(bent)])
     out, back = same_target(routes.target, every.target)
     counts = (out <= back) & (left[out] * left[back] >= LEAST_BOTH)
     mixed = counts & (out < back)
@@ -76,22 +78,20 @@ def apply(tracing: TraceContext) -> Echoes:
     return join_echoes([same, object_echoes(view, every, (out[mixed], back[mixed]), _BENT)])
 
 
-def most_factor(rows: Routes | Echoes) -> np.ndarray:
-    """Return the greatest field factor that routes or echoes have with whole walls or their front faces alone, [N]."""
-    return np.asarray(np.maximum(np.abs(rows.whole), np.abs(rows.front)))
+def mirrored_edge_routes(
+    view: Snapshot, point_m: np.ndarray, owner: np.ndarray, walls: bool = False
+) -> tuple[Routes, np.ndarray]:
+    """Routes by one edge and one straight wall, in either order, to points [N, 3], and what each bend leaves [M].
 
-
-def mirrored_edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> tuple[Routes, np.ndarray]:
-    """Free routes by one edge and one straight wall, in either order, to points [N, 3], and what each bend leaves [M].
-
-    That is the field over that of a free ray as long, `LEAST_BEND` at least.
+    That is the field over that of a free ray as long, `LEAST_BEND` at least. Free routes, and through `walls` if asked.
     """
-    world, edges, flat = view.world, open_edges(view.world), np.flatnonzero(view.world.is_flat)
+    world, flat = view.world, np.flatnonzero(view.world.is_flat)
+    edges = open_edges(world).take(~open_edges(world).joint)
     scene = world.builds, (world.transmission, world.wall_build), view.blockers.pieces, world.radar.wavelength_m
     ahead = view.is_ahead(edges.point - view.origin) if view.ahead_only else np.ones(len(edges), bool)
     table, ends = edges.table, (point_m, owners(owner, len(point_m)))
-    first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND, False)
-    second = _mirror_first(view.antenna, ends, table, (flat, view.walls, view.lit_shares), scene, LEAST_BEND)
+    first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND, False, walls)
+    second = _mirror_first(view.antenna, ends, table, (flat, view.walls, view.lit_shares), scene, LEAST_BEND, walls)
     before, behind = (Routes(rows).with_columns(edge=edges.number[rows["edge"]]) for rows, _ in (first, second))
     routes = join_routes([before, behind.with_columns(edge=_BEHIND_MIRROR - behind.edge)])
     return routes, np.concatenate([first[1], second[1]])
@@ -110,7 +110,7 @@ def mirrors_beside(
     lines = world.wall_a, world.wall_b, *wall_lines(world, antenna[:2]), world.wall_height_m
     points, every = (point_m, owners(owner, len(point_m))), np.ones(len(edges), bool)
     mirrors = np.flatnonzero(asked & world.is_flat), lines
-    rows, _ = _edge_first(antenna, points, (edges.table, every), mirrors, scene, LEAST_BEND, True)
+    rows, _ = _edge_first(antenna, points, (edges.table, every), mirrors, scene, LEAST_BEND, True, True)
     beside = np.zeros(len(world.wall_a), bool)
     beside[rows["wall"]] = True
     return beside
@@ -130,7 +130,7 @@ def _images(groups, flat, normal, offset):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type: ignore[no-untyped-def]
+def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each, walls):  # type: ignore[no-untyped-def]
     """Return routes antenna -> edge -> wall -> points and what their bends leave; of each wall only one if asked."""
     (table, ahead), (point, owner) = edges, ends
     flat, (a, b, normal, offset, tops) = mirrors
@@ -140,15 +140,15 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
     groups, low, top = point_groups(point, owner, start[2])
     images, is_done = _images(groups, flat, normal, offset), np.zeros(len(flat), np.bool_)
     for e in range(len(table)):
-        x, y, _, _, face_rad, sense, n_half, height = table[e]
+        x, y, _, _, face_rad, sense, n_half, height, _, _ = table[e]
         source_plan = math.hypot(x - start[0], y - start[1])
         to_source = turn_from_face(start[0] - x, start[1] - y, face_rad, sense)
         if not ahead[e] or to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M:
             continue
         # seen at the greatest height at which a ray to any point may meet it; free if the lowest ray meets nothing
-        if not passage(start, (x, y, top), -1, pieces, True)[0]:
+        if series((start, (x, y, top)), -1, pieces, walls)[0] == 0.0:
             continue
-        is_open = clear_series((start, (x, y, low)), -1, pieces) == 1.0
+        is_open = is_clear((start, (x, y, low)), pieces)
         for m in range(len(flat)):
             w = flat[m]
             over = x * normal[w, 0] + y * normal[w, 1] + offset[w]
@@ -165,7 +165,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                     continue
                 if is_done[m] or side * (tx * by - ty * bx) < -radius * away_b:
                     continue
-                if _most_bent(table[e], (to_source, source_plan), (tx, ty, radius), top - low, wavelength_m) < least:
+                if most_bent(table[e], (to_source, source_plan), (tx, ty, radius), top - low, wavelength_m) < least:
                     continue
                 if _is_hidden((x, y), (images[m, g, 0], images[m, g, 1]), groups[g], top, line, pieces):
                     continue
@@ -179,36 +179,40 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
                     rise = (point[n, 2] - start[2]) / (source_plan + math.hypot(ix - x, iy - y))
                     bend = x, y, start[2] + source_plan * rise
                     mirror = at[0], at[1], bend[2] + math.hypot(at[0] - x, at[1] - y) * rise
-                    if to_target >= n_half * np.pi or bend[2] >= height:
+                    if to_target >= n_half * np.pi:
                         continue
                     depart, source_m = direction_of(start, bend)
                     onwards, target_m = direction_of(bend, (ix, iy, point[n, 2]))
+                    reach = stands_beside(bend[2] - height, source_m, target_m, wavelength_m)
+                    if reach == 0.0 or abs(reach) < least:
+                        continue
                     lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
                     # the ray before the mirror by its edge, as long as it is
                     ray = source_m + math.hypot(at[0] - x, at[1] - y) * stretch
                     rest = source_m + target_m - ray
-                    over_top = below_top(wavelength_m, tops[w] - mirror[2], ray, rest, onwards[2])
-                    if over_top == 0.0:
+                    reach *= below_top(wavelength_m, tops[w] - mirror[2], ray, rest, onwards[2])
+                    if abs(reach) < least:
                         continue
-                    if _bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
+                    if bend_bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
                         continue
                     end = point[n, 0], point[n, 1], point[n, 2]
-                    behind = clear_series((bend, mirror, end), owner[n], pieces)
-                    before = 1.0 if is_open or behind < 0.0 else clear_series((start, bend), -1, pieces)
-                    if behind < 0.0 or before < 0.0:
+                    behind = series((bend, mirror, end), owner[n], pieces, walls)
+                    blocked = behind[0] == 0.0
+                    before = OPEN if is_open or blocked else series((start, bend), -1, pieces, walls)
+                    passed = before[0] * behind[0] * reach
+                    if passed == 0.0:
                         continue
                     bent = bend_field(table[e], (to_source, to_target), lengths, source_plan, scene)
-                    if max(abs(bent[0]), abs(bent[1])) < least:
+                    if max(abs(bent[0]), abs(bent[1])) * abs(passed) < least:
                         continue
                     if count == len(rows):
                         rows, bends = grown(rows), grown(bends)
-                    bends[count] = max(abs(bent[0]), abs(bent[1]))
+                    bends[count] = max(abs(bent[0]), abs(bent[1])) * abs(passed)
                     row = rows[count]
                     count += 1
                     arrive, _ = direction_of(mirror, end)
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-                    _fill_turns(row, (e, w), bent, before * behind, onwards, line, scene[0])
-                    row.other = over_top
+                    _fill_turns(row, (e, w), bent, (passed, before, behind), onwards, line, scene[0])
                     if one_each:
                         is_done[m] = True
                         break
@@ -216,7 +220,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each):  # type:
 
 
 @compiled(error_model="numpy")
-def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[no-untyped-def]
+def _mirror_first(antenna, ends, table, mirrors, scene, least, walls):  # type: ignore[no-untyped-def]
     point, owner = ends
     flat, (a, b, normal, offset, tops), lit = mirrors
     pieces, wavelength_m = scene[2], scene[3]
@@ -230,20 +234,20 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
             continue
         ix, iy = mirrored(start[0], start[1], line[0], line[1], line[2])
         for e in range(len(table)):
-            x, y, _, _, face_rad, sense, n_half, height = table[e]
+            x, y, _, _, face_rad, sense, n_half, height, _, _ = table[e]
             at, is_met = _met(line, (start[0], start[1], over), (x, y), a[w], b[w], (lit[w, 0], lit[w, 1]))
             if not is_met or abs(x * line[0] + y * line[1] + line[2]) <= NEAREST_EDGE_M:
                 continue
             to_source = turn_from_face(ix - x, iy - y, face_rad, sense)
             if to_source >= n_half * np.pi:
                 continue
-            if clear_series((start, (at[0], at[1], top), (x, y, top)), -1, pieces) < 0.0:
+            if series((start, (at[0], at[1], top), (x, y, top)), -1, pieces, walls)[0] == 0.0:
                 continue
-            is_open = clear_series((start, (at[0], at[1], low), (x, y, low)), -1, pieces) == 1.0
+            is_open = is_clear((start, (at[0], at[1], low), (x, y, low)), pieces)
             source_plan, mirror_plan = math.hypot(x - ix, y - iy), math.hypot(at[0] - start[0], at[1] - start[1])
             for group in groups:
                 circle = group[0] - x, group[1] - y, group[2]
-                if _most_bent(table[e], (to_source, source_plan), circle, top - low, wavelength_m) < least:
+                if most_bent(table[e], (to_source, source_plan), circle, top - low, wavelength_m) < least:
                     continue
                 for n in range(int(group[3]), int(group[4])):
                     end = point[n, 0], point[n, 1], point[n, 2]
@@ -254,51 +258,33 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least):  # type: ignore[
                     rise = (end[2] - start[2]) / (source_plan + target_plan)
                     mirror = at[0], at[1], start[2] + mirror_plan * rise
                     bend = x, y, start[2] + source_plan * rise
-                    if bend[2] >= height:
-                        continue
                     _, source_m = direction_of((ix, iy, start[2]), bend)
                     arrive, target_m = direction_of(bend, end)
+                    ray = mirror_plan * math.hypot(1.0, rise)
+                    reach = stands_beside(bend[2] - height, source_m, target_m, wavelength_m)
+                    reach *= below_top(wavelength_m, tops[w] - mirror[2], ray, source_m + target_m - ray, arrive[2])
+                    if reach == 0.0 or abs(reach) < least:
+                        continue
                     lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
-                    ray = mirror_plan * stretch
-                    rest = source_m + target_m - ray
-                    over_top = below_top(wavelength_m, tops[w] - mirror[2], ray, rest, arrive[2])
-                    if over_top == 0.0:
+                    if bend_bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
                         continue
-                    if _bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
-                        continue
-                    before = 1.0 if is_open else clear_series((start, mirror, bend), -1, pieces)
-                    behind = clear_series((bend, end), owner[n], pieces) if before >= 0.0 else -1.0
-                    if behind < 0.0:
+                    before = OPEN if is_open else series((start, mirror, bend), -1, pieces, walls)
+                    behind = series((bend, end), owner[n], pieces, walls) if before[0] != 0.0 else BLOCKED
+                    passed = before[0] * behind[0] * reach
+                    if passed == 0.0:
                         continue
                     bent = bend_field(table[e], (to_source, to_target), lengths, source_plan, scene)
-                    if max(abs(bent[0]), abs(bent[1])) < least:
+                    if max(abs(bent[0]), abs(bent[1])) * abs(passed) < least:
                         continue
                     if count == len(rows):
                         rows, bends = grown(rows), grown(bends)
-                    bends[count] = max(abs(bent[0]), abs(bent[1]))
+                    bends[count] = max(abs(bent[0]), abs(bent[1])) * abs(passed)
                     row = rows[count]
                     count += 1
                     depart, _ = direction_of(start, mirror)
                     fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-                    _fill_turns(row, (e, w), bent, before * behind, depart, line, scene[0])
-                    row.other = over_top
+                    _fill_turns(row, (e, w), bent, (passed, before, behind), depart, line, scene[0])
     return rows[:count], bends[:count]
-
-
-@compiled(error_model="numpy")
-def _most_bent(edge, source, image, climb, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return a bound of what an edge (a row of `Edges.table`) bends from a source towards points of a circle.
-
-    Over the field of free rays as long, which rise by `climb` at most. `source`: its turn from the first face and its
-    distance in plan; `image`: middle of the circle from the edge, and radius.
-    """
-    (to_source, source_plan), (x, y, radius) = source, image
-    away = math.hypot(x, y)
-    if away <= 2.0 * radius:
-        return np.inf
-    middle, half = turn_from_face(x, y, edge[4], edge[5]), math.asin(radius / away)
-    stretch = math.hypot(1.0, climb / (source_plan + away - radius))
-    return _bound(edge, to_source, (middle - half, middle + half), (source_plan, away - radius), stretch, wavelength_m)
 
 
 @compiled(error_model="numpy")
@@ -316,31 +302,6 @@ def _is_hidden(edge, image, group, top, line, pieces):  # type: ignore[no-untype
         return True
     place = group[0], group[1]
     return is_screened((ex, ey), (group[0], group[1], group[2]), (at, place), top, side, pieces)
-
-
-@compiled(error_model="numpy")
-def _bound(edge, to_source, to_target, lengths, stretch, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return a bound of `bend_field` for targets between two turns: |F| <= 1, four cotangents that peak at the ends.
-
-    `lengths` of both legs, which are `stretch` times (at most) as long as in plan.
-    """
-    n = edge[6]
-    # across the first face turns begin again
-    if min(to_target) < 0.0 or max(to_target) > 2.0 * np.pi:
-        return np.inf
-    # what a free end lets through may add to what it hides
-    total, hidden = 0.0, 2.0 if edge[2] == edge[3] else 1.0
-    for side, weight in ((-1.0, hidden), (1.0, 1.0)):
-        for sign in (-1.0, 1.0):
-            first = (np.pi + sign * (to_target[0] + side * to_source)) / (2.0 * n)
-            last = (np.pi + sign * (to_target[1] + side * to_source)) / (2.0 * n)
-            flattest = min(abs(math.tan(first)), abs(math.tan(last)))
-            if flattest < 1e-9 or math.floor(first / np.pi) != math.floor(last / np.pi):
-                return np.inf
-            total += weight / flattest
-    # 1 / (2 n sqrt(2 pi k s s' / (s + s')) sin(skew))
-    turns = lengths[0] * lengths[1] / ((lengths[0] + lengths[1]) * wavelength_m)
-    return total * stretch / (4.0 * np.pi * n * math.sqrt(turns))
 
 
 @compiled(error_model="numpy")
@@ -364,9 +325,15 @@ def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _fill_turns(row, turns, bent, leaves, incident, line, builds):  # type: ignore[no-untyped-def]
-    """Write what turns a route: an edge and a wall, met along `incident`, with the factors of both together."""
+def _fill_turns(row, turns, bent, legs, incident, line, builds):  # type: ignore[no-untyped-def]
+    """Write what turns a route, an edge and a wall met along `incident`, with the factors of both together.
+
+    `legs`: what all that stands beside the route leaves of it, and what `series` says of its legs before and behind.
+    """
     row.edge, wall = turns
-    row.foliage = leaves
+    row.other, before, behind = legs
+    row.foliage = before[1] * behind[1]
+    if before[2] or behind[2]:
+        row.needs |= _THROUGH
     whole, front, rough = bounce(builds, wall, abs(incident[0] * line[0] + incident[1] * line[1]))
     fill_bounce(row, wall, (bent[0] * whole, bent[1] * front, rough))

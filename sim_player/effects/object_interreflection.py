@@ -15,7 +15,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import ECHO, Echoes, fill_echo, rate_of, rcs_towards
 from sim_player.trace.routes import NEAREST_M, direction_of, grown
-from sim_player.trace.segments import passage
+from sim_player.trace.segments import series
 from sim_player.trace.snapshot import TraceContext
 
 _LIT = bit("object_interreflection")
@@ -76,12 +76,12 @@ def _one_by_another(row, route_1, route_2, unit, scene):  # type: ignore[no-unty
     rcs_2 = rcs_towards(second, normals, d, route_2.arrive, -1.0) * rcs_towards(second, normals, d, onward, -1.0)
     if not (rcs_1 > 0.0 and rcs_2 > 0.0):
         return 0
-    free, _, foliage = passage(start, end, owner[d], pieces, True)
-    if not free:
+    over, foliage, _ = series((start, end), owner[d], pieces, False)
+    if over == 0.0:
         return 0
     fill_echo(row, route_1, route_2, _LIT, wall_id, (centre_id[c], centre_id[d]))
     field = unit * math.sqrt(math.sqrt(rcs_1) * math.sqrt(rcs_2)) / (route_1.length_m * between * route_2.length_m)
-    row.weight = field * phasor[c] * phasor[d] * route_1.other * route_2.other
+    row.weight = field * phasor[c] * phasor[d] * route_1.other * route_2.other * over
     row.foliage *= foliage
     row.out_m, row.back_m = route_1.length_m + 0.5 * between, route_2.length_m + 0.5 * between
     apart = onward[0] * (velocity[d, 0] - velocity[c, 0]) + onward[1] * (velocity[d, 1] - velocity[c, 1])

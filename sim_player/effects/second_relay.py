@@ -25,6 +25,7 @@ from sim_player.trace.routes import (
     ROUTE,
     Routes,
     bounce_routes,
+    clear_ways,
     direction_of,
     dot,
     fill_bounce,
@@ -35,7 +36,7 @@ from sim_player.trace.routes import (
     owners,
     plane_bounces,
 )
-from sim_player.trace.segments import clear_series, passage
+from sim_player.trace.segments import series
 from sim_player.trace.snapshot import TraceContext
 
 #: What `_seconds` says of a view in which every wall may be seen in every other.
@@ -144,8 +145,8 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     wall, target, points = plane_bounces(view, view.antenna, point, world.is_flat)
     visible = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
     bounces = wall[visible], target[visible], points[visible]
-    routes, occlusion = bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers)
-    routes = routes.take(occlusion.free & (world.speck_wall[specks[routes.target]] != routes.wall))
+    routes = clear_ways(*bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers))
+    routes = routes.take(world.speck_wall[specks[routes.target]] != routes.wall)
     speck = specks[routes.target]
     half = 0.5 * routes.length_m
     over = world.wall_height_m[world.speck_wall[speck]] - world.radar_height_m
@@ -192,8 +193,8 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
         over *= below_top(builds[3], top[second] - at_second[2], length_1 + length_2, length_3, depart[2])
         if over == 0.0:
             continue
-        foliage = clear_series((start, at_first, at_second, end), owner[m], pieces)
-        if foliage < 0.0:
+        passed, foliage, _ = series((start, at_first, at_second, end), owner[m], pieces, False)
+        if passed == 0.0:
             continue
         row = rows[count]
         count += 1
@@ -201,7 +202,7 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
         by_first = bounce(builds, first, abs(depart[0] * normal[first, 0] + depart[1] * normal[first, 1]))
         by_second = bounce(builds, second, abs(arrive[0] * normal[second, 0] + arrive[1] * normal[second, 1]))
         fill_bounce(row, first, (by_first[0] * by_second[0], by_first[1] * by_second[1], by_first[2] * by_second[2]))
-        row.wall2, row.foliage, row.other = second, foliage, other[m] * over
+        row.wall2, row.foliage, row.other = second, foliage, other[m] * over * passed
     return rows[:count]
 
 
@@ -232,8 +233,8 @@ def _shares_of_ends(antenna, pairs, vertices, walls, pieces, wavelength_m):  # t
                 if clear < 0.0 and share[m] != 0.0:
                     near = max(1.0 - END_SLACK_M / math.hypot(ex - antenna[0], ey - antenna[1]), 0.0)
                     end = antenna[0] + near * (ex - antenna[0]), antenna[1] + near * (ey - antenna[1]), antenna[2]
-                    if not passage((antenna[0], antenna[1], antenna[2]), end, -1, pieces, True)[0]:
-                        share[m] = 0.0
+                    # over tops both ways: the way out meets the end, and the other way round the way back does
+                    share[m] *= series(((antenna[0], antenna[1], antenna[2]), end), -1, pieces, False)[0]
     return share
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, object_echoes
+from sim_player.trace.routes import clear_ways
 from sim_player.trace.snapshot import TraceContext
 
 
@@ -16,7 +17,6 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: TraceContext) -> Echoes:
     """Centres in every straight piece of wall, both legs free, out and back by the same point."""
-    routes, occlusion = tracing.mirrored
-    clear = routes.take(occlusion.free)
+    clear = clear_ways(*tracing.mirrored)
     tracing.routes["specular_relay"] = clear
     return object_echoes(tracing.view, clear, cofocal(clear))

@@ -1,4 +1,8 @@
-"""Straight and mirrored ways that lead through walls: glass and wood let 10 GHz pass, 40 cm of concrete does not."""
+"""Straight and mirrored ways that lead through walls: glass and wood let 10 GHz pass, 40 cm of concrete does not.
+
+A centre may also be reached out through a wall and back by another way, clear or through walls. Left out: ways through
+walls by arcs, by two mirrors and by the ground, and mixtures that leave little (`LEAST_BOTH`).
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,8 @@ import numpy as np
 
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
-from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes
-from sim_player.trace.routes import Routes
+from sim_player.trace.echoes import LEAST_BOTH, Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.routes import Routes, join_routes
 from sim_player.trace.segments import Occlusion
 from sim_player.trace.snapshot import TraceContext
 
@@ -22,19 +26,22 @@ def absent(world: World) -> str | None:
 
 
 def apply(tracing: TraceContext) -> Echoes:
-    """Ways to centres that cross walls and no body, out and back; the walls' factors squared."""
+    """Ways to centres that cross walls and no body, out and back, or back by another way: through walls or clear."""
     view = tracing.view
-    direct, mirrored = _behind(*tracing.straight), _behind(*tracing.mirrored)
-    return join_echoes(
-        [
-            object_echoes(view, direct, cofocal(direct), bit("wall_transmission") | bit("los_objects")),
-            object_echoes(view, mirrored, cofocal(mirrored), bit("wall_transmission")),
-        ]
-    )
+    direct, mirrored = _behind(*tracing.straight, bit("los_objects")), _behind(*tracing.mirrored, 0)
+    through = join_routes([direct, mirrored])
+    every = join_routes([through, tracing.unbent_routes])
+    tracing.routes["wall_transmission"] = through
+    left = np.abs(every.other)
+    out, back = same_target(through.target, every.target)
+    mixed = (out < back) & (left[out] * left[back] >= LEAST_BOTH)
+    alike = object_echoes(view, through, cofocal(through))
+    return join_echoes([alike, object_echoes(view, every, (out[mixed], back[mixed]))])
 
 
-def _behind(routes: Routes, occlusion: Occlusion) -> Routes:
+def _behind(routes: Routes, occlusion: Occlusion, needs: int) -> Routes:
     """The routes that walls stand in, weakened by them."""
-    behind = np.flatnonzero(~occlusion.free & (occlusion.through != 0.0))
-    routes = routes.take(behind)
-    return routes.with_columns(other=routes.other * occlusion.through[behind])
+    through = occlusion.through - occlusion.over
+    behind = np.flatnonzero(np.abs(through) >= LEAST_BOTH)
+    routes, through = routes.take(behind), through[behind]
+    return routes.with_columns(other=routes.other * through, needs=routes.needs | (needs | bit("wall_transmission")))

@@ -440,8 +440,9 @@ def _condensed(
 
 
 def _opaque(blockers: Blockers) -> Blockers:
-    """Return the blockers for light: foliage blocks."""
-    return replace(blockers, kind=np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8))
+    """Return the blockers for light: foliage blocks, and shadows of tops are sharp."""
+    kind = np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8)
+    return replace(blockers, kind=kind, wavelength_m=0.0)
 
 
 # -- planning and counting -------------------------------------------------------------------------------------------

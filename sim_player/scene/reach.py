@@ -266,7 +266,7 @@ def _beside_edges(
     edges = open_edges(near.world)
     low, high = lit[edges.first].T
     share = (edges.number % 2).astype(np.float64)
-    in_sight = (share >= low - ROUNDING) & (share <= high + ROUNDING)
+    in_sight = ~edges.joint & (share >= low - ROUNDING) & (share <= high + ROUNDING)
     if ahead is not None:
         in_sight &= (edges.point - antenna[:2]) @ ahead >= -BEHIND
     centre_m = around.centre_m.copy()

@@ -213,8 +213,8 @@ class World:
         return *plain, self.centre_object.astype(np.int32), np.exp(1j * self.centre_phase_rad)
 
     @cached_property
-    def blocker_kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Kind int8, owner int32 and build int32 of all pieces that may block: walls, then faces, the last build."""
+    def blocker_kinds(self) -> tuple[np.ndarray, ...]:
+        """Kind int8, owner, build and box int32 of all pieces that may block: walls, then faces, the last build."""
         faces, walls = len(self.face_a), len(self.wall_a)
         meshes = np.array([scene_object.class_ is None for scene_object in self.scene.objects], bool)
         object_index = np.repeat(np.arange(len(meshes)), 4)
@@ -222,7 +222,8 @@ class World:
         # the patches of a mesh lie inside its box
         owner = np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)])
         build = np.concatenate([self.wall_build, np.full(faces, len(self.transmission) - 1)])
-        return kind.astype(np.int8), owner.astype(np.int32), build.astype(np.int32)
+        box = np.concatenate([np.full(walls, -1), object_index])
+        return kind.astype(np.int8), owner.astype(np.int32), build.astype(np.int32), box.astype(np.int32)
 
 
 def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:
@@ -379,7 +380,7 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
-    kind, owner, build = world.blocker_kinds
+    kind, owner, build, box = world.blocker_kinds
     return Snapshot(
         world=world,
         pose=pose,
@@ -395,7 +396,9 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
             kind=kind,
             owner=owner,
             build=build,
+            box=box,
             transmission=world.transmission,
+            wavelength_m=world.radar.wavelength_m,
         ),
         normal=normal,
         offset=offset,
@@ -413,7 +416,9 @@ def wall_blockers(world: World) -> Blockers:
         kind=np.where(world.is_mirror, WALL, VOLUME).astype(np.int8),
         owner=np.full(len(world.wall_a), -1, np.int32),
         build=world.wall_build,
+        box=np.full(len(world.wall_a), -1, np.int32),
         transmission=world.transmission,
+        wavelength_m=world.radar.wavelength_m,
     )
 
 

@@ -44,6 +44,8 @@ class Echoes(RowTable):
 
 
 ECHO = Echoes.dtype
+#: Mixtures of ways of which both leave less than this of a free field together (-60 dB) are left out.
+LEAST_BOTH = 1e-3
 _LOS, _MIRRORED = int(PathClass.LOS), int(PathClass.MIRRORED)
 
 

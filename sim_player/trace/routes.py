@@ -17,7 +17,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import LIT_MARGIN, Snapshot
 from sim_player.trace.bounce import all_below_top, below_top, bounce
 from sim_player.trace.row_table import Column, RowTable
-from sim_player.trace.segments import Blockers, Occlusion, passage, without
+from sim_player.trace.segments import Blockers, Occlusion, all_faded, is_left, passage, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
@@ -93,6 +93,13 @@ def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int
     return routes, met.where(view.is_ahead(routes.depart)) if view.ahead_only else met
 
 
+def clear_ways(routes: Routes, occlusion: Occlusion) -> Routes:
+    """Return those of some routes that nothing blocks, with what passes over the tops on their way."""
+    free = np.flatnonzero(occlusion.free)
+    routes = routes.take(free)
+    return routes.with_columns(other=routes.other * all_faded(occlusion.over[free]))
+
+
 def scatterer_routes(view: Snapshot, specks: np.ndarray, point_m: np.ndarray) -> tuple[np.ndarray, Routes]:
     """Return which of some walls' scatterers (numbers and points [N]) are seen, and the straight routes to them.
 
@@ -105,7 +112,7 @@ def scatterer_routes(view: Snapshot, specks: np.ndarray, point_m: np.ndarray) ->
     there = np.flatnonzero(left)
     routes, occlusion = straight_routes(view, point_m[there])
     routes = routes.with_columns(target=world.speck_id[specks[there]], other=np.sqrt(left[there]))
-    return there[occlusion.free], routes.take(occlusion.free)
+    return there[occlusion.free], clear_ways(routes, occlusion)
 
 
 def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
@@ -196,16 +203,17 @@ def fill_bounce(row, wall, factors):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _straight(antenna, point, owner, pieces):  # type: ignore[no-untyped-def]
     count = len(point)
-    rows, free, through = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count, np.complex128)
-    foliage = np.empty(count)
+    rows, free, foliage = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count)
+    over, through = np.empty(count, np.complex128), np.empty(count, np.complex128)
     start = antenna[0], antenna[1], antenna[2]
     for n in range(count):
         end = point[n, 0], point[n, 1], point[n, 2]
-        free[n], through[n], foliage[n] = passage(start, end, owner[n], pieces, False)
+        over[n], through[n], foliage[n] = passage(start, end, owner[n], pieces, False)
+        free[n] = is_left(over[n])
         direction, length = direction_of(start, end)
         fill_route(rows[n], n, length, direction, direction, 0)
         rows[n].foliage = foliage[n]
-    return rows, free, through, foliage
+    return rows, free, over, through, foliage
 
 
 @compiled(error_model="numpy")
@@ -276,8 +284,8 @@ def _plane_bounces(source, point, mirrors, walls, lit, wavelength_m):  # type: i
 def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: ignore[no-untyped-def]
     wall, target, points = bounces
     normal, top, count = walls[2], walls[4], len(wall)
-    rows, free, through = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count, np.complex128)
-    foliage = np.empty(count)
+    rows, free, foliage = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count)
+    over, through = np.empty(count, np.complex128), np.empty(count, np.complex128)
     start = antenna[0], antenna[1], antenna[2]
     for m in range(count):
         n, w = target[m], wall[m]
@@ -286,7 +294,8 @@ def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: i
         end = point[n, 0], point[n, 1], point[n, 2]
         there = passage(start, specular, -1, pieces, False)
         on = passage(specular, end, owner[n], pieces, False)
-        free[m], through[m], foliage[m] = there[0] and on[0], there[1] * on[1], there[2] * on[2]
+        over[m], through[m], foliage[m] = there[0] * on[0], there[1] * on[1], there[2] * on[2]
+        free[m] = is_left(over[m])
         depart, length = direction_of(start, image)
         nx, ny = normal[w, 0], normal[w, 1]
         towards = depart[0] * nx + depart[1] * ny
@@ -297,7 +306,7 @@ def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: i
         portion = (specular[0] - start[0]) * depart[0] + (specular[1] - start[1]) * depart[1]
         portion /= max(1.0 - depart[2] * depart[2], 1e-12)
         rows[m].other = below_top(builds[3], top[w] - specular[2], portion, length - portion, depart[2])
-    return rows, free, through, foliage
+    return rows, free, over, through, foliage
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:

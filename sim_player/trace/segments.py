@@ -3,6 +3,11 @@
 Exact per segment and blocker, compiled: all blockers in turn, or of many those alone whose boxes a segment meets. A
 segment leaves out `CLEARANCE_M` at both ends, so a wall does not hide a point that lies on it. Walls include their ends
 (`CLEARANCE_M` is added), so walls that share a corner leave no gap.
+
+A top edge ends smoothly: of a wave whose ray passes it at a clearance h, Fresnel's share at v = h sqrt(2 (1/d1 + 1/d2)
+/ lambda) passes over it (one knife edge, ITU-R P.526-15 4.1), and of the rest what the wall lets through. Several walls
+multiply; of a box the edge counts that cuts off more. The share stands against the straight ray: its phase has the
+detour. What is left of a way fades out below -28 dB and is gone at -34 dB (`LEAST_LEFT`), which is -68 dB out and back.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from models.compiled import compiled
+from models.physics.diffraction import FADES_TO, faded_share_at
 
 CLEARANCE_M = 1e-6
 #: The same on arcs, whose crossings come from a quadratic.
@@ -28,6 +34,9 @@ LEAF = 4
 BOX_MARGIN_M = 1e-3
 #: A wall hides all of something only where it does so by this much.
 SCREEN_M = 1e-3
+#: Field factor that tops leave of a way, or walls of a bent one, from which on down it counts as blocked (-34 dB); it
+#: fades from twice that.
+LEAST_LEFT = 0.02
 
 BODY, WALL, VOLUME = 0, 1, 2
 
@@ -47,18 +56,22 @@ class Blockers:
     owner: np.ndarray
     #: Row of `transmission` that each has, int32 [M].
     build: np.ndarray
+    #: Number of the box of which each is one of four faces, -1 for none; int32.
+    box: np.ndarray
     #: Field factor of one crossing over the cosine of incidence, complex128 [builds, TABLE_STEPS + 1].
     transmission: np.ndarray
+    #: Of the wave that passes their tops; 0 for rays alone.
+    wavelength_m: float = 0.0
     #: Whether they are found by a tree of boxes: the same pieces meet a segment, in another order.
     tree: bool = False
 
     @cached_property
     def pieces(self) -> tuple[np.ndarray, ...]:
         """The same pieces as compiled code takes them, with their boxes."""
-        columns = self.a, self.b, self.height_m, self.curvature_per_m, self.kind, self.owner, self.build
-        pieces = _pieces(*columns)
+        columns = self.a, self.b, self.height_m, self.curvature_per_m, self.kind, self.owner, self.build, self.box
+        pieces = _pieces(*columns, np.abs(self.transmission).max(axis=1, initial=0.0) < LEAST_LEFT)
         order, boxes = _boxes(*_bounds(pieces), LEAF if self.tree else max(len(pieces), 1))
-        return pieces[order], self.transmission, boxes
+        return pieces[order], self.transmission, boxes, _faces(self.box[order]), self.wavelength_m
 
     def take(self, selection: np.ndarray) -> Blockers:
         """Return the pieces of an index or mask."""
@@ -71,18 +84,21 @@ class Occlusion:
 
     #: Whether no body and no wall blocks it.
     free: np.ndarray
-    #: Field factor of all walls crossed; 0 behind a body.
+    #: Field factor of what passes over the tops of all, 1 where it is far from them, 0 where it is not free.
+    over: np.ndarray
+    #: The same with what walls let through; 0 behind a body.
     through: np.ndarray
     #: Field factor of all foliage crossed; incomplete where nothing comes through.
     foliage: np.ndarray
 
     def take(self, selection: np.ndarray) -> Occlusion:
         """Return the segments of an index or mask."""
-        return Occlusion(self.free[selection], self.through[selection], self.foliage[selection])
+        return Occlusion(*(column[selection] for column in (self.free, self.over, self.through, self.foliage)))
 
     def where(self, mask: np.ndarray) -> Occlusion:
         """Return the same, with all segments but those of a mask blocked."""
-        return Occlusion(self.free & mask, np.where(mask, self.through, 0.0), self.foliage)
+        over, through = np.where(mask, self.over, 0.0), np.where(mask, self.through, 0.0)
+        return Occlusion(self.free & mask, over, through, self.foliage)
 
 
 def segment_occlusion(
@@ -125,17 +141,20 @@ def join_blockers(first: Blockers, *more: Blockers) -> Blockers:
     return replace(first, **joined)
 
 
-_BY_PIECE = tuple(field.name for field in fields(Blockers) if field.name not in ("transmission", "tree"))
+_BY_PIECE = tuple(
+    field.name for field in fields(Blockers) if field.name not in ("transmission", "wavelength_m", "tree")
+)
 #: Columns of a piece in compiled code: start, vector to the end, length, share of it that `CLEARANCE_M` is, height,
-#: end, curvature (0: straight), kind, owner, build. One array: each further one would be reference-counted per segment.
-_COLUMNS = 13
+#: end, curvature (0: straight), kind, owner, build, box, whether it is a wall that lets next to nothing through. One
+#: array: each further one would be reference-counted per segment.
+_COLUMNS = 15
 #: Columns of a box: least and greatest x and y, first and last piece that it holds itself (none: boxes follow), and
 #: the box to go on with if a segment misses it.
 _BOX_COLUMNS = 7
 
 
 @compiled(error_model="numpy")
-def _pieces(a, b, height, curvature, kind, owner, build):  # type: ignore[no-untyped-def]
+def _pieces(a, b, height, curvature, kind, owner, build, box, opaque):  # type: ignore[no-untyped-def]
     piece = np.empty((len(a), _COLUMNS))
     for m in range(len(a)):
         wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
@@ -143,8 +162,22 @@ def _pieces(a, b, height, curvature, kind, owner, build):  # type: ignore[no-unt
         bent = curvature[m] if abs(curvature[m]) * wall >= STRAIGHT else 0.0
         wider = CLEARANCE_M / max(wall, CLEARANCE_M)
         piece[m, :7] = (a[m, 0], a[m, 1], wx, wy, wall, wider, height[m])
-        piece[m, 7:] = (b[m, 0], b[m, 1], bent, float(kind[m]), float(owner[m]), float(build[m]))
+        piece[m, 7:13] = (b[m, 0], b[m, 1], bent, float(kind[m]), float(owner[m]), float(build[m]))
+        piece[m, 13] = float(box[m])
+        piece[m, 14] = 1.0 if kind[m] == WALL and opaque[build[m]] else 0.0
     return piece
+
+
+@compiled(error_model="numpy")
+def _faces(box):  # type: ignore[no-untyped-def]
+    """Return the rows of the four faces of each box, [B, 4], -1 where one is missing."""
+    faces = np.full((box.max() + 1 if len(box) else 0, 4), -1)
+    for m in range(len(box)):
+        for place in range(4):
+            if box[m] >= 0 and faces[box[m], place] < 0:
+                faces[box[m], place] = m
+                break
+    return faces
 
 
 def _bounds(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,37 +230,42 @@ def _boxes(low, high, leaf):  # type: ignore[no-untyped-def]
 def _follow(vertices_m, owners, pieces, give_up):  # type: ignore[no-untyped-def]
     vertices, count = vertices_m.shape[0], vertices_m.shape[1]
     free = np.ones(count, np.bool_)
-    through = np.ones(count, np.complex128)
+    over, through = np.ones(count, np.complex128), np.ones(count, np.complex128)
     foliage = np.ones(count, np.float64)
     for n in range(count):
         for segment in range(vertices - 1):
             start = vertices_m[segment, n, 0], vertices_m[segment, n, 1], vertices_m[segment, n, 2]
             end = vertices_m[segment + 1, n, 0], vertices_m[segment + 1, n, 1], vertices_m[segment + 1, n, 2]
             own = owners[n] if segment == vertices - 2 else -1
-            clear, factor, leaves = passage(start, end, own, pieces, give_up)
-            free[n] &= clear
+            above, factor, leaves = passage(start, end, own, pieces, give_up)
+            over[n] *= above
             through[n] *= factor
             foliage[n] *= leaves
-            if give_up and not clear:
+            if give_up and above == 0.0:
                 through[n] = 0.0
                 break
-    return free, through, foliage
+        free[n] = is_left(over[n])
+    return free, over, through, foliage
 
 
 @compiled(error_model="numpy")
 def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
-    """Return of one segment whether it is free, the factor of all walls crossed, and that of all foliage.
+    """Return of one segment the factor of what passes over all tops (1: nothing near, 0: blocked; not yet `faded`), the
+    same with what walls let through, and that of all foliage.
 
     `start` and `end` are three numbers each, `pieces` those of `Blockers`; `own` is the owner whose pieces do not
     block. With `give_up` the first piece that blocks ends the search. For callers that are compiled themselves.
     """
-    piece, passing, boxes = pieces
+    piece, passing, boxes, faces, wavelength_m = pieces
     sx, sy, sz = start
     rx, ry, rise = end[0] - sx, end[1] - sy, end[2] - sz
     # tuples: array views would be reference-counted in the inner loop
     ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
     lowest = sz + min(rise, 0.0)
-    free, through, foliage = True, 1.0 + 0.0j, 1.0
+    # v^2 = h^2 / (spread share (1 - share))
+    spread = 0.5 * wavelength_m * math.hypot(ray[6], rise)
+    near = FADES_TO * math.sqrt(0.25 * spread)
+    over, through, foliage = 1.0 + 0.0j, 1.0 + 0.0j, 1.0
     box = 0
     while box < len(boxes):
         if _misses(sx, sy, rx, ry, boxes, box):
@@ -235,28 +273,88 @@ def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
             continue
         for m in range(int(boxes[box, 4]), int(boxes[box, 5])):
             height, bend, owner = piece[m, 6], piece[m, 9], piece[m, 11]
-            if lowest >= height or (owner >= 0.0 and owner == own):
+            if lowest >= height + near or (owner >= 0.0 and owner == own):
                 continue
-            second = -1.0
+            second = (-1.0, 0.0)
             if bend == 0.0:
-                line = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5], height)
+                line = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5])
                 first = _straight(ray, line)
             else:
-                first, second = _arc(ray, (piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8], height, bend))
-            for cosine in (first, second):
+                first, second = _arc(ray, (piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8], bend))
+            for cosine, share in (first, second):
                 if cosine < 0.0:
                     continue
+                v = _over_v(ray, spread, height, share)
+                if v >= FADES_TO or (v > -FADES_TO and _is_behind(ray, spread, m, v, piece, faces)):
+                    continue
+                above = faded_share_at(v)
                 factor = crossing_factor(passing, int(piece[m, 12]), cosine)
                 if piece[m, 10] == VOLUME:
-                    foliage *= abs(factor)
+                    foliage *= abs(factor + (1.0 - factor) * above)
                 else:
-                    free = False
-                    through *= factor
+                    over *= above
+                    through *= factor + (1.0 - factor) * above
             # nothing brings back what is blocked
-            if not free and (give_up or through == 0.0):
-                return free, through, foliage
+            if over == 0.0 and (give_up or through == 0.0):
+                return over, through, foliage
         box += 1
-    return free, through, foliage
+    return over, through, foliage
+
+
+@compiled(error_model="numpy")
+def _over_v(ray, spread, height, share):  # type: ignore[no-untyped-def]
+    """Return Fresnel's argument of a ray over a top that it passes at a share of it, from `FADES_TO` on only that."""
+    clearance = ray[2] + ray[5] * share - height
+    square = spread * share * (1.0 - share)
+    if clearance * clearance >= FADES_TO * FADES_TO * square:
+        return FADES_TO if clearance >= 0.0 else -FADES_TO
+    return clearance / math.sqrt(square)
+
+
+@compiled(error_model="numpy")
+def _is_behind(ray, spread, m, v, piece, faces):  # type: ignore[no-untyped-def]
+    """Return whether another face of the same box cuts off more of a ray, or as much and comes first."""
+    if piece[m, 13] < 0.0:
+        return False
+    for place in range(4):
+        k = faces[int(piece[m, 13]), place]
+        if k < 0 or k == m:
+            continue
+        line = (piece[k, 0], piece[k, 1], piece[k, 2], piece[k, 3], piece[k, 4], piece[k, 5])
+        cosine, share = _straight(ray, line)
+        if cosine >= 0.0:
+            other = _over_v(ray, spread, piece[k, 6], share)
+            if other < v or (other == v and k < m):
+                return True
+    return False
+
+
+@compiled(error_model="numpy")
+def faded(field):  # type: ignore[no-untyped-def]
+    """Return what is left of a way as it fades out: the same above twice `LEAST_LEFT`, nothing below it."""
+    return field * _step(LEAST_LEFT, 2.0 * LEAST_LEFT, abs(field))
+
+
+@compiled(error_model="numpy")
+def is_left(field):  # type: ignore[no-untyped-def]
+    """Return whether a way counts, faded: what is left of it then is 1e-3 and more."""
+    return abs(field) > 1.1 * LEAST_LEFT
+
+
+@compiled(error_model="numpy")
+def all_faded(fields):  # type: ignore[no-untyped-def]
+    """Return `faded` of fields [N]."""
+    left = np.empty(len(fields), np.complex128)
+    for n in range(len(fields)):
+        left[n] = faded(fields[n])
+    return left
+
+
+@compiled(error_model="numpy")
+def _step(low, high, value):  # type: ignore[no-untyped-def]
+    """Return a smooth step from 0 to 1."""
+    share = min(max((value - low) / (high - low), 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 @compiled(error_model="numpy")
@@ -273,21 +371,34 @@ def _misses(sx, sy, rx, ry, boxes, box):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def clear_series(points, own, pieces):  # type: ignore[no-untyped-def]
-    """Return what foliage leaves of a series of segments from point to point, -1 where one of them is blocked.
+def series(points, own, pieces, walls):  # type: ignore[no-untyped-def]
+    """Return of segments from point to point the field factor of all tops (0: blocked), and that of foliage.
 
-    `points` are three numbers each; `own` belongs to the last segment. Two equal points have no segment.
+    With `walls`, of what those let through too, `LEAST_LEFT` and more, and whether it crosses one. `points` are three
+    numbers each; `own` belongs to the last segment. Two equal points have no segment.
     """
-    leaves = 1.0
+    field, leaves, crosses = 1.0 + 0.0j, 1.0, False
     for index in range(len(points) - 1):
         start, end = points[index], points[index + 1]
         if start == end:
             continue
-        free, _, foliage = passage(start, end, own if index == len(points) - 2 else -1, pieces, True)
-        if not free:
-            return -1.0
+        over, through, foliage = passage(start, end, own if index == len(points) - 2 else -1, pieces, not walls)
+        crosses |= over == 0.0
+        field *= through if walls else over
+        if not is_left(field):
+            return 0.0j, 0.0, False
         leaves *= foliage
-    return leaves
+    return faded(field), leaves, crosses
+
+
+@compiled(error_model="numpy")
+def is_clear(points, pieces):  # type: ignore[no-untyped-def]
+    """Return whether segments from point to point meet neither walls nor bodies nor foliage, and no top near by."""
+    for index in range(len(points) - 1):
+        over, through, foliage = passage(points[index], points[index + 1], -1, pieces, True)
+        if over != 1.0 or through != 1.0 or foliage != 1.0:
+            return False
+    return True
 
 
 @compiled(error_model="numpy")
@@ -297,7 +408,10 @@ def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-
     All in plan, rays no higher than `top`; circle: place and radius; line: unit normal and offset, source and circle on
     different sides. Looked for are walls that stand between two points of the middle ray; no does not mean free.
     """
-    piece, _, boxes = pieces
+    piece, _, boxes, _, wavelength_m = pieces
+    away = math.hypot(circle[0] - source[0], circle[1] - source[1]) + circle[2]
+    # what passes over a top, of the longest ray
+    covered = top + SCREEN_M + FADES_TO * math.sqrt(0.125 * wavelength_m * (away + top))
     (sx, sy), (ex, ey) = between
     rx, ry = ex - sx, ey - sy
     ray = (sx, sy, top, rx, ry, 0.0, math.hypot(rx, ry))
@@ -307,12 +421,12 @@ def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-
             box = int(boxes[box, 6])
             continue
         for m in range(int(boxes[box, 4]), int(boxes[box, 5])):
-            # arcs, foliage, and what does not block its owner's own rays
-            if piece[m, 9] != 0.0 or piece[m, 10] != WALL or piece[m, 11] >= 0.0 or piece[m, 6] <= top + SCREEN_M:
+            # arcs, what lets through, and what does not block its owner's own rays
+            if piece[m, 9] != 0.0 or piece[m, 14] == 0.0 or piece[m, 11] >= 0.0 or piece[m, 6] <= covered:
                 continue
-            wall = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5], piece[m, 6])
+            wall = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5])
             ends = piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8]
-            if _straight(ray, wall) >= 0.0 and _screens(ends, source, circle, line):
+            if _straight(ray, wall)[0] >= 0.0 and _screens(ends, source, circle, line):
                 return True
         box += 1
     return False
@@ -357,9 +471,11 @@ def crossing_factor(passing, build, cosine):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _straight(segment, piece):  # type: ignore[no-untyped-def]
-    """Return the cosine of incidence where a segment meets a straight piece, -1 where it does not."""
-    sx, sy, sz, rx, ry, rise, ray = segment
-    ax, ay, wx, wy, wall, wider, height = piece
+    """Return the cosine of incidence where a segment meets a straight piece in plan, -1 where it does not, and the
+    share of the segment before it.
+    """
+    sx, sy, _, rx, ry, rise, ray = segment
+    ax, ay, wx, wy, wall, wider = piece
     # shares along segment and piece times `turn`: most pieces are rejected without a division
     turn = rx * wy - ry * wx
     ox, oy = ax - sx, ay - sy
@@ -368,22 +484,22 @@ def _straight(segment, piece):  # type: ignore[no-untyped-def]
     if turn < 0.0:
         turn, across, along = -turn, -across, -along
     if across <= 0.0 or across >= turn or along < -wider * turn or along > turn + wider * turn:
-        return -1.0
+        return -1.0, 0.0
     # parallel: no intersection, or the segment runs along the wall, which has no width
     if turn <= 1e-12 * ray * wall:
-        return -1.0
+        return -1.0, 0.0
     share = across / turn
     margin = CLEARANCE_M / max(ray, CLEARANCE_M)
-    if not margin < share < 1.0 - margin or sz + rise * share >= height:
-        return -1.0
-    return turn / (wall * math.sqrt(ray * ray + rise * rise))
+    if not margin < share < 1.0 - margin:
+        return -1.0, 0.0
+    return turn / (wall * math.sqrt(ray * ray + rise * rise)), share
 
 
 @compiled(error_model="numpy")
 def _arc(segment, arc):  # type: ignore[no-untyped-def]
-    """Return the cosines of incidence where a segment meets an arc, at most two; -1 for none."""
-    sx, sy, sz, rx, ry, rise, _ = segment
-    ax, ay, bx, by, height, curvature = arc
+    """Return what `_straight` does for both places where a segment may meet an arc."""
+    sx, sy, _, rx, ry, rise, _ = segment
+    ax, ay, bx, by, curvature = arc
     wx, wy = bx - ax, by - ay
     chord = math.hypot(wx, wy)
     # an arc less than a half circle stays within half its chord of it: most segments miss it
@@ -394,7 +510,7 @@ def _arc(segment, arc):  # type: ignore[no-untyped-def]
         or max(sy, sy + ry) < min(ay, by) - reach
         or min(sy, sy + ry) > max(ay, by) + reach
     ):
-        return -1.0, -1.0
+        return (-1.0, 0.0), (-1.0, 0.0)
     radius = 1.0 / curvature
     # centre to the left of a -> b for positive curvature
     apothem = math.copysign(math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0)), radius)
@@ -405,9 +521,9 @@ def _arc(segment, arc):  # type: ignore[no-untyped-def]
     half = fx * rx + fy * ry
     rest = half * half - square * (fx * fx + fy * fy - radius * radius)
     if rest <= 0.0 or square == 0.0:
-        return -1.0, -1.0
+        return (-1.0, 0.0), (-1.0, 0.0)
     margin = ARC_CLEARANCE_M / math.sqrt(square)
-    first, last = -1.0, -1.0
+    first, last = (-1.0, 0.0), (-1.0, 0.0)
     for sign in (-1.0, 1.0):
         along = (-half + sign * math.sqrt(rest)) / square
         if not margin < along < 1.0 - margin:
@@ -419,10 +535,9 @@ def _arc(segment, arc):  # type: ignore[no-untyped-def]
         wider = ARC_CLEARANCE_M * chord
         if not -wider <= along_chord <= chord * chord + wider or side * radius < -wider * abs(radius):
             continue
-        if sz + rise * along < height:
-            cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))
-            if sign < 0.0:
-                first = cosine
-            else:
-                last = cosine
+        cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))
+        if sign < 0.0:
+            first = cosine, along
+        else:
+            last = cosine, along
     return first, last

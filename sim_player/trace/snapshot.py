@@ -9,7 +9,7 @@ import numpy as np
 
 from sim_player.scene.world import Snapshot
 from sim_player.trace.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
-from sim_player.trace.segments import Occlusion
+from sim_player.trace.segments import LEAST_LEFT, Occlusion
 
 
 @dataclass
@@ -23,6 +23,18 @@ class TraceContext:
         """Return the free routes to centres, straight or by mirrors alone, of some effects."""
         routes = [self.routes[name] for name in names if name in self.routes]
         return join_routes(routes) if routes else no_routes()
+
+    @property
+    def unbent_routes(self) -> Routes:
+        """The routes to centres that bend nowhere: straight or by mirrors, clear or through walls."""
+        return self.clear_routes("los_objects", "specular_relay", "curved_wall", "second_relay", "wall_transmission")
+
+    @property
+    def walls_let_through(self) -> bool:
+        """Whether ways through walls are among the effects traced so far, and some wall lets something through."""
+        world = self.view.world
+        most = world.most_through[world.is_mirror].max(initial=0.0)
+        return "wall_transmission" in self.routes and bool(most >= LEAST_LEFT)
 
     @cached_property
     def straight(self) -> tuple[Routes, Occlusion]:

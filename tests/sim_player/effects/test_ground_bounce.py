@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -83,11 +84,15 @@ def test_with_a_mirror_between(z: float, early: bool) -> None:
 
 
 def test_a_kerb_hides_the_bounce_and_not_the_sight() -> None:
-    """A wall of 0.4 m at the place of the bounce; direct sight passes over it."""
-    point = [(10.0, 0.0, 1.0)]
-    for x, hidden in ((5.0, True), (2.0, False)):
-        kerb = wall((x + 0.2, -1.0), (x + 0.2, 1.0), height_m=0.4)
-        found = traced(points_world(point, kerb, GROUND), "los_objects", NAME)
+    """A wall of 4 m just before the place of the bounce, 10 m high and 40 m away; direct sight passes 6 m over it.
+
+    On the way to the bounce Fresnel's argument is -6 and less, of the direct ray 6 and more.
+    """
+    point = [(40.0, 0.0, 10.0)]
+    for x, hidden in ((20.2, True), (2.0, False)):
+        kerb = wall((x, -1.0), (x, 1.0), height_m=4.0)
+        world = dataclasses.replace(points_world(point, kerb, GROUND), radar_height_m=10.0)
+        found = traced(world, "los_objects", NAME)
         assert len(found.routes["los_objects"]) == 1
         assert (found.routes[NAME].wall < 0).sum() == (0 if hidden else 1)
 

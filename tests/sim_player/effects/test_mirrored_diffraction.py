@@ -11,7 +11,7 @@ from scipy.special import fresnel
 
 from models.physics.diffraction import wedge_terms
 from msgs.values.frames import Pose2
-from sim_player.effects import mirrored_diffraction
+from sim_player.effects import edge_diffraction, mirrored_diffraction
 from sim_player.effects.edge_diffraction import edges_of
 from sim_player.effects.mirrored_diffraction import mirrors_beside
 from sim_player.scene.description import Surface
@@ -44,7 +44,8 @@ BEHIND = wall((12.0, 12.0), (12.0, 4000.0))
 @pytest.fixture(autouse=True)
 def every_bend(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mirrored_diffraction, "LEAST_BEND", 0.0)
-    monkeypatch.setattr(mirrored_diffraction, "LEAST_BOTH", 0.0)
+    for effect in (mirrored_diffraction, edge_diffraction):
+        monkeypatch.setattr(effect, "LEAST_BOTH", 0.0)
 
 
 def field_at(points: list[Point], *walls: Surface) -> np.ndarray:
@@ -178,12 +179,15 @@ def test_every_leg_must_be_free() -> None:
     for leg, (a, b) in crossing.items():
         assert _by_the_end(point, MIRROR, BEFORE, wall(a, b)) == 0, leg
         assert _by_the_end(point, MIRROR, BEFORE, wall(a, b, height_m=0.5)) == 1, leg
-    assert _by_the_end(point, MIRROR, wall((10.0, 3.0), (10.0, -4000.0), height_m=0.9)) == 0
+    # rays over the edge's top, by more than Fresnel's v = 6
+    high, tall = [(5.0, 10.0, 9.0)], wall((20.0, -300.0), (20.0, 300.0), height_m=20.0)
+    for height_m, count in ((5.0, 1), (0.1, 0)):
+        assert _by_the_end(high, tall, wall((10.0, 3.0), (10.0, -4000.0), height_m=height_m)) == count
 
 
 def _by_the_end(point: list[Point], *walls: Surface) -> int:
     routes = traced(points_world(point, *walls), NAME).routes[NAME]
-    length = math.hypot(10.0, 3.0) + math.hypot(25.0, point[0][1] - 3.0)
+    length = math.hypot(math.hypot(10.0, 3.0) + math.hypot(25.0, point[0][1] - 3.0), point[0][2] - 1.0)
     return int((np.isclose(routes.length_m, length) & (routes.wall == 0)).sum())
 
 
@@ -195,7 +199,7 @@ def _summed(found: Traced) -> complex:
 
 
 def test_echoes_are_the_square_of_one_way() -> None:
-    """All ways squared, (clear + bent + mirrored bent)^2, but for two different edges without a mirror; 1e-9."""
+    """All ways squared, (clear + bent + mirrored bent)^2; 1e-9."""
     found = traced(
         points_world([(5.0, 8.0, 1.0)], MIRROR, wall((10.0, 3.0), (10.0, 5.0))),
         *CLEAR,
@@ -205,9 +209,7 @@ def test_echoes_are_the_square_of_one_way() -> None:
     )
     fields = {name: one_way_field(found.routes[name]) for name in (*CLEAR, "edge_diffraction", NAME)}
     assert len(fields[NAME]) >= 3
-    clear, bent = sum(fields[name].sum() for name in CLEAR), fields["edge_diffraction"]
-    edges_apart = bent.sum() ** 2 - (bent**2).sum()
-    expected = (clear + bent.sum() + fields[NAME].sum()) ** 2 - edges_apart
+    expected = sum(field.sum() for field in fields.values()) ** 2
     assert _summed(found) == pytest.approx(expected, rel=1e-9)
 
 
@@ -263,8 +265,8 @@ def test_a_bound_is_over_the_field_of_every_target_and_not_far(
     n: float, to_source: float, to_target: tuple[float, float]
 ) -> None:
     """Legs of 10 and 7 m: at every turn between the two, all faces perfect, `wedge_terms` add up to less."""
-    edge = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, n])
-    bound = mirrored_diffraction._bound(edge, to_source, to_target, (10.0, 7.0), 1.0, RADAR.wavelength_m)
+    edge = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, n, 5.0, 0.0, 1.0])
+    bound = edge_diffraction.bend_bound(edge, to_source, to_target, (10.0, 7.0), 1.0, RADAR.wavelength_m)
     turns = np.linspace(*to_target, 31)
     distance_m = np.full(31, 70.0 / 17.0)
     source = np.full(31, to_source)

@@ -33,9 +33,15 @@ def blockers(a: np.ndarray, b: np.ndarray, **more: object) -> Blockers:
         "kind": np.full(count, WALL, np.int8),
         "owner": np.full(count, -1, np.int32),
         "build": np.arange(count, dtype=np.int32),
+        "box": np.full(count, -1, np.int32),
         "transmission": np.full((count, TABLE_STEPS + 1), 0.5 + 0j),
     }
     return Blockers(a, b, **{**values, **more})  # type: ignore[arg-type]
+
+
+def opaque(a: np.ndarray, b: np.ndarray, **more: object) -> Blockers:
+    """The same of walls that let nothing through."""
+    return blockers(a, b, **{"transmission": np.zeros((len(a), TABLE_STEPS + 1), np.complex128), **more})
 
 
 def level(points: np.ndarray, height_m: float = 1.0) -> np.ndarray:
@@ -231,7 +237,7 @@ def test_a_screened_bundle_has_no_free_ray(before_line: bool) -> None:
         source, place = np.array([rng.uniform(-4, 4), 6.0]), np.array([rng.uniform(-4, 4), -6.0])
         radius, turn = rng.uniform(0.05, 1.5), rng.uniform(0.0, 2.0 * np.pi, 60)
         line = (0.0, 1.0, 0.0) if before_line else (0.0, -1.0, 0.0)
-        walls = blockers(*rng.uniform(-9.0, 9.0, (2, 1, 2)))
+        walls = opaque(*rng.uniform(-9.0, 9.0, (2, 1, 2)))
         points = place + radius * np.column_stack([np.cos(turn), np.sin(turn)])
         middle = 0.5 * (source + place)
         cuts = source + (points - source) * (source[1] / (source[1] - points[:, 1]))[:, None]
@@ -250,7 +256,7 @@ def test_a_screen_must_be_wide_high_and_a_wall() -> None:
     half = 4.0 * math.tan(math.asin(0.1))
 
     def screens(left: float, right: float, top: float = 2.0, **more: object) -> bool:
-        walls = blockers(np.array([[-left, 4.0]]), np.array([[right, 4.0]]), **more)
+        walls = opaque(np.array([[-left, 4.0]]), np.array([[right, 4.0]]), **more)
         return bool(
             is_screened((0.0, 0.0), (0.0, 10.0, 1.0), ((0.0, 0.0), (0.0, 6.0)), top, (0.0, -1.0, 6.0), walls.pieces)
         )
@@ -260,6 +266,12 @@ def test_a_screen_must_be_wide_high_and_a_wall() -> None:
     assert not screens(half - 0.01, wide)
     assert not screens(wide, half - 0.01)
     assert not screens(wide, wide, top=5.0)
+    # what passes over a top of 3 m more: Fresnel's argument at the middle of a ray of 13 m, 3 sqrt(8 / (13 lambda))
+    assert screens(wide, wide, wavelength_m=0.98 * (3.0 / 6.0) ** 2 * 8.0 / 13.0)
+    assert not screens(wide, wide, wavelength_m=1.02 * (3.0 / 6.0) ** 2 * 8.0 / 13.0)
+    pane = np.full((1, TABLE_STEPS + 1), 0.02 + 0j)
+    assert not screens(wide, wide, transmission=pane)
+    assert screens(wide, wide, transmission=0.99 * pane)
     assert not screens(wide, wide, kind=np.array([VOLUME], np.int8))
     assert not screens(wide, wide, kind=np.array([BODY], np.int8), owner=np.array([3], np.int32))
     assert not screens(wide, wide, curvature_per_m=np.array([0.5]))
