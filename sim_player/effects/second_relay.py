@@ -1,8 +1,10 @@
 """Two walls in a row: corners send an object's image on, split a wide beam, and return the radar itself.
 
-Routes antenna -> first wall -> second wall -> centre, straight pieces of wall, by the image method taken twice; the
-radar's own image in two walls (both ways round); and the structure of one wall seen in another. Third order is left
-out. In a right-angled corner the way to the radar's own image meets the apex: each way round has half of its wave.
+Routes antenna -> first wall -> second wall -> centre, straight pieces of wall by the image method taken twice, arcs by
+Fermat's principle (`arc_pairs`); the radar's own image in two walls (both ways round); and the structure of one wall
+seen in another. Third order is left out. In a right-angled corner the way to the radar's own image meets the apex: each
+way round has half of its wave. An object's image there is one, by either order of the walls: on the line through the
+apex one way stands for both.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.diffraction import FADES_TO, passed_edge_at, passed_share_at
 from models.physics.mirror import mirrored
+from sim_player.effects.arc_pairs import arc_pairs
+from sim_player.effects.curved_wall import arc_routes
 from sim_player.effects.los_surfaces import END_SLACK_M, flash_weight
 from sim_player.effects.names import bit
 from sim_player.scene.world import LIT_MARGIN, Snapshot, World
@@ -36,11 +40,13 @@ from sim_player.trace.routes import (
     owners,
     plane_bounces,
 )
-from sim_player.trace.segments import series
+from sim_player.trace.segments import STRAIGHT_SAGITTA, series
 from sim_player.trace.snapshot import TraceContext
 
 #: What `_seconds` says of a view in which every wall may be seen in every other.
 _ALL_IN_ALL = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))
+#: A way that passes a right-angled corner's apex as close as this is by the apex itself.
+APEX_M = 1e-6
 #: Least share of the wave for which a loop by a corner's apex is followed.
 DARKEST = 0.02
 _TWICE = bit("specular_relay") | bit("second_relay")
@@ -48,8 +54,8 @@ _TWICE = bit("specular_relay") | bit("second_relay")
 
 def absent(world: World) -> str | None:
     """It takes two walls."""
-    count = int(world.is_flat.sum())
-    return None if count >= 2 else f"{count} straight wall{'' if count == 1 else 's'}: none faces another"
+    count = int(world.is_mirror.sum())
+    return None if count >= 2 else f"{count} wall{'' if count == 1 else 's'}: none faces another"
 
 
 def apply(tracing: TraceContext) -> Echoes:
@@ -62,14 +68,36 @@ def apply(tracing: TraceContext) -> Echoes:
 
 
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
-    """Free routes by two straight walls to points [N, 3]."""
+    """Free routes by two walls to points [N, 3]."""
     walls = np.flatnonzero(view.world.is_flat)
     pairs = _search(view.origin, point_m, walls, view.walls, view.lit_shares, _seconds(view), 0.0)
     vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
     lit = in_sight(view, pairs[:, 0], vertices[:, 0])
-    pairs, vertices = pairs[lit], vertices[lit]
-    who = owners(owner, len(point_m))[pairs[:, 2]]
-    return _routes(view, pairs, vertices, who, np.ones(len(pairs), np.complex128))
+    pairs, vertices = _without_apexes(view, point_m, pairs[lit], vertices[lit])
+    gain = np.ones(len(pairs), np.complex128)
+    if view.world.is_curved.any():
+        also = arc_pairs(view, point_m)
+        pairs, vertices = np.concatenate([pairs, also[0]]), np.concatenate([vertices, also[1]])
+        gain = np.concatenate([gain, also[2]])
+    return _routes(view, pairs, vertices, owners(owner, len(point_m))[pairs[:, 2]], gain)
+
+
+def _without_apexes(
+    view: Snapshot, point_m: np.ndarray, pairs: np.ndarray, vertices: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same ways, but one alone of those that both meet a right-angled corner's apex.
+
+    There both orders of the walls have one image, and which of them meets the walls is a matter of rounding.
+    """
+    corners = view.world.corners
+    by_apex, at = _apex_ways(view.antenna, point_m, corners.pairs, corners.geometry, view.world.radar.wavelength_m)
+    if not len(by_apex):
+        return pairs, vertices
+    seen = in_sight(view, by_apex[:, 0], at[:, 0])
+    key = np.sort(pairs[:, :2], axis=1)
+    same = (key[:, None] == by_apex[:, :2]).all(axis=2) & (pairs[:, 2:] == by_apex[:, 2])
+    kept = ~same.any(axis=1)
+    return np.concatenate([pairs[kept], by_apex[seen]]), np.concatenate([vertices[kept], at[seen]])
 
 
 def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -88,8 +116,9 @@ def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.n
 
     `pairs` [M, 3]: first wall, second wall, target; `vertices` [M, 3, 3]: points of both walls and the end.
     """
-    blockers, builds = view.blockers.pieces, view.world.builds
-    return Routes(_free_routes(view.antenna, pairs, vertices, owner, other, view.walls, builds, blockers))
+    world, blockers = view.world, view.blockers.pieces
+    scene = view.walls, world.is_curved, world.builds, blockers
+    return Routes(_free_routes(view.antenna, pairs, vertices, owner, other, *scene))
 
 
 def _loops(view: Snapshot) -> Echoes:
@@ -122,6 +151,11 @@ def _between_walls(view: Snapshot) -> Routes:
     pairs = pairs[~view.world.share_an_end(pairs[:, 0], pairs[:, 1])]
     vertices = _two_bounces(view.antenna, view.antenna[None], pairs, view.walls)
     share = _shares_of_ends(view.antenna, pairs, vertices, view.walls, view.blockers.pieces, radar.wavelength_m)
+    if view.world.is_curved.any():
+        also = arc_pairs(view, view.antenna[None])
+        apart = ~view.world.share_an_end(also[0][:, 0], also[0][:, 1])
+        pairs, vertices = np.concatenate([pairs, also[0][apart]]), np.concatenate([vertices, also[1][apart]])
+        share = np.concatenate([share, also[2][apart]])
     left = share != 0.0
     return _routes(view, pairs[left], vertices[left], owners(-1, int(left.sum())), share[left])
 
@@ -146,6 +180,7 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     visible = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
     bounces = wall[visible], target[visible], points[visible]
     routes = clear_ways(*bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers))
+    routes = join_routes([routes, arc_routes(view, point, owners(-1, len(specks)))])
     routes = routes.take(world.speck_wall[specks[routes.target]] != routes.wall)
     speck = specks[routes.target]
     half = 0.5 * routes.length_m
@@ -177,7 +212,7 @@ def _two_bounces(antenna, point, pairs, walls):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):  # type: ignore[no-untyped-def]
+def _free_routes(antenna, pairs, vertices, owner, other, walls, is_curved, builds, pieces):  # type: ignore[no-untyped-def]
     normal, top = walls[2], walls[4]
     rows, count = np.empty(len(pairs), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
@@ -187,7 +222,7 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
         at_second = vertices[m, 1, 0], vertices[m, 1, 1], vertices[m, 1, 2]
         end = vertices[m, 2, 0], vertices[m, 2, 1], vertices[m, 2, 2]
         depart, length_1 = direction_of(start, at_first)
-        _, length_2 = direction_of(at_first, at_second)
+        onward, length_2 = direction_of(at_first, at_second)
         arrive, length_3 = direction_of(at_second, end)
         over = below_top(builds[3], top[first] - at_first[2], length_1, length_2 + length_3, depart[2])
         over *= below_top(builds[3], top[second] - at_second[2], length_1 + length_2, length_3, depart[2])
@@ -199,11 +234,58 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):
         row = rows[count]
         count += 1
         fill_route(row, target, length_1 + length_2 + length_3, depart, arrive, _TWICE)
-        by_first = bounce(builds, first, abs(depart[0] * normal[first, 0] + depart[1] * normal[first, 1]))
-        by_second = bounce(builds, second, abs(arrive[0] * normal[second, 0] + arrive[1] * normal[second, 1]))
+        cosine_1 = abs(depart[0] * normal[first, 0] + depart[1] * normal[first, 1])
+        cosine_2 = abs(arrive[0] * normal[second, 0] + arrive[1] * normal[second, 1])
+        if is_curved[first] or is_curved[second]:
+            # a bounce turns a ray by twice its cosine, whatever the normal
+            cosine_1, cosine_2 = 0.5 * _apart(depart, onward), 0.5 * _apart(onward, arrive)
+        by_first, by_second = bounce(builds, first, cosine_1), bounce(builds, second, cosine_2)
         fill_bounce(row, first, (by_first[0] * by_second[0], by_first[1] * by_second[1], by_first[2] * by_second[2]))
         row.wall2, row.foliage, row.other = second, foliage, other[m] * over * passed
     return rows[:count]
+
+
+@compiled(error_model="numpy")
+def _apart(first, second):  # type: ignore[no-untyped-def]
+    """Return the length of the difference of two vectors."""
+    x, y, z = first[0] - second[0], first[1] - second[1], first[2] - second[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@compiled(error_model="numpy")
+def _apex_ways(antenna, point, pairs, geometry, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return first wall, second wall and target of all ways to points by the apexes of right-angled corners, and the
+    points of both walls and the end.
+
+    The walls in the order of their numbers. Right-angled is a corner whose two images of the antenna lie closer to each
+    other than a share of the wavelength; the way is by the apex where the line from there passes it as close.
+    """
+    kept, vertices, count = np.empty((4, 3), np.int64), np.empty((4, 3, 3)), 0
+    for corner in range(len(pairs)):
+        ax, ay, x1, y1, x2, y2 = geometry[corner, :6]
+        if pairs[corner, 0] > pairs[corner, 1] or geometry[corner, 8] != 0.0 or geometry[corner, 9] != 0.0:
+            continue
+        sx, sy, cosine = antenna[0] - ax, antenna[1] - ay, abs(x1 * x2 + y1 * y2)
+        away = math.hypot(sx, sy)
+        slack = 4.0 * cosine * away
+        if slack > STRAIGHT_SAGITTA * wavelength_m or min(sx * x1 + sy * y1, sx * x2 + sy * y2) <= APEX_M:
+            continue
+        for target in range(len(point)):
+            tx, ty = point[target, 0] - ax, point[target, 1] - ay
+            if abs(sx * ty - sy * tx) > (APEX_M + slack) * math.hypot(sx + tx, sy + ty):
+                continue
+            if min(tx * x1 + ty * y1, tx * x2 + ty * y2) <= APEX_M:
+                continue
+            if count == len(kept):
+                kept, vertices = np.concatenate((kept, kept)), np.concatenate((vertices, vertices))
+            share = away / (away + math.hypot(tx, ty))
+            kept[count, 0], kept[count, 1], kept[count, 2] = pairs[corner, 0], pairs[corner, 1], target
+            vertices[count, :2, 0], vertices[count, :2, 1] = ax, ay
+            vertices[count, :2, 2] = antenna[2] + share * (point[target, 2] - antenna[2])
+            vertices[count, 2, 0], vertices[count, 2, 1] = point[target, 0], point[target, 1]
+            vertices[count, 2, 2] = point[target, 2]
+            count += 1
+    return kept[:count], vertices[:count]
 
 
 @compiled(error_model="numpy")
@@ -242,12 +324,12 @@ def _shares_of_ends(antenna, pairs, vertices, walls, pieces, wavelength_m):  # t
 def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-untyped-def]
     """Walls, vertices and share of the wave of all loops by corners [C] that the radar is in.
 
-    `geometry` [C, 8]: apex, unit vectors along both walls from there, lengths of both walls.
+    `geometry` [C, 10]: apex, unit vectors along both walls from there, lengths and bends of both walls.
     """
     kept, vertices = np.empty((len(pairs), 3), np.int64), np.empty((len(pairs), 3, 3))
     other, count = np.empty(len(pairs), np.complex128), 0
     for corner in range(len(pairs)):
-        ax, ay, x1, y1, x2, y2, long_1, long_2 = geometry[corner]
+        ax, ay, x1, y1, x2, y2, long_1, long_2, bend_1, bend_2 = geometry[corner]
         tx, ty = antenna[0] - ax, antenna[1] - ay
         distance = math.hypot(tx, ty)
         tx, ty = tx / max(distance, 1e-9), ty / max(distance, 1e-9)
@@ -271,8 +353,12 @@ def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-unty
         if abs(share) <= DARKEST:
             continue
         kept[count, 0], kept[count, 1], kept[count, 2] = pairs[corner, 0], pairs[corner, 1], 0
-        vertices[count, 0, 0], vertices[count, 0, 1] = ax + along_1 * x1, ay + along_1 * y1
-        vertices[count, 1, 0], vertices[count, 1, 1] = ax + along_2 * x2, ay + along_2 * y2
+        # on the walls themselves: an arc leaves its tangent
+        leaves_1, leaves_2 = 0.5 * bend_1 * along_1 * along_1, 0.5 * bend_2 * along_2 * along_2
+        vertices[count, 0, 0] = ax + along_1 * x1 - leaves_1 * y1
+        vertices[count, 0, 1] = ay + along_1 * y1 + leaves_1 * x1
+        vertices[count, 1, 0] = ax + along_2 * x2 - leaves_2 * y2
+        vertices[count, 1, 1] = ay + along_2 * y2 + leaves_2 * x2
         vertices[count, 2, 0], vertices[count, 2, 1] = antenna[0], antenna[1]
         vertices[count, :, 2] = antenna[2]
         other[count] = share

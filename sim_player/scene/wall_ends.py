@@ -21,11 +21,12 @@ FEW_ENDS = 400
 
 @dataclass(frozen=True)
 class Corners:
-    """C ordered pairs of straight walls that share an end."""
+    """C ordered pairs of walls that share an end."""
 
     #: First and second wall, int64 [C, 2].
     pairs: np.ndarray
-    #: Of each the apex, unit vectors from there along both walls, and the lengths of both [m]; [C, 8].
+    #: Of each the apex, unit vectors from there along both walls, the lengths of both [m], and how both bend to the
+    #: left of those vectors [1/m]; [C, 10].
     geometry: np.ndarray
 
 
@@ -67,10 +68,10 @@ class EndNodes:
         return self.position, self.start, self.slack_m, self.wall, self.face_rad, self.curvature_per_m
 
 
-def corners_of(a: np.ndarray, b: np.ndarray, is_flat: np.ndarray) -> Corners:
-    """Return all ordered pairs of straight walls a -> b [W, 2] that share an end."""
-    walls = np.tile(np.flatnonzero(is_flat), 2)
-    end_1, end_2 = _same(np.concatenate([a[is_flat], b[is_flat]]))
+def corners_of(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirror: np.ndarray) -> Corners:
+    """Return all ordered pairs of mirrors among walls a -> b [W, 2] of some curvature [W] that share an end."""
+    walls = np.tile(np.flatnonzero(is_mirror), 2)
+    end_1, end_2 = _same(np.concatenate([a[is_mirror], b[is_mirror]]))
     first, second = walls[end_1], walls[end_2]
     first, second = first[first != second], second[first != second]
     ends = np.stack([a, b], axis=1)
@@ -79,8 +80,19 @@ def corners_of(a: np.ndarray, b: np.ndarray, is_flat: np.ndarray) -> Corners:
     apex = ends[first, nearest // 2]
     along_1, along_2 = ends[first, 1 - nearest // 2] - apex, ends[second, 1 - nearest % 2] - apex
     long_1, long_2 = np.linalg.norm(along_1, axis=1)[:, None], np.linalg.norm(along_2, axis=1)[:, None]
-    geometry = np.hstack([apex, along_1 / long_1, along_2 / long_2, long_1, long_2])
+    # from the far end on, left is right
+    bend_1 = np.where(nearest // 2 == 0, curvature_per_m[first], -curvature_per_m[first])[:, None]
+    bend_2 = np.where(nearest % 2 == 0, curvature_per_m[second], -curvature_per_m[second])[:, None]
+    towards_1, towards_2 = _turned(along_1 / long_1, bend_1 * long_1), _turned(along_2 / long_2, bend_2 * long_2)
+    geometry = np.hstack([apex, towards_1, towards_2, long_1, long_2, bend_1, bend_2])
     return Corners(np.column_stack([first, second]), geometry)
+
+
+def _turned(along: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Return the tangents [N, 2] at the starts of arcs of unit chords [N, 2] and curvatures times chords [N, 1]."""
+    sine = -0.5 * turn
+    cosine = np.sqrt(1.0 - sine * sine)
+    return np.hstack([cosine * along[:, :1] - sine * along[:, 1:], cosine * along[:, 1:] + sine * along[:, :1]])
 
 
 def share_an_end(first: np.ndarray, second: np.ndarray) -> np.ndarray:

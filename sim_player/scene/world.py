@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
@@ -24,7 +24,7 @@ from sim_player.scene.road_users import ScatteringCentres, scattering_centres
 from sim_player.scene.wall_ends import Corners, EndNodes, WallEnds, corners_of, end_nodes, share_an_end, wall_ends
 from sim_player.trace.bounce import Builds, Layers, all_bounces, builds_of
 from sim_player.trace.mesh_rcs import mesh_centres
-from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers
+from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers, as_bent
 
 T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
@@ -166,8 +166,9 @@ class World:
 
     @cached_property
     def corners(self) -> Corners:
-        """Pairs of straight walls that share an end."""
-        return corners_of(self.wall_a, self.wall_b, self.is_flat)
+        """Pairs of walls that share an end, arcs by their tangents there."""
+        bend = np.where(self.is_curved, self.wall_curvature_per_m, 0.0)
+        return corners_of(self.wall_a, self.wall_b, bend, self.is_mirror)
 
     def share_an_end(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Return which of some pairs of pieces of wall [N] share an end; bool [N]."""
@@ -247,6 +248,8 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         curvature_per_m=np.array([surface.curvature_per_m for surface in surfaces], np.float64),
         is_volume=np.array([is_volume(surface.material) for surface in surfaces], bool),
     )
+    chord_m = np.hypot(*(drawn.b - drawn.a).T)
+    drawn = replace(drawn, curvature_per_m=as_bent(drawn.curvature_per_m, chord_m, setup.radar.wavelength_m))
     standing = cut_coincident(drawn, setup.radar_height_m)
     left_out = _left_out(owner, standing)
     for line in left_out:

@@ -27,8 +27,9 @@ CLEARANCE_M = 1e-6
 ARC_CLEARANCE_M = 1e-4
 #: Steps of the cosine in the table of a wall's transmission.
 TABLE_STEPS = 1024
-#: Curvature times length below which a wall counts as straight.
-STRAIGHT = 1e-6
+#: Turn [rad] below which a wall counts as straight, and the same where its sagitta is less than this share of a
+#: wavelength: phases of bounces then err by 0.2 rad at most, and focusing by the turn times distance over length.
+STRAIGHT, STRAIGHT_TURN, STRAIGHT_SAGITTA = 1e-6, 1e-3, 1.0 / 64.0
 #: Pieces in a box of the tree that is not divided further, and by how much boxes are wider than what they hold.
 LEAF = 4
 BOX_MARGIN_M = 1e-3
@@ -39,6 +40,13 @@ SCREEN_M = 1e-3
 LEAST_LEFT = 0.02
 
 BODY, WALL, VOLUME = 0, 1, 2
+
+
+def as_bent(curvature_per_m: np.ndarray, chord_m: np.ndarray, wavelength_m: float) -> np.ndarray:
+    """Return the curvature of walls [W] of some chords [W], 0 of those that count as straight."""
+    turn = np.abs(curvature_per_m) * chord_m
+    slight = (turn < STRAIGHT_TURN) & (0.125 * turn * chord_m < STRAIGHT_SAGITTA * wavelength_m)
+    return np.where(slight | (turn < STRAIGHT), 0.0, curvature_per_m)
 
 
 @dataclass(frozen=True)
