@@ -27,7 +27,7 @@ from sim_player.scene.world import Snapshot, World
 from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, join_routes, owners
-from sim_player.trace.segments import crossing_factor, is_clear, is_screened, series
+from sim_player.trace.segments import crossing_factor, is_clear, is_screened, may_pass, series
 from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
@@ -130,7 +130,7 @@ def _edge_routes(antenna, point, owner, edges, scene, walls, least):  # type: ig
         if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M:
             continue
         # seen at the greatest height at which a ray to any point may meet it
-        if series((start, (x, y, top)), -1, pieces, walls)[0] == 0.0:
+        if not may_pass((start, (x, y, top)), pieces, walls):
             continue
         # where the lowest ray meets nothing on its way, none does
         is_open = is_clear((start, (x, y, low)), pieces)

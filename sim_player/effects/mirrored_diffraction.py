@@ -45,7 +45,7 @@ from sim_player.trace.routes import (
     join_routes,
     owners,
 )
-from sim_player.trace.segments import Blockers, is_clear, is_screened, series
+from sim_player.trace.segments import Blockers, is_clear, is_screened, may_pass, series
 from sim_player.trace.snapshot import TraceContext
 
 _BENT, _THROUGH = bit("mirrored_diffraction"), bit("wall_transmission")
@@ -146,7 +146,7 @@ def _edge_first(antenna, ends, edges, mirrors, scene, least, one_each, walls):  
         if not ahead[e] or to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M:
             continue
         # seen at the greatest height at which a ray to any point may meet it; free if the lowest ray meets nothing
-        if series((start, (x, y, top)), -1, pieces, walls)[0] == 0.0:
+        if not may_pass((start, (x, y, top)), pieces, walls):
             continue
         is_open = is_clear((start, (x, y, low)), pieces)
         for m in range(len(flat)):
@@ -241,7 +241,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least, walls):  # type: 
             to_source = turn_from_face(ix - x, iy - y, face_rad, sense)
             if to_source >= n_half * np.pi:
                 continue
-            if series((start, (at[0], at[1], top), (x, y, top)), -1, pieces, walls)[0] == 0.0:
+            if not may_pass((start, (at[0], at[1], top), (x, y, top)), pieces, walls):
                 continue
             is_open = is_clear((start, (at[0], at[1], low), (x, y, low)), pieces)
             source_plan, mirror_plan = math.hypot(x - ix, y - iy), math.hypot(at[0] - start[0], at[1] - start[1])

@@ -37,7 +37,7 @@ from sim_player.scene.world import (
 )
 from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.routes import dot, norm
-from sim_player.trace.segments import Blockers, join_blockers, segment_occlusion
+from sim_player.trace.segments import DARK_V, Blockers, join_blockers, segment_occlusion
 
 #: The radar's surroundings are kept while it stays in a square of this side.
 SQUARE_M = 16.0
@@ -203,6 +203,8 @@ def _surroundings_of(world: World, walls: np.ndarray, distant: np.ndarray) -> _S
     straight = np.flatnonzero(~part.is_curved)
     # rays rise no higher than the antenna and the scattering centres
     top_m = max(world.radar_height_m, float(world.centre_m[:, 2].max(initial=0.0)))
+    # what passes over a top, of the longest ray
+    top_m += DARK_V * math.sqrt(0.125 * world.radar.wavelength_m * reach_m(world.setup))
     passed = ~part.is_mirror | part.is_curved | (part.wall_height_m < top_m)
     return _Surroundings(
         world=part,
@@ -243,11 +245,17 @@ def _lit(
     window = start + clear[mirrors][:, :, None] * along
     pairs, share = lit_in_mirrors(origin, near.plan, near.beside, (normal[mirrors], offset[mirrors], window))
     arcs = np.flatnonzero(world.is_curved)
-    every = np.stack(np.meshgrid(np.arange(len(mirrors)), arcs, indexing="ij"), axis=-1).reshape(-1, 2)
-    pairs = np.concatenate([pairs, every])
-    share = np.concatenate([share, np.tile([0.0, 1.0], (len(every), 1))])
+    # arcs in every mirror, and everything in arcs
+    every = _each_with_each(mirrors, arcs), _each_with_each(arcs, np.flatnonzero(world.is_mirror))
+    pairs = np.concatenate([np.column_stack([mirrors[pairs[:, 0]], pairs[:, 1]]), *every])
+    share = np.concatenate([share, np.tile([0.0, 1.0], (len(pairs) - len(share), 1))])
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    return direct, np.column_stack([mirrors[pairs[:, 0]], pairs[:, 1]])[order], share[order]
+    return direct, pairs[order], share[order]
+
+
+def _each_with_each(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return all pairs of two lists, int64 [N, 2]."""
+    return np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _beside_edges(

@@ -36,8 +36,8 @@ BOX_MARGIN_M = 1e-3
 #: A wall hides all of something only where it does so by this much.
 SCREEN_M = 1e-3
 #: Field factor that tops leave of a way, or walls of a bent one, from which on down it counts as blocked (-34 dB); it
-#: fades from twice that.
-LEAST_LEFT = 0.02
+#: fades from twice that. Under a single top there is as much at Fresnel's argument of -5.
+LEAST_LEFT, DARK_V = 0.02, 5.0
 
 BODY, WALL, VOLUME = 0, 1, 2
 
@@ -400,6 +400,19 @@ def series(points, own, pieces, walls):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
+def may_pass(points, pieces, walls):  # type: ignore[no-untyped-def]
+    """Return whether lower rays along the same plan may have a factor in `series`: a quarter of the least is left.
+
+    Tops let less of them pass, and walls hardly more.
+    """
+    left = 1.0
+    for index in range(len(points) - 1):
+        over, through, _ = passage(points[index], points[index + 1], -1, pieces, not walls)
+        left *= abs(through if walls else over)
+    return left > 0.25 * LEAST_LEFT
+
+
+@compiled(error_model="numpy")
 def is_clear(points, pieces):  # type: ignore[no-untyped-def]
     """Return whether segments from point to point meet neither walls nor bodies nor foliage, and no top near by."""
     for index in range(len(points) - 1):
@@ -419,7 +432,7 @@ def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-
     piece, _, boxes, _, wavelength_m = pieces
     away = math.hypot(circle[0] - source[0], circle[1] - source[1]) + circle[2]
     # what passes over a top, of the longest ray
-    covered = top + SCREEN_M + FADES_TO * math.sqrt(0.125 * wavelength_m * (away + top))
+    covered = top + SCREEN_M + DARK_V * math.sqrt(0.125 * wavelength_m * (away + top))
     (sx, sy), (ex, ey) = between
     rx, ry = ex - sx, ey - sy
     ray = (sx, sy, top, rx, ry, 0.0, math.hypot(rx, ry))

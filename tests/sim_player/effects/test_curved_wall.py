@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sim_player.effects.curved_wall import as_chords
+from sim_player.effects.curved_wall import absent, as_chords
 from sim_player.scene.description import SceneRadar
 from sim_player.scene.world import snapshot
 from sim_player.trace.snapshot import TraceContext
@@ -22,15 +22,18 @@ POINT = (5.0, 6.0, 1.0)
 
 
 def test_nearly_flat_is_flat() -> None:
-    """Curvature 1e-6 1/m (sagitta 0.05 mm): one bounce, the flat wall's field to 1e-4 (kappa l / cos)."""
-    bent = traced(points_world([POINT], wall(*ENDS, curvature_per_m=1e-6)), NAME)
+    """Curvature 1e-5 1/m, sagitta 0.5 mm, just over lambda / 64: one bounce, its field that of a flat wall to 1e-3
+    (kappa l / cos), its length to two sagittas. Just under it the wall is flat, and the effect has none of it.
+    """
+    assert absent(points_world([POINT], wall(*ENDS, curvature_per_m=0.9e-5))) == "every wall is straight"
+    bent = traced(points_world([POINT], wall(*ENDS, curvature_per_m=1e-5)), NAME)
     flat = traced(points_world([POINT], wall(*ENDS)), "specular_relay").routes["specular_relay"]
     route = bent.routes[NAME]
     assert len(route) == 1
-    assert route.length_m[0] == pytest.approx(flat.length_m[0], abs=2e-4)
-    np.testing.assert_allclose(route.depart, flat.depart, atol=1e-4)
+    assert route.length_m[0] == pytest.approx(flat.length_m[0], abs=1.2e-3)
+    np.testing.assert_allclose(route.depart, flat.depart, atol=1e-3)
     factor = route.whole * route.other
-    np.testing.assert_allclose(factor, flat.whole, rtol=1e-4)
+    np.testing.assert_allclose(factor, flat.whole, rtol=1e-3)
 
 
 def test_a_ray_that_climbs_meets_an_arc_at_its_own_slope() -> None:
@@ -38,19 +41,19 @@ def test_a_ray_that_climbs_meets_an_arc_at_its_own_slope() -> None:
 
     Its image is (25, 6, 12): 25 m of the path, sqrt(25^2 + 6^2 + 11^2) = 27.96 m, lie along the wall's normal, so the
     angle of incidence has cosine 25 / 27.96 = 0.8942. In plan it would be 25 / 25.71 = 0.9724, where concrete reflects
-    1 dB less. The flat wall's field, and the slab's reflection at the first cosine, to 1e-4 (curvature 1e-6 1/m).
+    1 dB less. The flat wall's field, and the slab's reflection at the first cosine, to 1e-3 (curvature 1e-5 1/m).
     """
     concrete = {"material": "concrete", "height_m": 30.0}
     world = points_world(
-        [(5.0, 6.0, 12.0)], wall(*ENDS, curvature_per_m=1e-6, **concrete), radar=SceneRadar(height_m=1.0)
+        [(5.0, 6.0, 12.0)], wall(*ENDS, curvature_per_m=1e-5, **concrete), radar=SceneRadar(height_m=1.0)
     )
     (climbing,) = traced(world, NAME).routes[NAME].whole
     level = points_world([(5.0, 6.0, 12.0)], wall(*ENDS, **concrete), radar=SceneRadar(height_m=1.0))
     (flat,) = traced(level, "specular_relay").routes["specular_relay"].whole
     cosines = 25.0 / np.array([math.sqrt(25.0**2 + 6.0**2 + 11.0**2), math.hypot(25.0, 6.0)])
     by_slope, by_plan = level.reflection(np.zeros(2, np.int64), cosines)[0]
-    assert climbing == pytest.approx(flat, rel=1e-4)
-    assert climbing == pytest.approx(by_slope, rel=1e-4)
+    assert climbing == pytest.approx(flat, rel=1e-3)
+    assert climbing == pytest.approx(by_slope, rel=1e-3)
     assert abs(by_plan / by_slope) < 0.95
 
 
