@@ -401,15 +401,15 @@ def series(points, own, pieces, walls):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def may_pass(points, pieces, walls):  # type: ignore[no-untyped-def]
-    """Return whether lower rays along the same plan may have a factor in `series`: a quarter of the least is left.
+    """Return whether lower rays along the same plan may have a factor in `series`.
 
-    Tops let less of them pass, and walls hardly more.
+    Tops let less of them pass, and walls hardly more: four times as much, at most, where no top is near.
     """
-    left = 1.0
     for index in range(len(points) - 1):
         over, through, _ = passage(points[index], points[index + 1], -1, pieces, not walls)
-        left *= abs(through if walls else over)
-    return left > 0.25 * LEAST_LEFT
+        if over == 0.0 and not (walls and abs(through) > 0.25 * LEAST_LEFT):
+            return False
+    return True
 
 
 @compiled(error_model="numpy")

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
+from models.physics.curved_mirror import arc_points
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
 from models.physics.mirror import blocked, crossing_parameters, reflect, wall_from_ends
@@ -149,6 +151,73 @@ def test_beyond_the_right_angle_the_apex_is_an_edge(angle_deg: float) -> None:
     one = math.sqrt(1e3 * RADAR.transmit_power_w) * RADAR.wavelength_m / (4.0 * math.pi * 24.0)
     edge = np.exp(-0.25j * math.pi) / (math.pi * math.sqrt(2.0) * v)
     np.testing.assert_allclose(echoes.weight / one, [edge, edge], rtol=1.2 / (math.pi * v**2))
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 45.0, 31.7])
+def test_one_way_by_the_apex_of_a_right_angle(turn_deg: float) -> None:
+    """Radar and point on a line through the apex: both orders have one image, (2 a - radar), and one way stands for it.
+
+    1 um, 1 nm, nothing to either side of the line; metal, so r1 r2 of the 45 deg on the line. Field to 1e-6.
+    """
+    turn = math.radians(turn_deg)
+    along = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    apex = 10.0 * np.array([math.cos(turn + 0.7), math.sin(turn + 0.7)])
+    walls = [wall(tuple(apex), tuple(apex - 18.0 * side)) for side in along]
+    for beside_m in (1e-6, 1e-9, 0.0, -1e-9, -1e-6):
+        place = 0.6 * apex + beside_m * np.array([-apex[1], apex[0]]) / 10.0
+        routes = traced(points_world([(*place, 1.5)], *walls), NAME).routes[NAME]
+        assert len(routes) == 1, beside_m
+        assert routes.length_m[0] == pytest.approx(math.hypot(14.0, 0.5), rel=1e-9)
+        cosines = [abs(float(side[::-1] @ (apex * [1.0, -1.0]))) / 10.0 * 14.0 / routes.length_m[0] for side in along]
+        assert routes.whole[0] == pytest.approx(metal(cosines[0]) * metal(cosines[1]), rel=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_two_walls_go_over_to_arcs(sign: float) -> None:
+    """A wall of 30 m bends from 1e-9 to 5e-3 1/m: the echo by it and a straight wall goes on, in steps under 1 dB.
+
+    And each is right: the length is the shortest (or longest) of a plain search over both walls, to 1e-8 of it; the
+    field is the straight walls' times sqrt(det H0 / det H), second derivatives of the length by differences, 1e-3.
+    """
+    first, second = ((10.0, -20.0), (10.0, 10.0)), ((-20.0, 10.0), (10.0, 10.0))
+    levels = []
+    for curvature in (0.0, *(sign * 10.0 ** np.linspace(-9.0, -2.3, 28)).tolist()):
+        routes = traced(points_world([HIDDEN], wall(*first, curvature_per_m=curvature), wall(*second)), NAME).routes[
+            NAME
+        ]
+        assert routes.wall2.tolist() == [0]
+        factor = routes.whole[0] * routes.other[0]
+        levels.append(20.0 * math.log10(abs(factor) / routes.length_m[0]))
+        if abs(curvature) < 1e-4:
+            continue
+
+        def length(s: np.ndarray, k: float = curvature) -> float:
+            at_1 = arc_points(np.array(second[0]), np.array(second[1]), 0.0, np.array(s[0] / 30.0))
+            at_2 = arc_points(np.array(first[0]), np.array(first[1]), k, np.array(s[1] / 30.0))
+            return float(np.hypot(*at_1) + np.hypot(*(at_2 - at_1)) + np.hypot(*(at_2 - HIDDEN[:2])))
+
+        found = minimize(length, [28.0, 27.0], method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-13})
+        assert routes.length_m[0] == pytest.approx(found.fun, rel=1e-8)
+        bent, flat = (hessian(lambda s, k=k: length(s, k), found.x) for k in (curvature, 0.0))
+        if abs(curvature) <= 1e-3:
+            # straight walls at the same places: to first order in the turn there
+            assert abs(routes.other[0]) == pytest.approx(math.sqrt(np.linalg.det(flat) / np.linalg.det(bent)), rel=0.03)
+    assert np.abs(np.diff(levels)).max() < 1.0
+
+
+def hessian(function, at: np.ndarray, step: float = 1e-3) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Second derivatives of a function of two numbers, by central differences."""
+    e = step * np.eye(2)
+    return np.array(
+        [
+            [
+                (function(at + a + b) - function(at + a - b) - function(at - a + b) + function(at - a - b))
+                / (4.0 * step**2)
+                for b in e
+            ]
+            for a in e
+        ]
+    )
 
 
 def test_the_loop_leaves_and_returns_apart() -> None:

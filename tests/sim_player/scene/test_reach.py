@@ -179,7 +179,7 @@ def far_wall(x_m: float, material: str = "metal", between_m: float = 0.0) -> Wor
         for index in range(66)
     )
     far = Surface(role="relay", material=material, polyline_m=((x_m, -20.0), (x_m, 20.0)), height_m=10.0)
-    screen = Surface(role="relay", material="metal", polyline_m=((between_m, -1.0), (between_m, 1.0)))
+    screen = Surface(role="relay", material="metal", polyline_m=((between_m, -1.0), (between_m, 1.0)), height_m=20.0)
     return prepare(Scene(name="far", surfaces=(far, screen, *behind) if between_m else (far, *behind)))
 
 

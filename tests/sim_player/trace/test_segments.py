@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
 
 from models.physics.curved_mirror import arc_points
 from models.physics.fresnel import stack_transmission
@@ -17,6 +18,7 @@ from sim_player.trace.segments import (
     VOLUME,
     WALL,
     Blockers,
+    Occlusion,
     free_segments,
     is_screened,
     segment_occlusion,
@@ -275,3 +277,68 @@ def test_a_screen_must_be_wide_high_and_a_wall() -> None:
     assert not screens(wide, wide, kind=np.array([VOLUME], np.int8))
     assert not screens(wide, wide, kind=np.array([BODY], np.int8), owner=np.array([3], np.int32))
     assert not screens(wide, wide, curvature_per_m=np.array([0.5]))
+
+
+def fresnel_share(v: np.ndarray) -> np.ndarray:
+    """Share of a wave that passes a knife edge, ITU-R P.526-15 Eq. (29), by scipy's Fresnel integrals."""
+    sine, cosine = fresnel(v)
+    return np.asarray(0.5 * (1.0 + 1j) * ((0.5 + cosine) - 1j * (0.5 + sine)))
+
+
+@pytest.mark.parametrize("end_m", [0.6, 1.0, 2.4])
+def test_a_top_is_a_knife_edge(end_m: float) -> None:
+    """Legs of 20 m from 1 m up over walls 7 m away: Fresnel's share of v, with T of what the wall lets through.
+
+    To 1e-9 within |v| < 3, where nothing fades; 1 and 0 from 6 on; nowhere a step: 1e-7 m change less than 1e-6.
+    """
+    wavelength_m, span = 0.03, np.hypot(20.0, end_m - 1.0)
+    ray_m = 1.0 + 0.35 * (end_m - 1.0)
+    unit_m = math.sqrt(0.5 * wavelength_m * span * 0.35 * 0.65)
+    v = np.concatenate([np.linspace(-2.99, 2.99, 41), [-6.1, 6.1], np.linspace(-6.5, 6.5, 500)])
+    legs = [_over_one(ray_m - v * unit_m + raised, end_m, wavelength_m) for raised in (0.0, 1e-7)]
+    np.testing.assert_allclose(legs[0].over[:41], fresnel_share(v[:41]), atol=1e-9)
+    np.testing.assert_allclose(legs[0].through[:41], 0.5 + 0.5 * fresnel_share(v[:41]), atol=1e-9)
+    assert legs[0].over[41:43].tolist() == [0.0, 1.0]
+    assert np.abs(legs[1].over - legs[0].over).max() < 1e-6
+    # by rays alone
+    sharp = _over_one(ray_m - v * unit_m, end_m, 0.0)
+    assert set(np.abs(sharp.over).tolist()) == {0.0, 1.0}
+
+
+def _over_one(height_m: np.ndarray, end_m: float, wavelength_m: float) -> Occlusion:
+    """A leg over one wall of each height."""
+    a, b = np.array([[7.0, -9.0]]), np.array([[7.0, 9.0]])
+    start, end = np.array([0.0, 0.0, 1.0]), np.array([[20.0, 0.0, end_m]])
+    legs = [
+        segment_occlusion(start, end, blockers(a, b, height_m=np.array([h]), wavelength_m=wavelength_m))
+        for h in height_m
+    ]
+    columns = ((leg.free, leg.over, leg.through, leg.foliage) for leg in legs)
+    return Occlusion(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+def test_tops_of_walls_multiply_and_a_box_counts_once() -> None:
+    """Two walls, a body of four faces met on two sides, foliage: each its own share, the body the least of its two."""
+    corners = np.array([[4.0, -1.0], [8.0, -1.0], [8.0, 1.0], [4.0, 1.0]])
+    walls = np.array([[12.0, -9.0], [15.0, -9.0]])
+    a, b = np.concatenate([corners, walls]), np.concatenate([np.roll(corners, -1, axis=0), walls * [1.0, -1.0]])
+    height = np.array([0.95] * 4 + [1.05, 0.9])
+    every = blockers(
+        a,
+        b,
+        height_m=height,
+        kind=np.array([BODY] * 4 + [WALL, VOLUME], np.int8),
+        box=np.array([0] * 4 + [-1, -1], np.int32),
+        transmission=np.array([0.0] * 4 + [0.3j, 0.6])[:, None] * np.ones(TABLE_STEPS + 1),
+        wavelength_m=0.03,
+    )
+    at = np.array([8.0, 12.0, 15.0])
+    v = (1.0 - height[[0, 4, 5]]) * np.sqrt(2.0 * 20.0 / (0.03 * at * (20.0 - at)))
+    body, metal, leaves = fresnel_share(v)
+    start, end = np.array([0.0, 0.0, 1.0]), np.array([[20.0, 0.0, 1.0]])
+    for tree in (False, True):
+        legs = segment_occlusion(start, end, replace(every, tree=tree))
+        # the body's second side, 8 m away, is nearer to the middle: a ray over it has the lesser v
+        np.testing.assert_allclose(legs.over, body * metal, rtol=1e-9)
+        np.testing.assert_allclose(legs.through, body * (0.3j + (1.0 - 0.3j) * metal), rtol=1e-9)
+        np.testing.assert_allclose(legs.foliage, abs(0.6 + 0.4 * leaves), rtol=1e-9)
