@@ -38,7 +38,7 @@ def arc_pairs(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarr
     bend = np.where(world.is_curved, world.wall_curvature_per_m, 0.0)
     arcs = world.wall_a, world.wall_b, bend, half
     mirrors = np.flatnonzero(world.is_mirror)
-    return _pairs(view.antenna, point_m, mirrors, arcs, view.normal, view.offset)  # type: ignore[no-any-return]
+    return _pairs(view.antenna, point_m, mirrors, arcs, view.normal, view.offset)
 
 
 @compiled(error_model="numpy")

@@ -59,7 +59,8 @@ def as_routes(paths: OneWayPaths, surfaces: tuple[ExportedSurface, ...]) -> Rout
         | np.where(on_ground, bit("ground_bounce"), 0)
         | np.where(on_object, bit("object_interreflection"), 0)
     )
-    clear = Occlusion(np.ones(len(paths), bool), np.ones(len(paths), np.complex128), np.ones(len(paths)))
+    whole = np.ones(len(paths), np.complex128)
+    clear = Occlusion(np.ones(len(paths), bool), whole, whole, np.ones(len(paths)))
     return make_routes(
         paths.target,
         paths.length_m,

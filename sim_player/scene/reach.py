@@ -75,6 +75,7 @@ def reachable_snapshot(
     distant = _distant_mirrors(world, near, origin, ahead)
     antenna = np.array([*origin, world.radar_height_m])
     around_edges = _any(lit) | _beside_edges(near, around, antenna, time_s, direct, _any(lit), ahead)
+    around_edges |= _joined_to(near.world, around_edges)
     walls = np.union1d(near.walls[around_edges], distant)
     inside, place = np.isin(walls, near.walls[visible]), np.searchsorted(walls, near.walls)
     of_walls = np.tile([np.inf, -np.inf], (2, len(walls), 1))
@@ -92,6 +93,16 @@ def reachable_snapshot(
         ahead_only=ahead_only,
         distant=distant,
     )
+
+
+def _joined_to(world: World, kept: np.ndarray) -> np.ndarray:
+    """Return which pieces of wall end where kept ones do, bool [W]: without them a corner is an end."""
+    node_of = world.end_nodes.node_of
+    held = np.zeros(len(world.end_nodes.position) + 1, bool)
+    # the last one is that of no mirror
+    held[node_of[kept]] = True
+    held[-1] = False
+    return np.asarray(held[node_of].any(axis=1))
 
 
 @dataclass(frozen=True)

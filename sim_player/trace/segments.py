@@ -74,7 +74,7 @@ class Blockers:
     tree: bool = False
 
     @cached_property
-    def pieces(self) -> tuple[np.ndarray, ...]:
+    def pieces(self) -> tuple[Any, ...]:
         """The same pieces as compiled code takes them, with their boxes."""
         columns = self.a, self.b, self.height_m, self.curvature_per_m, self.kind, self.owner, self.build, self.box
         pieces = _pieces(*columns, np.abs(self.transmission).max(axis=1, initial=0.0) < LEAST_LEFT)

@@ -87,7 +87,7 @@ def test_what_walls_hide_stays_under_the_noise(monkeypatch: pytest.MonkeyPatch) 
 
     def lost(rows: int) -> int:
         walls = tuple(
-            Surface(role="occluder", material="brick", polyline_m=((x_m, -40.0), (x_m, 17.9)), thickness_mm=240.0)
+            Surface(role="occluder", material="brick", polyline_m=((x_m, -40.0), (x_m, 17.9)), thickness_mm=240.0, height_m=9.0)
             for x_m in np.linspace(3.0, 9.0, rows).tolist()
         )
         world = prepare(Scene(name="rows", surfaces=(*walls, mirror), objects=(car,)))
@@ -154,7 +154,7 @@ def test_what_lies_behind_the_antenna_has_no_power_and_all_else_stays(kind: City
     assert (best_power_mw(world.setup, paths.take(~kept)) == 0.0).all()
     assert (best_power_mw(world.setup, paths.take(kept)) > 0.0).all()
     assert len(view.world.speck_m) < 0.8 * len(whole.world.speck_m)
-    assert 0.2 < kept.mean() < 0.8
+    assert 0.1 < kept.mean() < 0.8
 
 
 def test_of_a_small_world_nothing_is_left_out_behind() -> None:
