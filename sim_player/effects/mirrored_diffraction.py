@@ -4,7 +4,7 @@ Routes antenna -> edge -> wall -> centre and antenna -> wall -> edge -> centre, 
 by images: behind the mirror the ray goes on unfolded, so the bend is that of `edge_diffraction` with the lengths of the
 unfolded way, and the mirror that of `specular_relay`. Edges on the mirror's own line are none of these: what an end of
 the mirror bends is in `edge_diffraction`, whose reflection terms are those of that wall.
-The legs may lead through walls too. Left out: two edges on one way, two mirrors and a bend, joints of two builds, arcs
+The legs may lead through walls too, but for those by a mirror to an edge. Left out: two edges on one way, two mirrors and a bend, joints of two builds, arcs
 as mirrors, the ground, and bends that leave little (`LEAST_BEND`, `LEAST_BOTH`).
 """
 
@@ -241,7 +241,8 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least, walls):  # type: 
             to_source = turn_from_face(ix - x, iy - y, face_rad, sense)
             if to_source >= n_half * np.pi:
                 continue
-            if not may_pass((start, (at[0], at[1], top), (x, y, top)), pieces, walls):
+            # which edges stand in a mirror is known of what nothing hides there (`sim_player.scene.reach`)
+            if not may_pass((start, (at[0], at[1], top), (x, y, top)), pieces, False):
                 continue
             is_open = is_clear((start, (at[0], at[1], low), (x, y, low)), pieces)
             source_plan, mirror_plan = math.hypot(x - ix, y - iy), math.hypot(at[0] - start[0], at[1] - start[1])
@@ -268,7 +269,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least, walls):  # type: 
                     lengths, stretch = (source_m, target_m), math.hypot(1.0, rise)
                     if bend_bound(table[e], to_source, (to_target, to_target), lengths, stretch, wavelength_m) < least:
                         continue
-                    before = OPEN if is_open else series((start, mirror, bend), -1, pieces, walls)
+                    before = OPEN if is_open else series((start, mirror, bend), -1, pieces, False)
                     behind = series((bend, end), owner[n], pieces, walls) if before[0] != 0.0 else BLOCKED
                     passed = before[0] * behind[0] * reach
                     if passed == 0.0:

@@ -45,7 +45,7 @@ def test_cities_keep_all_paths_and_trace_less(kind: CityKind, seed: int) -> None
         radar = RadarState(Pose2(x_m, 0.4, 0.1), np.array([5.0, 0.0]))
         part = reachable_snapshot(world, 0.0, radar)
         # walls that may mirror what bends at an edge in sight are kept, hidden ones too
-        assert len(part.world.wall_a) < 0.8 * len(world.wall_a)
+        assert len(part.world.wall_a) < 0.95 * len(world.wall_a)
         assert len(part.world.speck_m) < 0.6 * len(world.speck_m)
         assert_same_paths(trace_echoes(part, ALL_EFFECTS), of_whole(world, 0.0, radar))
 
@@ -87,7 +87,13 @@ def test_what_walls_hide_stays_under_the_noise(monkeypatch: pytest.MonkeyPatch) 
 
     def lost(rows: int) -> int:
         walls = tuple(
-            Surface(role="occluder", material="brick", polyline_m=((x_m, -40.0), (x_m, 17.9)), thickness_mm=240.0, height_m=9.0)
+            Surface(
+                role="occluder",
+                material="brick",
+                polyline_m=((x_m, -40.0), (x_m, 17.9)),
+                thickness_mm=240.0,
+                height_m=30.0,
+            )
             for x_m in np.linspace(3.0, 9.0, rows).tolist()
         )
         world = prepare(Scene(name="rows", surfaces=(*walls, mirror), objects=(car,)))
