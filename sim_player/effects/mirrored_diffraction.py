@@ -4,8 +4,8 @@ Routes antenna -> edge -> wall -> centre and antenna -> wall -> edge -> centre, 
 by images: behind the mirror the ray goes on unfolded, so the bend is that of `edge_diffraction` with the lengths of the
 unfolded way, and the mirror that of `specular_relay`. Edges on the mirror's own line are none of these: what an end of
 the mirror bends is in `edge_diffraction`, whose reflection terms are those of that wall.
-The legs may lead through walls too, but for those by a mirror to an edge. Left out: two edges on one way, two mirrors and a bend, joints of two builds, arcs
-as mirrors, the ground, and bends that leave little (`LEAST_BEND`, `LEAST_BOTH`).
+The legs may lead through walls too, but for those by a mirror to an edge. Left out: two edges on one way, two mirrors
+and a bend, joints of two builds, arcs as mirrors, the ground, and bends that leave little (`LEAST_BEND`, `LEAST_BOTH`).
 """
 
 from __future__ import annotations
@@ -326,13 +326,13 @@ def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _fill_turns(row, turns, bent, legs, incident, line, builds):  # type: ignore[no-untyped-def]
+def _fill_turns(row, turns, bent, passed, incident, line, builds):  # type: ignore[no-untyped-def]
     """Write what turns a route, an edge and a wall met along `incident`, with the factors of both together.
 
-    `legs`: what all that stands beside the route leaves of it, and what `series` says of its legs before and behind.
+    `passed`: what all that stands beside the route leaves of it, and what `series` says of its legs before and behind.
     """
     row.edge, wall = turns
-    row.other, before, behind = legs
+    row.other, before, behind = passed
     row.foliage = before[1] * behind[1]
     if before[2] or behind[2]:
         row.needs |= _THROUGH

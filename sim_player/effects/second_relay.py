@@ -15,9 +15,9 @@ import math
 import numpy as np
 
 from models.compiled import compiled
+from models.physics.arc_pairs import arc_pairs
 from models.physics.diffraction import FADES_TO, passed_edge_at, passed_share_at
 from models.physics.mirror import mirrored
-from sim_player.effects.arc_pairs import arc_pairs
 from sim_player.effects.curved_wall import arc_routes
 from sim_player.effects.los_surfaces import END_SLACK_M, flash_weight
 from sim_player.effects.names import bit
@@ -76,10 +76,18 @@ def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> R
     pairs, vertices = _without_apexes(view, point_m, pairs[lit], vertices[lit])
     gain = np.ones(len(pairs), np.complex128)
     if view.world.is_curved.any():
-        also = arc_pairs(view, point_m)
+        also = _by_arcs(view, point_m)
         pairs, vertices = np.concatenate([pairs, also[0]]), np.concatenate([vertices, also[1]])
         gain = np.concatenate([gain, also[2]])
     return _routes(view, pairs, vertices, owners(owner, len(point_m))[pairs[:, 2]], gain)
+
+
+def _by_arcs(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `arc_pairs` of a view."""
+    world = view.world
+    bend = np.where(world.is_curved, world.wall_curvature_per_m, 0.0)
+    walls, lines = (world.wall_a, world.wall_b, bend), (view.normal, view.offset)
+    return arc_pairs(view.antenna, point_m, walls, lines, world.is_mirror)
 
 
 def _without_apexes(
@@ -93,11 +101,11 @@ def _without_apexes(
     by_apex, at = _apex_ways(view.antenna, point_m, corners.pairs, corners.geometry, view.world.radar.wavelength_m)
     if not len(by_apex):
         return pairs, vertices
-    seen = in_sight(view, by_apex[:, 0], at[:, 0])
+    lit = in_sight(view, by_apex[:, 0], at[:, 0])
     key = np.sort(pairs[:, :2], axis=1)
     same = (key[:, None] == by_apex[:, :2]).all(axis=2) & (pairs[:, 2:] == by_apex[:, 2])
     kept = ~same.any(axis=1)
-    return np.concatenate([pairs[kept], by_apex[seen]]), np.concatenate([vertices[kept], at[seen]])
+    return np.concatenate([pairs[kept], by_apex[lit]]), np.concatenate([vertices[kept], at[lit]])
 
 
 def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -152,7 +160,7 @@ def _between_walls(view: Snapshot) -> Routes:
     vertices = _two_bounces(view.antenna, view.antenna[None], pairs, view.walls)
     share = _shares_of_ends(view.antenna, pairs, vertices, view.walls, view.blockers.pieces, radar.wavelength_m)
     if view.world.is_curved.any():
-        also = arc_pairs(view, view.antenna[None])
+        also = _by_arcs(view, view.antenna[None])
         apart = ~view.world.share_an_end(also[0][:, 0], also[0][:, 1])
         pairs, vertices = np.concatenate([pairs, also[0][apart]]), np.concatenate([vertices, also[1][apart]])
         share = np.concatenate([share, also[2][apart]])

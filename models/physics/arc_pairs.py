@@ -16,7 +16,6 @@ import numpy as np
 
 from models.compiled import compiled
 from models.physics.mirror import mirrored
-from sim_player.scene.world import Snapshot
 
 #: Least |D|: nearer to a caustic the rays' field has no bound.
 LEAST_SPREAD = 0.05
@@ -25,20 +24,26 @@ BESIDE = 0.5
 _STEPS, _CLOSE_M = 30, 1e-9
 
 
-def arc_pairs(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def arc_pairs(
+    antenna: np.ndarray,
+    point_m: np.ndarray,
+    walls: tuple[np.ndarray, np.ndarray, np.ndarray],
+    lines: tuple[np.ndarray, np.ndarray],
+    is_mirror: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return first wall, second wall and target [M, 3], points of both walls and the end [M, 3, 3], and gains [M].
 
-    Of all ways by two walls to points [N, 3], one of which at least is an arc, whatever stands between.
+    Of all ways from the antenna [3] by two walls to points [N, 3], one wall of which at least is an arc, whatever
+    stands between. `walls`: ends [W, 2] and curvatures [W] (0: straight); `lines`: unit normals [W, 2] and offsets [W]
+    of their chords; `is_mirror` [W]: which walls to try.
     """
-    world = view.world
-    chord = np.hypot(*(world.wall_b - world.wall_a).T)
-    turn = np.where(world.is_curved, 0.5 * world.wall_curvature_per_m * chord, 0.0)
-    half = 0.5 * chord / np.sinc(np.arcsin(turn) / np.pi)
-    half = np.where(turn == 0.0, 0.5 * chord, half)
-    bend = np.where(world.is_curved, world.wall_curvature_per_m, 0.0)
-    arcs = world.wall_a, world.wall_b, bend, half
-    mirrors = np.flatnonzero(world.is_mirror)
-    return _pairs(view.antenna, point_m, mirrors, arcs, view.normal, view.offset)
+    a, b, bend = walls
+    chord = np.hypot(*(b - a).T)
+    # half an arc is longer than half its chord by its angle over that angle's sine
+    half = 0.5 * chord / np.sinc(np.arcsin(0.5 * bend * chord) / np.pi)
+    arcs = a, b, bend, half
+    pairs, vertices, gain = _pairs(antenna, point_m, np.flatnonzero(is_mirror), arcs, *lines)
+    return pairs, vertices, gain
 
 
 @compiled(error_model="numpy")
