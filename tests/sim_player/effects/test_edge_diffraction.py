@@ -31,7 +31,7 @@ from tests.sim_player.effects.point_scenes import (
 NAME = "edge_diffraction"
 
 #: So long that its other end is far off.
-SCREEN = wall((10.0, 0.0), (10.0, -4000.0))
+SCREEN = wall((10.0, 0.0), (10.0, -950.0))
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +55,7 @@ def test_half_the_field_at_the_shadow_border() -> None:
     Knife edge: |field| from Fresnel's integral, v^2 = 4 detour / lambda. Bias: the screen's own reflection terms, which
     the knife has none of, 2 % of the field at these angles; tolerance 2.5 %.
     """
-    y = np.concatenate([np.linspace(-3.0, 3.0, 60), [1e-9, 1e-4, -1e-4]])
+    y = np.concatenate([np.linspace(-3.0, 3.0, 36), [1e-9, 1e-4, -1e-4]])
     # the border's own side is dark: the wall's end hides it
     field = np.abs(field_at([(20.0, float(v), 1.0) for v in y], SCREEN))
     detour_m = 10.0 + np.hypot(10.0, y) - np.hypot(20.0, y)
@@ -117,7 +117,7 @@ def test_house_corner_is_a_wedge_of_three_quarters() -> None:
 
 def test_shadow_of_a_house_corner() -> None:
     """Radar beside a house, points behind its corner: half the field at the border, less behind; none inside."""
-    house = wall((10.0, 2.0), (10.0, 3000.0)), wall((10.0, 2.0), (-3000.0, 2.0))
+    house = wall((10.0, 2.0), (10.0, 950.0)), wall((10.0, 2.0), (-950.0, 2.0))
     turn = np.radians(np.array([-20.0, -1e-6, 1e-6, 5.0, 20.0, 60.0])) + math.atan2(2.0, 10.0)
     points = [(10.0 + 8.0 * math.cos(a), 2.0 + 8.0 * math.sin(a), 1.0) for a in turn]
     found = traced(points_world(points, *house), "los_objects", "specular_relay", NAME)
@@ -127,7 +127,7 @@ def test_shadow_of_a_house_corner() -> None:
     np.testing.assert_allclose(field[1:3], 0.5, atol=0.03)
     assert (np.diff(field[2:]) < 0.0).all()
     inside = traced(points_world([(5.0, 4.0, 1.0)], *house), NAME).routes[NAME]
-    assert (inside.length_m > 1000.0).all()
+    assert (inside.length_m > 900.0).all()
 
 
 def test_joined_panes_have_no_edge_between_them() -> None:
@@ -324,7 +324,7 @@ def test_an_edge_ends_at_its_top(height_m: float) -> None:
     terms, and what is left out below -40 dB; 0.03.
     """
     points = [(20.0, y, 1.0) for y in (-1.0, -0.2, -1e-6, 1e-6, 0.2, 1.0)]
-    low = wall((10.0, 0.0), (10.0, -4000.0), height_m=height_m)
+    low = wall((10.0, 0.0), (10.0, -950.0), height_m=height_m)
     field = field_at(points, low)
 
     def passed(clearance_m: np.ndarray) -> np.ndarray:
