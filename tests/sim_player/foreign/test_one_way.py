@@ -15,7 +15,7 @@ from sim_player.scene.world import Snapshot, prepare, snapshot
 from sim_player.signal.levels import kernel_profiles
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
-from sim_player.trace.routes import Routes, join_routes
+from sim_player.trace.routes import Routes, clear_ways, join_routes
 from sim_player.trace.snapshot import TraceContext
 from tests.sim_player.foreign.requirements import require_sionna
 
@@ -38,7 +38,7 @@ def view() -> Snapshot:
 
 def our_routes(view: Snapshot) -> Routes:
     tracing = TraceContext(view)
-    parts = [routes.take(occlusion.free) for routes, occlusion in (tracing.straight, tracing.mirrored)]
+    parts = [clear_ways(*ways) for ways in (tracing.straight, tracing.mirrored)]
     return join_routes([*parts, two_wall_routes(view, view.centre, tracing.owner)])
 
 
