@@ -50,7 +50,7 @@ def written_as_foreign(routes: Routes, surfaces: tuple[ExportedSurface, ...]) ->
         length_m=routes.length_m,
         depart=routes.depart,
         arrive=routes.arrive,
-        reflection=routes.whole,
+        reflection=routes.whole * routes.other,
         surface=np.vectorize(lambda piece: number.get(int(piece), -1), otypes=[np.int32])(pieces),
         vertex_m=np.zeros((len(routes), 2, 3)),
     )
