@@ -499,7 +499,8 @@ def _sequences(
     ]
     both: list[tuple[int, int, int]] = []
     for sequences in (thrice, twice):
-        sequences.sort(key=lambda sequence: -min(area[face] for face in sequence if face >= 0))
+        # corners of right angles first: they send back in all directions
+        sequences.sort(key=lambda meet: _rank(meet, square, area))
         both += sequences[:MAX_SEQUENCES]
     corners = [_meeting(faces, sequence, slack) for sequence in both]
     apexes = [
@@ -516,6 +517,13 @@ def _sequences(
         near = [apex for meet, apex in apexes if own < meet and np.linalg.norm(apex - point) <= WHOLE_M]
         at_m.append(near[0] if near else point)
     return np.array(both, np.int64).reshape(-1, 3), np.array(at_m).reshape(-1, 3)
+
+
+def _rank(sequence: tuple[int, int, int], square: np.ndarray, area: np.ndarray) -> tuple[bool, bool, float]:
+    """Return the order of a sequence of faces: right angles first, then three faces, then by the smallest of them."""
+    first, second, third = sequence
+    right = square[first, second] and (third < 0 or square[second, third])
+    return not right, first == third, -min(area[face] for face in sequence if face >= 0)
 
 
 def _meeting(faces: list[np.ndarray], sequence: tuple[int, int, int], slack: float) -> np.ndarray | None:
