@@ -34,8 +34,9 @@ from sim_player.trace.mesh_rcs import (
 )
 
 CELL_M, WHOLE_M = 0.15, 0.5
-#: Longest side of a triangle: its phase is straight to 0.1 rad from 5 m away on at 10 GHz, and its slant alike.
-PIECE_M = 0.1
+#: Longest side of a triangle, and how straight its phase is to be for a radar at the distance of the start: 0.1 m at
+#: 5 m and 10 GHz. The phases of its corners are exact at any distance.
+PIECE_M, PIECE_RAD = 0.2, 0.1
 MAX_CENTRES, MAX_PIECES = 400, 20_000
 MAX_MIRRORS, MAX_SEQUENCES = 16, 64
 #: Directions that are looked at from each side of a piece of a body that may hide it, for pieces seen from nowhere.
@@ -87,15 +88,18 @@ class Body:
 Bodies = tuple[np.ndarray | tuple[np.ndarray, ...], ...]
 
 
-def body_of(mesh: Mesh, wavelength_m: float, primitive: str | None = None) -> Body:
-    """Return the centres of a mesh; of a sphere or cylinder by name those of the round shape, not of its facets."""
+def body_of(mesh: Mesh, wavelength_m: float, primitive: str | None = None, range_m: float = math.inf) -> Body:
+    """Return the centres of a mesh; of a sphere or cylinder by name those of the round shape, not of its facets.
+
+    `range_m`: least distance at which it is looked at closely; nearer, it has smaller triangles.
+    """
     size_m = mesh.extent_m
     low_m = float(mesh.vertices_m[:, 2].min())
     if primitive == "sphere":
         return _round(mesh, wavelength_m, 0.5 * float(size_m[2]), np.array([low_m + 0.5 * float(size_m[2])]), 0.0)
     if primitive == "cylinder":
         return _cylinder(mesh, wavelength_m, float(size_m[0]), float(size_m[2]), low_m)
-    return _faceted(mesh, wavelength_m)
+    return _faceted(mesh, wavelength_m, range_m)
 
 
 def joined_bodies(bodies: list[Body], wavelength_m: float) -> Bodies:
@@ -212,11 +216,14 @@ def _joined(first: Body, second: Body) -> Body:
     return replace(second, **both)
 
 
-def _faceted(mesh: Mesh, wavelength_m: float) -> Body:
+def _faceted(mesh: Mesh, wavelength_m: float, range_m: float) -> Body:
     """Return the centres of a body of plane faces."""
     size_m = float(mesh.extent_m.max())
     two_sided, (convex, hollow) = not mesh.closed, _one_sided(mesh)
-    pieces, owner = cut_triangles(mesh.corners_m, max(PIECE_M, 2.0 * math.sqrt(mesh.areas_m2.sum() / MAX_PIECES)))
+    # 8 times the bend over half a side, there and back
+    straight_m = math.sqrt(8.0 * PIECE_RAD * max(range_m, 1.0) * wavelength_m / (4.0 * math.pi))
+    fewest_m = 2.0 * math.sqrt(mesh.areas_m2.sum() / MAX_PIECES)
+    pieces, owner = cut_triangles(mesh.corners_m, max(min(PIECE_M, straight_m), fewest_m))
     normal, middle = mesh.normals[owner], pieces.mean(axis=1)
     once = ~covered(mesh.corners_m, owner, middle, normal, 10.0 * ROUNDING * size_m)
     pieces, normal = pieces[once], normal[once]

@@ -44,11 +44,7 @@ def body_echo(bodies, centre, wavenumber, there, here):  # type: ignore[no-untyp
     receiver = source if same else _ahead((0.0, 0.0, 0.0), -here.length_m, here.arrive)
     if size[centre, 0] > 0.0:
         return _round_field(bodies, centre, source, receiver, wavenumber)
-    field = 0.0j
-    orders = 1 if same else 2
-    for _ in range(orders):
-        field += _flat_field(bodies, centre, source, receiver, wavenumber) / orders
-        source, receiver = receiver, source
+    field = _flat_field(bodies, centre, source, receiver, wavenumber)
     return field, there.length_m, here.length_m, (0.0, 0.0, 0.0)
 
 
@@ -116,6 +112,14 @@ def _sent_back(field, direction, normal, towards, te, tm):  # type: ignore[no-un
 
 
 @compiled(error_model="numpy")
+def _sent(source, normal, towards, te, tm):  # type: ignore[no-untyped-def]
+    """Return what a face lit from a direction radiates to another, for each of its m^2, both as upright as can be."""
+    upright = _upright(source)
+    field = (upright[0] + 0.0j, upright[1] + 0.0j, upright[2] + 0.0j)
+    return _sent_back(field, (-source[0], -source[1], -source[2]), normal, towards, te, tm)
+
+
+@compiled(error_model="numpy")
 def _free(trees, root, start, end, nearest):  # type: ignore[no-untyped-def]
     """Return whether no face of a body stands between two points."""
     onward = _ahead(end, -1.0, start)
@@ -146,8 +150,11 @@ def _flat_field(bodies, centre, source, receiver, wavenumber):  # type: ignore[n
     if spans[centre, 3] > 0:
         cut = np.empty((2, CUT_CORNERS, 3))
         waiting = np.empty((64, 3, 3))
-        for sequence in range(spans[centre, 2], spans[centre, 2] + spans[centre, 3]):
-            total += _sequence(bodies, centre, sequence, (start, end), root, wavenumber, cut, waiting)
+        orders = 1 if source == receiver else 2
+        for _ in range(orders):
+            for sequence in range(spans[centre, 2], spans[centre, 2] + spans[centre, 3]):
+                total += _sequence(bodies, centre, sequence, (start, end), root, wavenumber, cut, waiting) / orders
+            start, end = end, start
     return total * wavenumber / math.sqrt(math.pi)
 
 
@@ -160,9 +167,6 @@ def _triangles(bodies, centre, ends, root, wavenumber):  # type: ignore[no-untyp
     te, tm = tables[spans[centre, 7], 0], tables[spans[centre, 7], 1]
     towards, back = _unit(source), _unit(receiver)
     out_m, back_m = math.sqrt(_dot(source, source)), math.sqrt(_dot(receiver, receiver))
-    field = _upright(towards)
-    field = (field[0] + 0.0j, field[1] + 0.0j, field[2] + 0.0j)
-    direction = (-towards[0], -towards[1], -towards[2])
     total, last, sent = 0.0j, (2.0, 2.0, 2.0), 0.0j
     for piece in range(spans[centre, 0], spans[centre, 0] + spans[centre, 1]):
         normal = _row(normals, piece)
@@ -180,7 +184,9 @@ def _triangles(bodies, centre, ends, root, wavenumber):  # type: ignore[no-untyp
             if source != receiver and not _free(trees, root, start, _ahead(origin, 1.0, receiver), nearest):
                 continue
         if normal != last:
-            last, sent = normal, _sent_back(field, direction, normal, back, te, tm)
+            last, sent = normal, _sent(towards, normal, back, te, tm)
+            if source != receiver:
+                sent = 0.5 * (sent + _sent(back, normal, towards, te, tm))
         there, here = _detour(middle, source), _detour(middle, receiver)
         phases = (
             -wavenumber * (_detour(a, source) + _detour(a, receiver)),
@@ -189,7 +195,7 @@ def _triangles(bodies, centre, ends, root, wavenumber):  # type: ignore[no-untyp
             -wavenumber * (there + here),
         )
         # spreading and slant are those of the triangle, not of the centre
-        spread = (out_m / (out_m + there)) ** 2 * back_m / (back_m + here)
+        spread = (out_m / (out_m + there) * back_m / (back_m + here)) ** 1.5
         total += sent * spread * _size(a, b, c) * triangle_mean(phases)
     return total
 
@@ -439,9 +445,7 @@ def _round_field(bodies, centre, source, receiver, wavenumber):  # type: ignore[
     towards, back = _unit(towards), _unit(back)
     if _dot(normal, towards) < 1e-9 or _dot(normal, back) < 1e-9:
         return 0.0j, out_m, back_m, point
-    upright = _upright(towards)
-    field = (upright[0] + 0.0j, upright[1] + 0.0j, upright[2] + 0.0j)
-    sent = _sent_back(field, (-towards[0], -towards[1], -towards[2]), normal, back, te, tm)
+    sent = 0.5 * (_sent(towards, normal, back, te, tm) + _sent(back, normal, towards, te, tm))
     # how fast the way grows beside the mirroring point: in the plane of both directions, and across it
     height = _dot(normal, towards) + _dot(normal, back)
     across = _cross(towards, back)

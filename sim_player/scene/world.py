@@ -515,7 +515,11 @@ def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, An
 def _body(scene_object: SceneObject, wavelength_m: float) -> Body | None:
     """Return the body of a mesh or primitive, None for a class."""
     mesh = scene_object.shape
-    return None if mesh is None else body_of(mesh, wavelength_m, scene_object.primitive)
+    if mesh is None:
+        return None
+    reach_m = 0.5 * math.hypot(scene_object.kind.length_m, scene_object.kind.width_m)
+    range_m = math.hypot(scene_object.x_m, scene_object.y_m) - reach_m
+    return body_of(mesh, wavelength_m, scene_object.primitive, range_m)
 
 
 def _centres(scene_object: SceneObject, body: Body | None, first: int, seed: int, index: int) -> ScatteringCentres:
