@@ -211,9 +211,14 @@ def _cylinder(mesh: Mesh, wavelength_m: float, diameter_m: float, height_m: floa
 
 def _joined(first: Body, second: Body) -> Body:
     """Return the centres of two bodies of which the first has no triangles."""
-    names = ("position_m", "normal", "peak_rcs_m2", "size_m", "span")
-    both = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
-    return replace(second, **both)
+    return replace(
+        second,
+        position_m=np.concatenate([first.position_m, second.position_m]),
+        normal=np.concatenate([first.normal, second.normal]),
+        peak_rcs_m2=np.concatenate([first.peak_rcs_m2, second.peak_rcs_m2]),
+        size_m=np.concatenate([first.size_m, second.size_m]),
+        span=np.concatenate([first.span, second.span]),
+    )
 
 
 def _faceted(mesh: Mesh, wavelength_m: float, range_m: float) -> Body:
