@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,8 @@ class Body:
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         names = ("position_m", "normal", "piece_m", "piece_normal", "face_m", "face_normal", "blocking_m")
-        return replace(self, **{name: getattr(self, name) @ turn for name in names})
+        parts: dict[str, Any] = {name: getattr(self, name) @ turn for name in names}
+        return replace(self, **parts)
 
 
 #: Bodies as compiled code takes them: see `joined_bodies`.
