@@ -43,8 +43,9 @@ class Mesh:
     faces: np.ndarray
     material: str
     name: str
-    #: Faces without area that the file had.
+    #: Faces without area that the file had, and faces that it had drawn before, either side up.
     degenerate_faces: int = 0
+    repeated_faces: int = 0
 
     @cached_property
     def corners_m(self) -> np.ndarray:
@@ -103,8 +104,8 @@ def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis 
 
 
 def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, name: str) -> Mesh:
-    """Return a mesh from plain arrays: welded, faces without area dropped, wound outward, on the ground, centred in
-    plan.
+    """Return a mesh from plain arrays: welded, faces without area or drawn before dropped, wound outward, on the
+    ground, centred in plan.
 
     Raises ValueError where no face has an area.
     """
@@ -113,8 +114,10 @@ def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, n
     if not solid.any():
         raise ValueError(f"faces: all {len(faces)} are degenerate (no area)")
     vertices_m, faces = _used(vertices_m, faces[solid])
-    faces = _wind_outward(vertices_m, faces)
-    return grounded(Mesh(vertices_m, faces, material, name, int((~solid).sum())))
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    repeated = len(faces) - len(first)
+    faces = _wind_outward(vertices_m, faces[np.sort(first)])
+    return grounded(Mesh(vertices_m, faces, material, name, int((~solid).sum()), repeated))
 
 
 def grounded(mesh: Mesh) -> Mesh:

@@ -18,12 +18,12 @@ from models.physics.materials import is_volume, permittivity, wall_layers
 from msgs.values.frames import Pose2
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.vehicle import ego_motion
+from sim_player.bodies.centres import Bodies, Body, body_of, joined_bodies
 from sim_player.scene.coincident import Stretches, WallPieces, cut_coincident
 from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
 from sim_player.scene.road_users import ScatteringCentres, scattering_centres
 from sim_player.scene.wall_ends import Corners, EndNodes, WallEnds, corners_of, end_nodes, share_an_end, wall_ends
 from sim_player.trace.bounce import Builds, Layers, all_bounces, builds_of
-from sim_player.trace.mesh_rcs import mesh_centres
 from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers, as_bent
 
 T = TypeVar("T")
@@ -62,7 +62,8 @@ class World:
     #: of all foliage, and of bodies, 0. Row of each piece of wall, int32 [W].
     transmission: np.ndarray
     wall_build: np.ndarray
-    #: Scattering centres of all objects at start: [K, 3], normals [K, 2, 3], the rest [K].
+    #: Scattering centres of all objects at start: [K, 3], normals [K, 2, 3], the rest [K]. An exponent of -1 - n is
+    #: centre n of `bodies`, those of meshes and primitives, whose fields `sim_player.bodies.fields` has.
     centre_m: np.ndarray
     centre_normals: np.ndarray
     centre_rcs_m2: np.ndarray
@@ -75,6 +76,7 @@ class World:
     face_b: np.ndarray
     face_height_m: np.ndarray
     velocity_mps: np.ndarray
+    bodies: Bodies
     #: Wall scatterers: position [Q, 2], piece of wall, length of wall that it represents (0: structure), RCS, unit
     #: phasor.
     speck_m: np.ndarray
@@ -479,7 +481,10 @@ def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndar
 def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, Any]:
     """Return the object fields of `World`."""
     objects = list(scene.objects)
-    centres = [_centres(scene_object, wavelength_m, seed, index) for index, scene_object in enumerate(objects)]
+    bodies = [_body(scene_object, wavelength_m) for scene_object in objects]
+    sizes = [0 if body is None else len(body.position_m) for body in bodies]
+    first = np.cumsum([0, *sizes])
+    centres = [_centres(each, bodies[index], first[index], seed, index) for index, each in enumerate(objects)]
     corners = [scene_object.corners_m() for scene_object in objects]
     yaw = np.radians([scene_object.yaw_deg for scene_object in objects])
     speed = np.array([scene_object.speed_mps for scene_object in objects])
@@ -509,22 +514,33 @@ def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, An
         "face_b": joined([np.roll(box, -1, axis=0) for box in corners], 2),
         "face_height_m": np.repeat(np.array([scene_object.kind.height_m for scene_object in objects], float), 4),
         "velocity_mps": np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw)]),
+        "bodies": joined_bodies(
+            [body.turned(angle) for body, angle in zip(bodies, yaw, strict=True) if body is not None], wavelength_m
+        ),
     }
 
 
-def _centres(scene_object: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
-    """Return the scattering centres of one object: drawn for a class, computed for a mesh."""
+def _body(scene_object: SceneObject, wavelength_m: float) -> Body | None:
+    """Return the body of a mesh or primitive, None for a class."""
     mesh = scene_object.shape
     if mesh is None:
+        return None
+    reach_m = 0.5 * math.hypot(scene_object.kind.length_m, scene_object.kind.width_m)
+    range_m = math.hypot(scene_object.x_m, scene_object.y_m) - reach_m
+    return body_of(mesh, wavelength_m, scene_object.primitive, range_m)
+
+
+def _centres(scene_object: SceneObject, body: Body | None, first: int, seed: int, index: int) -> ScatteringCentres:
+    """Return the scattering centres of one object: drawn for a class, those of its body, from number `first` on."""
+    if body is None:
         return scattering_centres(scene_object.object_class, seed, index)
-    centres = mesh_centres(mesh, wavelength_m)
+    count = len(body.position_m)
     return ScatteringCentres(
-        position_m=centres.position_m,
-        normals=np.stack([centres.normal, centres.normal], axis=1),
-        peak_rcs_m2=centres.peak_rcs_m2,
-        # the phase of a patch of a mesh comes from its position
-        phase_rad=np.zeros(len(centres.peak_rcs_m2)),
-        lobe_exponent=centres.lobe_exponent,
+        position_m=body.position_m,
+        normals=np.stack([body.normal, body.normal], axis=1),
+        peak_rcs_m2=body.peak_rcs_m2,
+        phase_rad=np.zeros(count),
+        lobe_exponent=-1.0 - first - np.arange(count),
         lobe_floor=0.0,
     )
 

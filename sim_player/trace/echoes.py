@@ -6,11 +6,14 @@ over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounce
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from models.compiled import compiled
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams
+from sim_player.bodies.fields import body_echo
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.routes import NONE, Routes
 from sim_player.trace.row_table import Column, RowTable
@@ -65,11 +68,13 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
     """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; different routes in both orders."""
     (out, back), times = both_orders(view.world, pairs)
-    centres = *view.world.centres, view.centre, view.velocity
-    numbers = view.world.numbers
-    return Echoes(
-        _of_centres(routes.rows, out, back, times * _unit(view.world), needs, centres, view.radar_velocity, numbers)
+    world = view.world
+    centres, bodies = (
+        (*world.centres, view.centre, view.velocity),
+        (world.bodies, 2.0 * math.pi / world.radar.wavelength_m),
     )
+    motion, numbers = view.radar_velocity, world.numbers
+    return Echoes(_of_centres(routes.rows, out, back, times * _unit(world), needs, centres, bodies, motion, numbers))
 
 
 def _unit(world: World) -> float:
@@ -138,30 +143,35 @@ def _same_target(first, second):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _of_centres(routes, out, back, times, needs, centres, radar_velocity, numbers):  # type: ignore[no-untyped-def]
+def _of_centres(routes, out, back, times, needs, centres, bodies, radar_velocity, numbers):  # type: ignore[no-untyped-def]
     peak_m2, normals, exponent, floor, owner, phasor, position, velocity = centres
     wall_id, centre_id, object_id = numbers
     rows, count = np.empty(len(out), ECHO), 0
     for pair in range(len(out)):
         there, here = routes[out[pair]], routes[back[pair]]
         c = there.target
-        lobe = (peak_m2[c], exponent[c], floor[c])
-        rcs = rcs_towards(lobe, normals, c, there.arrive, -1.0)
-        if out[pair] != back[pair]:
-            rcs = np.sqrt(rcs * rcs_towards(lobe, normals, c, here.arrive, -1.0))
-        if not rcs > 0.0:
+        out_m, back_m, x, y, z = there.length_m, here.length_m, 0.0, 0.0, 0.0
+        if exponent[c] < 0.0:
+            field, out_m, back_m, (x, y, z) = body_echo(bodies[0], int(-1.0 - exponent[c]), bodies[1], there, here)
+        else:
+            lobe = (peak_m2[c], exponent[c], floor[c])
+            rcs = rcs_towards(lobe, normals, c, there.arrive, -1.0)
+            if out[pair] != back[pair]:
+                rcs = np.sqrt(rcs * rcs_towards(lobe, normals, c, here.arrive, -1.0))
+            field = np.sqrt(rcs) * phasor[c]
+        if field == 0.0:
             continue
         row = rows[count]
         count += 1
-        constant = times[pair] * np.sqrt(rcs) * phasor[c]
-        row.weight = constant * there.other * here.other / (there.length_m * here.length_m)
+        row.weight = times[pair] * field * there.other * here.other / (out_m * back_m)
         fill_echo(row, there, here, needs, wall_id, (centre_id[c], centre_id[c]))
+        row.out_m, row.back_m = out_m, back_m
         row.rate_mps = 0.5 * (
             rate_of(there, velocity[c, 0], velocity[c, 1], radar_velocity)
             + rate_of(here, velocity[c, 0], velocity[c, 1], radar_velocity)
         )
         row.object_index = object_id[owner[c]]
-        row.point[:] = position[c]
+        row.point[0], row.point[1], row.point[2] = position[c, 0] + x, position[c, 1] + y, position[c, 2] + z
     return rows[:count]
 
 

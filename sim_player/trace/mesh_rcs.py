@@ -1,10 +1,9 @@
-"""Radar cross section of meshes: physical optics of patches, shooting and bouncing rays, scattering centres.
+"""Radar cross section of meshes by shooting and bouncing rays: the reference of the bodies in scenes.
 
 Fields are square roots of RCS with a phase: |field|^2 is the RCS in m^2, and far away the phase of a point p is
 exp(+j k (s + r).p), s and r unit vectors to source and receiver (e^{+jwt}, origin of the mesh's frame at its foot).
 
-Not modelled: diffraction by edges beyond physical optics, creeping waves, transmission through
-thin dielectric faces, and, in patches and centres, shadow and reflection between parts of the object.
+Not modelled: diffraction by edges beyond physical optics, creeping waves, transmission through thin dielectric faces.
 """
 
 from __future__ import annotations
@@ -23,117 +22,8 @@ from sim_player.scene.meshes import Mesh
 #: Default largest spacing of rays as a share of a wavelength.
 RAY_SPACING = 1.0 / 8.0
 MAX_RAYS = 16_000_000
-#: Patches: their size, their largest number per mesh, and the share of the scattered energy that the centres keep.
-PATCH_M, MAX_PATCHES, KEPT_SHARE = 0.12, 400, 0.999
-#: Number of directions of the half space over a patch that are tested for visibility.
-LOOKS = 32
 #: Faces of a leaf of the search tree, and entries of the reflection table over the cosine.
 LEAF_FACES, TABLE_SIZE = 4, 2049
-
-
-@dataclass(frozen=True)
-class Patches:
-    """K small, nearly flat pieces of a mesh's outside, each a parallelogram of the same second moments."""
-
-    #: Middle [K, 3], unit outward normal [K, 3], area as the flat piece that reflects alike [K].
-    centre_m: np.ndarray
-    normal: np.ndarray
-    area_m2: np.ndarray
-    #: Edge vectors of the parallelogram, [K, 2, 3].
-    edges_m: np.ndarray
-    #: Spread of the normals within the patch along two directions, covariance [K, 2, 2].
-    normal_spread: np.ndarray
-    #: Size of the patches: grown from the requested size until they are few enough.
-    patch_m: float
-    #: Triangles of the mesh in the patches, and area that is visible from no direction outside.
-    merged_faces: int
-    unseen_area_m2: float
-
-    def __len__(self) -> int:
-        return len(self.area_m2)
-
-
-@dataclass(frozen=True)
-class MeshCentres:
-    """Scattering centres of a mesh for ray tracing, strongest first, K of them; their phase is their position's."""
-
-    #: Position and normal [K, 3], RCS along the normal [K] m^2, exponent q of its lobe cos^q (of power) [K].
-    position_m: np.ndarray
-    normal: np.ndarray
-    peak_rcs_m2: np.ndarray
-    lobe_exponent: np.ndarray
-    #: Triangles merged into all centres, centres left out as weak, and the share of energy over aspects that is kept.
-    merged_faces: int
-    weak_centres: int
-    kept_share: float
-
-
-def patches(mesh: Mesh, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES) -> Patches:
-    """Cut and merge a mesh's faces into patches of about `patch_m`, larger if there would be more than `max_patches`.
-
-    Pieces of one cell of space with similar normals become one patch. Faces of an open mesh count on both sides;
-    surfaces invisible from outside (interiors) are left out and their area reported. Raises ValueError for a size that
-    is not
-    positive, or for fewer patches than the faces have directions.
-    """
-    if not (math.isfinite(patch_m) and patch_m > 0.0):
-        raise ValueError(f"patch_m must be finite and positive, got {patch_m!r}")
-    if max_patches < 1:
-        raise ValueError(f"most must be at least 1, got {max_patches!r}")
-    # four times as many pieces at first: visibility is tested on small pieces
-    patch_m = max(patch_m, math.sqrt(mesh.areas_m2.sum() / (4.0 * max_patches)))
-    pieces, normal, unseen_area_m2 = _outside(mesh, patch_m)
-    middle = mesh.vertices_m.mean(axis=0)
-    while (label := _cells(pieces, normal, middle, patch_m)).max() >= max_patches:
-        if patch_m > 2.0 * mesh.extent_m.max():
-            raise ValueError(
-                f"most: the faces of {mesh.name} point {label.max() + 1} ways, got {max_patches!r} patches for them"
-            )
-        patch_m *= 1.1
-    gathered = _gather(pieces, normal, label)
-    return Patches(
-        centre_m=gathered.centre_m,
-        normal=gathered.normal,
-        area_m2=gathered.area_m2,
-        edges_m=gathered.edges_m,
-        normal_spread=gathered.normal_spread,
-        patch_m=patch_m,
-        merged_faces=len(mesh.faces),
-        unseen_area_m2=unseen_area_m2,
-    )
-
-
-def mesh_centres(
-    mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES
-) -> MeshCentres:
-    """Return the scattering centres of a mesh at rest in its own frame, for tracers of points with lobes.
-
-    A patch of area A sends the energy pi A |r|^2 (its RCS summed over all directions of a monostatic radar), whatever
-    its shape. The lobe's solid angle is that of diffraction, lambda^2 / 4A, widened by the spread of its normals: a
-    flat patch peaks at 4 pi A^2 |r|^2 / lambda^2, one that is curved over many Fresnel zones at the mirror's
-    pi R1 R2 |r|^2. The exponent keeps the energy: 2 pi / (q + 1) is the solid angle; the half-power width of a flat
-    square is then 6 % wider than that of its sinc.
-
-    Bias: few points stand for a smooth body, so where several of their lobes overlap (curved sides; flat ones from
-    within 2 patch^2 / lambda) their coherent sum swings as speckle around the right mean.
-    """
-    pieces = patches(mesh, patch_m, max_patches)
-    energy = math.pi * pieces.area_m2 * _normal_reflectance(mesh.material, wavelength_m)
-    diffraction = wavelength_m**2 / (4.0 * pieces.area_m2)
-    widths = diffraction[:, None, None] * np.eye(2) + 12.0 * pieces.normal_spread
-    solid_angle = np.minimum(np.sqrt(np.linalg.det(widths)), 2.0 * np.pi)
-    order = np.argsort(-energy, kind="stable")
-    share = np.cumsum(energy[order]) / energy.sum()
-    kept = order[: int(np.searchsorted(share, KEPT_SHARE)) + 1]
-    return MeshCentres(
-        position_m=pieces.centre_m[kept],
-        normal=pieces.normal[kept],
-        peak_rcs_m2=(energy / solid_angle)[kept],
-        lobe_exponent=(2.0 * np.pi / solid_angle - 1.0)[kept],
-        merged_faces=pieces.merged_faces,
-        weak_centres=len(order) - len(kept),
-        kept_share=float(share[len(kept) - 1]),
-    )
 
 
 def mesh_field(
@@ -177,6 +67,36 @@ def mesh_field(
     return complex(math.sqrt(4.0 * math.pi) / wavelength_m * cell[0] * cell[1] * field)
 
 
+@dataclass(frozen=True)
+class MeshCentres:
+    """Points of a mesh so dense that each one's lobe is that of a small plate: cos^q, as K points."""
+
+    #: Position and outward normal [K, 3], RCS along the normal [K] m^2, exponent q of the lobe (of power) [K].
+    position_m: np.ndarray
+    normal: np.ndarray
+    peak_rcs_m2: np.ndarray
+    lobe_exponent: np.ndarray
+
+
+def mesh_centres(mesh: Mesh, wavelength_m: float) -> MeshCentres:
+    """Return a convex mesh as plain points, none longer than half a wavelength: physical optics by a sum over them.
+
+    A point of area A: 4 pi A^2 |r|^2 / lambda^2, with the lobe of exponent 2 of its slant. Scenes have far fewer
+    centres, whose lobes `sim_player.bodies.fields` integrates; this sum is what they are tested against, also nearby.
+    """
+    pieces, owner = cut_triangles(mesh.corners_m, 0.5 * wavelength_m)
+    normal, both = mesh.normals[owner], 1 if mesh.closed else 2
+    epsilon = permittivity(mesh.material, SPEED_OF_LIGHT_MPS / wavelength_m)
+    reflectance = float(np.abs(half_space_reflection(np.array(epsilon), np.array(1.0))) ** 2)
+    peak = 4.0 * math.pi * reflectance * (triangle_areas(pieces) / wavelength_m) ** 2
+    return MeshCentres(
+        position_m=np.tile(pieces.mean(axis=1), (both, 1)),
+        normal=np.concatenate([normal, -normal][:both]),
+        peak_rcs_m2=np.tile(peak, both),
+        lobe_exponent=np.full(both * len(pieces), 2.0),
+    )
+
+
 def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the unit vectors across the line of sight: level, and as upright as possible."""
     across = np.cross([0.0, 0.0, 1.0], towards)
@@ -218,87 +138,7 @@ def _reflection_table(material: str, wavelength_m: float) -> tuple[np.ndarray, n
     return half_space_reflection(np.array(epsilon), cosine), half_space_reflection(np.array(epsilon), cosine, "tm")
 
 
-def _normal_reflectance(material: str, wavelength_m: float) -> float:
-    """Return |r|^2 at normal incidence."""
-    epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
-    return float(np.abs(half_space_reflection(np.array(epsilon), np.array(1.0))) ** 2)
-
-
-def _outside(mesh: Mesh, patch_m: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the visible pieces [P, 3, 3] no longer than half a patch, outward normals [P, 3], and the invisible area.
-
-    A piece of an open mesh that is visible from both sides appears twice.
-    """
-    pieces, owner = _small_pieces(mesh.corners_m, 0.5 * patch_m)
-    normal = mesh.normals[owner]
-    label = _cells(pieces, normal, mesh.vertices_m.mean(axis=0), patch_m)
-    gathered, tree = _gather(pieces, normal, label), _search_tree(mesh.corners_m)
-    front = _seen(tree, gathered, 1.0)[label]
-    back = np.zeros(len(front), bool) if mesh.closed else _seen(tree, gathered, -1.0)[label]
-    unseen_area_m2 = float(_areas(pieces[~(front | back)]).sum())
-    return np.concatenate([pieces[front], pieces[back]]), np.concatenate([normal[front], -normal[back]]), unseen_area_m2
-
-
-def _cells(pieces: np.ndarray, normal: np.ndarray, middle: np.ndarray, patch_m: float) -> np.ndarray:
-    """Return the number of the patch that each piece belongs to, by cell of space and direction of the normal, no
-    number left out.
-
-    Cells are centred on `middle`, a little off so that sides of a symmetric body do not lie on a border between two.
-    """
-    cell = np.floor((pieces.mean(axis=1) - middle) / patch_m + 0.5 + 1e-6).astype(np.int64)
-    key = np.column_stack([cell, np.round(2.0 * normal).astype(np.int64)])
-    key -= key.min(axis=0)
-    one_number = np.ravel_multi_index(tuple(key.T), tuple(key.max(axis=0) + 1))
-    return np.unique(one_number, return_inverse=True)[1].ravel()
-
-
-@dataclass(frozen=True)
-class _Gathered:
-    """Patches before the visibility test; fields as in `Patches`."""
-
-    centre_m: np.ndarray
-    normal: np.ndarray
-    area_m2: np.ndarray
-    edges_m: np.ndarray
-    normal_spread: np.ndarray
-    #: Thickness along the normal, rms.
-    depth_m: np.ndarray
-
-
-def _gather(pieces: np.ndarray, normal: np.ndarray, label: np.ndarray) -> _Gathered:
-    """Return the area, middle, mean normal and second moments of the pieces [P, 3, 3] of each label."""
-    area = _areas(pieces)
-    total = np.bincount(label, area)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        flat = values.reshape(len(values), -1)
-        sums = np.stack([np.bincount(label, area * column) for column in flat.T], axis=1)
-        return (sums / total[:, None]).reshape(-1, *values.shape[1:])
-
-    middle = pieces.mean(axis=1)
-    centre, mean_normal = mean(middle), mean(normal)
-    flatness = np.linalg.norm(mean_normal, axis=1)
-    axis = mean_normal / flatness[:, None]
-    corner = pieces - middle[:, None]
-    within = np.einsum("pvi,pvj->pij", corner, corner) / 12.0
-    offset = middle - centre[label]
-    moments = mean(within + offset[:, :, None] * offset[:, None, :])
-    flat = np.eye(3) - axis[:, :, None] * axis[:, None, :]
-    size, direction = np.linalg.eigh(flat @ moments @ flat)
-    # ascending: the first is the normal's own, zero
-    tangent = np.swapaxes(direction[:, :, 1:], 1, 2)
-    slope = np.einsum("pti,pi->pt", tangent[label], normal)
-    return _Gathered(
-        centre_m=centre,
-        normal=axis,
-        area_m2=total * flatness,
-        edges_m=tangent * np.sqrt(12.0 * np.maximum(size[:, 1:], 0.0))[:, :, None],
-        normal_spread=mean(slope[:, :, None] * slope[:, None, :]),
-        depth_m=np.sqrt(np.maximum(np.einsum("pi,pij,pj->p", axis, moments, axis), 0.0)),
-    )
-
-
-def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
+def cut_triangles(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came
     from.
     """
@@ -318,26 +158,10 @@ def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, 
     return np.concatenate(done), np.concatenate(done_owner)
 
 
-def _areas(triangles: np.ndarray) -> np.ndarray:
+def triangle_areas(triangles: np.ndarray) -> np.ndarray:
     """Return the areas of triangles [P, 3, 3]."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
-def _seen(tree: tuple[np.ndarray, ...], gathered: _Gathered, side: float) -> np.ndarray:
-    """Return which patches have a free line of sight to the outside on the side of +-normal, [K]."""
-    normal = side * gathered.normal
-    first = gathered.edges_m[:, 1]
-    first = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
-    local = np.stack([first, np.cross(normal, first), normal], axis=1)
-    # a spiral of directions, even over the half space
-    height = (np.arange(LOOKS) + 0.5) / LOOKS
-    turn = np.pi * (3.0 - math.sqrt(5.0)) * np.arange(LOOKS)
-    flat = np.sqrt(1.0 - height**2)
-    looks = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
-    offset = 3.0 * gathered.depth_m + 1e-6 * np.ptp(tree[0].reshape(-1, 3), axis=0).max()
-    start = gathered.centre_m + offset[:, None] * normal
-    return _any_free(*tree, start, np.einsum("la,kai->kli", looks, local))
 
 
 def _search_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -407,12 +231,15 @@ def _row(array, index):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _first_hit(faces, bounds, first, count, start, direction, nearest):  # type: ignore[no-untyped-def]
-    """Return distance and index of the first triangle on a ray beyond `nearest`; (inf, -1): none (Moeller-Trumbore)."""
+def _first_hit(faces, bounds, first, count, root, start, direction, nearest):  # type: ignore[no-untyped-def]
+    """Return distance and index of the first triangle on a ray beyond `nearest`; (inf, -1): none (Moeller-Trumbore).
+
+    `root`: the node that the tree begins with, of several in one.
+    """
     best, hit = np.inf, -1
     inverse = (_inverse(direction[0]), _inverse(direction[1]), _inverse(direction[2]))
     stack = np.empty(64, np.int64)
-    stack[0] = 0
+    stack[0] = root
     depth = 1
     while depth:
         depth -= 1
@@ -465,10 +292,50 @@ def _any_free(faces, bounds, first, count, start, directions):  # type: ignore[n
     free = np.zeros(len(start), np.bool_)
     for i in range(len(start)):
         for j in range(directions.shape[1]):
-            if _first_hit(faces, bounds, first, count, _row(start, i), _row(directions[i], j), 0.0)[1] < 0:
+            if _first_hit(faces, bounds, first, count, 0, _row(start, i), _row(directions[i], j), 0.0)[1] < 0:
                 free[i] = True
                 break
     return free
+
+
+@compiled
+def _covered(faces, bounds, first, count, order, own, point, normal, reach):  # type: ignore[no-untyped-def]
+    """Return which points [P, 3] of faces `own` [P] an earlier face of the same plane covers too."""
+    covered = np.zeros(len(point), np.bool_)
+    stack = np.empty(128, np.int64)
+    for n in range(len(point)):
+        start = _ahead(_row(point, n), reach, _row(normal, n))
+        direction = (-normal[n, 0], -normal[n, 1], -normal[n, 2])
+        stack[0] = 0
+        depth = 1
+        while depth and not covered[n]:
+            depth -= 1
+            node, is_near = stack[depth], True
+            for axis in range(3):
+                is_near &= bounds[node, 0, axis] - reach <= point[n, axis] <= bounds[node, 1, axis] + reach
+            if not is_near:
+                continue
+            if count[node] == 0:
+                stack[depth], stack[depth + 1] = first[node], first[node] + 1
+                depth += 2
+                continue
+            for face in range(first[node], first[node] + count[node]):
+                if order[face] >= own[n] or not 0.0 < _meet(faces[face], start, direction) < 2.0 * reach:
+                    continue
+                a = _row(faces[face], 0)
+                other = _cross(_ahead(_row(faces[face], 1), -1.0, a), _ahead(_row(faces[face], 2), -1.0, a))
+                if abs(_dot(other, direction)) > 0.9999 * math.sqrt(_dot(other, other)):
+                    covered[n] = True
+    return covered
+
+
+def covered(corners: np.ndarray, own: np.ndarray, point: np.ndarray, normal: np.ndarray, reach_m: float) -> np.ndarray:
+    """Return which points [P, 3] of triangles `own` [P] an earlier triangle in the same place covers too, bool [P]."""
+    order, bounds, first, count = _grow_tree(
+        np.ascontiguousarray(corners.min(axis=1)), np.ascontiguousarray(corners.max(axis=1)), LEAF_FACES
+    )
+    faces = np.ascontiguousarray(corners[order])
+    return np.asarray(_covered(faces, bounds, first, count, order, own, point, normal, reach_m))
 
 
 @compiled
@@ -519,7 +386,7 @@ def _shoot(faces, bounds, first, count, start, towards, across, up, receive, wav
         first_edge, second_edge = (across[0], across[1], across[2]), (up[0], up[1], up[2])
         field = (receive[0] + 0.0j, receive[1] + 0.0j, receive[2] + 0.0j)
         for bounce in range(bounces):
-            distance, hit = _first_hit(faces, bounds, first, count, position, direction, nearest)
+            distance, hit = _first_hit(faces, bounds, first, count, 0, position, direction, nearest)
             if hit < 0:
                 break
             a = _row(faces[hit], 0)
@@ -540,7 +407,7 @@ def _shoot(faces, bounds, first, count, start, towards, across, up, receive, wav
             second_edge = _ahead(second_edge, _dot(normal, second_edge) / cosine, direction)
             is_visible = _dot(normal, towards_) > 1e-9
             if is_visible and bounce > 0:
-                is_visible = _first_hit(faces, bounds, first, count, position, towards_, nearest)[1] < 0
+                is_visible = _first_hit(faces, bounds, first, count, 0, position, towards_, nearest)[1] < 0
             if is_visible:
                 turn = _ahead(towards_, -1.0, direction)
                 lobe = _sinc(0.5 * wavenumber * _dot(turn, first_edge)) * _sinc(

@@ -4,39 +4,25 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.simulator import physics_anchors as anchors
-from benchmarks.simulator.physics_anchors import mesh_rcs_m2
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
-from sim_player.scene.meshes import Mesh, box, cylinder, dihedral, mesh_from_arrays, plate, sphere, trihedral
+from sim_player.scene.meshes import Mesh, cylinder, dihedral, mesh_from_arrays, plate, sphere, trihedral
 from sim_player.trace import mesh_rcs
-from sim_player.trace.mesh_rcs import Patches, mesh_centres, mesh_field, patches
+from sim_player.trace.mesh_rcs import mesh_field
 
 XBAND_M, WBAND_M = (299_792_458.0 / carrier_hz for carrier_hz in anchors.CARRIERS_HZ)
 X = np.array([1.0, 0.0, 0.0])
 
 
-def patch_field(
-    pieces: Patches, wavelength_m: float, to_source: np.ndarray, to_receiver: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3]
-    far away.
-
-    Each gives sqrt(4 pi) A cos / lambda times the sinc lobe of its parallelogram, where source and receiver (None: the
-    source) both see its face; cos is the mean of both, so that the two may be exchanged.
-    """
-    to_source = np.atleast_2d(to_source)
-    to_receiver = to_source if to_receiver is None else np.atleast_2d(to_receiver)
-    both = to_source + to_receiver
-    lit = (to_source @ pieces.normal.T > 0.0) & (to_receiver @ pieces.normal.T > 0.0)
-    cosine = np.where(lit, 0.5 * both @ pieces.normal.T, 0.0)
-    lobe = np.sinc(np.einsum("ni,kei->nke", both, pieces.edges_m) / wavelength_m).prod(axis=2)
-    phasor = np.exp(2j * np.pi / wavelength_m * (both @ pieces.centre_m.T))
-    return math.sqrt(4.0 * math.pi) / wavelength_m * ((cosine * lobe * phasor) @ pieces.area_m2)
+def mesh_rcs_m2(mesh: Mesh, direction: np.ndarray, wavelength_m: float, **options: Any) -> float:
+    """Monostatic RCS [m^2] towards a radar in `direction` [3]; `options` are those of `mesh_field`."""
+    return abs(mesh_field(mesh, direction, wavelength_m, **options)) ** 2
 
 
 def db(ratio: float) -> float:
@@ -174,105 +160,10 @@ def test_search_tree_finds_what_all_triangles_say() -> None:
     for one, towards in zip(start, way, strict=True):
         each = np.array([mesh_rcs._meet(face, tuple(one), tuple(towards)) for face in tree[0]])
         expected = each[each > 0.0].min() if (each > 0.0).any() else math.inf
-        found, _ = mesh_rcs._first_hit(*tree, tuple(one), tuple(towards), 0.0)
+        found, _ = mesh_rcs._first_hit(*tree, 0, tuple(one), tuple(towards), 0.0)
         assert found == pytest.approx(expected, rel=1e-12)
         hits += math.isfinite(expected)
     assert 50 < hits < 450
-
-
-@pytest.mark.parametrize("wavelength_m", [XBAND_M, WBAND_M])
-def test_patches_of_a_plate_add_up(wavelength_m: float) -> None:
-    """Plate w = 1.0 x 0.7 m: 4 pi A^2 / lambda^2 head on to 0.2 dB; a null under -40 dB at sin = lambda / 2w."""
-    pieces = patches(plate(1.0, 0.7))
-    front = patch_field(pieces, wavelength_m, X)[0]
-    assert abs(db(abs(front) ** 2 / (4.0 * math.pi * 0.49 / wavelength_m**2))) < 0.2
-    null_rad = math.asin(wavelength_m / 2.0)
-    azimuth = np.linspace(0.5 * null_rad, 1.5 * null_rad, 2001)
-    lobe = np.abs(patch_field(pieces, wavelength_m, level(azimuth)) / front)
-    assert azimuth[lobe.argmin()] == pytest.approx(null_rad, rel=0.01)
-    assert 20.0 * math.log10(lobe.min()) < -40.0
-
-
-def test_patches_agree_with_rays_on_a_convex_body() -> None:
-    """Box 1.2 x 0.8 x 0.6 m at 10 GHz, 41 aspects around a side's flash: fields within 3 % of the peak, phase included.
-
-    A box has no second bounce and hides nothing of its lit sides, so patches and rays are one integral.
-    """
-    body = box(1.2, 0.8, 0.6)
-    aspect = level(np.radians(np.linspace(-8.0, 8.0, 41)))
-    by_patches = patch_field(patches(body), XBAND_M, aspect)
-    by_rays = np.array([mesh_field(body, towards, XBAND_M, ray_spacing_m=XBAND_M / 2) for towards in aspect])
-    assert np.abs(by_patches - by_rays).max() < 0.03 * np.abs(by_rays).max()
-
-
-def test_patch_field_is_reciprocal_and_bistatic_mirror() -> None:
-    """Source and receiver exchanged give the same; the plate's bistatic peak is its mirror direction."""
-    pieces = patches(plate(1.0, 1.0))
-    there, back = level(math.radians(30.0))[None], level(np.radians(np.linspace(-60.0, 10.0, 1401)))
-    out = patch_field(pieces, XBAND_M, np.repeat(there, len(back), axis=0), back)
-    assert out == pytest.approx(patch_field(pieces, XBAND_M, back, np.repeat(there, len(back), axis=0)))
-    assert np.degrees(np.arctan2(back[:, 1], back[:, 0]))[np.abs(out).argmax()] == pytest.approx(-30.0, abs=0.1)
-    assert patch_field(patches(box(1.0, 1.0, 1.0)), XBAND_M, X[None], -X[None])[0] == 0.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "mesh", [box(4.5, 1.8, 1.5), sphere(1.0), cylinder(1.0, 2.0, sides=96)], ids=["box", "ball", "can"]
-)
-@pytest.mark.parametrize("wavelength_m", [XBAND_M, WBAND_M])
-def test_centres_keep_the_energy(mesh: Mesh, wavelength_m: float) -> None:
-    """RCS averaged over all directions of a convex metal body is a quarter of its surface; centres give it within 2 %.
-
-    Bias: merged curved patches count their flat area (-1 %), 0.1 % of the energy may be left out. At most 400 centres.
-    """
-    centres = mesh_centres(mesh, wavelength_m)
-    mean = (centres.peak_rcs_m2 * 2.0 * math.pi / (centres.lobe_exponent + 1.0)).sum() / (4.0 * math.pi)
-    assert mean == pytest.approx(mesh.areas_m2.sum() / 4.0, rel=0.02)
-    assert len(centres.peak_rcs_m2) + centres.weak_centres <= 400
-    assert 0.999 <= centres.kept_share <= 1.0
-    assert centres.merged_faces == len(mesh.faces)
-    assert (np.diff(centres.peak_rcs_m2 / (centres.lobe_exponent + 1.0)) <= 1e-9).all()
-
-
-def seen(mesh: Mesh, wavelength_m: float, towards: np.ndarray) -> np.ndarray:
-    """Fields of all centres of a mesh towards directions far away, [N, K]."""
-    centres = mesh_centres(mesh, wavelength_m)
-    cosine = np.maximum(towards @ centres.normal.T, 0.0)
-    phase = 4.0 * math.pi / wavelength_m * (towards @ centres.position_m.T)
-    return np.sqrt(centres.peak_rcs_m2 * cosine**centres.lobe_exponent) * np.exp(1j * phase)
-
-
-def test_centres_of_a_plate_flash_as_one() -> None:
-    """Plate 1.0 x 0.7 m head on: coherent sum 4 pi A^2 / lambda^2 within 0.2 dB; an open mesh shines on both sides."""
-    fields = seen(plate(1.0, 0.7), XBAND_M, np.stack([X, -X])).sum(axis=1)
-    expected = 4.0 * math.pi * 0.49 / XBAND_M**2
-    assert [abs(db(abs(field) ** 2 / expected)) < 0.2 for field in fields] == [True, True]
-
-
-def test_centres_of_a_sphere_mirror_in_every_direction() -> None:
-    """Sphere of 1 m: incoherent sum pi a^2 within 2 dB in each of 300 directions, 0.2 dB on average."""
-    power = (np.abs(seen(sphere(1.0), XBAND_M, directions(300, 3))) ** 2).sum(axis=1) / (0.25 * math.pi)
-    assert abs(db(power.mean())) < 0.2
-    assert np.abs(10.0 * np.log10(power)).max() < 2.5
-
-
-def test_interior_faces_are_left_out() -> None:
-    """A small box inside a large one is seen from nowhere: its area is told, and no centre stands inside."""
-    outer, inner = box(2.0, 2.0, 2.0), box(0.5, 0.5, 0.5)
-    vertices = np.concatenate([outer.vertices_m, inner.vertices_m + np.array([0.0, 0.0, 0.75])])
-    both = mesh_from_arrays(vertices, np.concatenate([outer.faces, inner.faces + 8]), "metal", "nested")
-    pieces = patches(both)
-    assert pieces.unseen_area_m2 == pytest.approx(1.5)
-    assert pieces.area_m2.sum() == pytest.approx(24.0)
-    assert np.abs(pieces.centre_m - np.array([0.0, 0.0, 1.0])).max(axis=1) == pytest.approx(np.ones(len(pieces)))
-
-
-def test_large_meshes_get_larger_patches() -> None:
-    """A bus keeps the bound on the number of patches by growing them, and says how large they are."""
-    pieces = patches(box(12.0, 2.55, 3.1), max_patches=200)
-    assert len(pieces) <= 200
-    assert pieces.patch_m > mesh_rcs.PATCH_M
-    assert pieces.area_m2.sum() == pytest.approx(2.0 * (12.0 * 2.55 + 12.0 * 3.1 + 2.55 * 3.1))
 
 
 @pytest.mark.parametrize(
@@ -283,10 +174,6 @@ def test_large_meshes_get_larger_patches() -> None:
         (lambda m: mesh_rcs_m2(m, X, XBAND_M, bounces=0), "bounces must be at least 1, got 0"),
         (lambda m: mesh_rcs_m2(m, X, XBAND_M, ray_spacing_m=0.0), "ray_spacing_m must be finite and positive"),
         (lambda m: mesh_rcs_m2(m, X, XBAND_M, ray_spacing_m=1e-5), "ray_spacing_m: at most 16000000 rays, got"),
-        (lambda m: patches(m, patch_m=-1.0), "patch_m must be finite and positive"),
-        (lambda m: patches(m, max_patches=0), "most must be at least 1"),
-        (lambda m: patches(m, max_patches=1), "most: the faces of plate point 2 ways, got 1 patches"),
-        (lambda m: mesh_centres(box(1, 1, 1, "cheese"), XBAND_M), "unknown material 'cheese'"),
     ],
 )
 def test_bad_input_is_refused(call: object, complaint: str) -> None:
