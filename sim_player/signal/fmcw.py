@@ -17,7 +17,6 @@ from scipy import fft
 
 from models.compiled import compiled
 from models.physics.antenna import setup_weights, two_way_pattern
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
 from sim_player.trace.paths import Paths
 
@@ -27,6 +26,8 @@ KERNEL_WIDTH, OVERSAMPLING = 12, 2
 BLOCK = 2048
 #: Largest error of the slow-time basis for any path, relative to that path.
 SLOW_TIME_TOLERANCE = 1e-5
+#: Terms of the series of their shares that are left out, relative to a path.
+SERIES_TOLERANCE = 1e-9
 
 
 def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) -> np.ndarray:
@@ -45,34 +46,6 @@ def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
     if np.array_equal(azimuth_rad, paths.azimuth_rad) and np.array_equal(elevation_rad, paths.elevation_rad):
         return None, None
     return azimuth_rad, elevation_rad
-
-
-def chirp_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the sums of beats over one chirp, one per row of `weights` [rows, paths]; complex128 [rows, samples]."""
-    cycles = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz
-    return sum_tones(cycles, weights * np.exp(1j * beat_phase_rad(radar, length_m)), radar.samples_per_chirp)
-
-
-def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Return sum_p w_p exp(2 pi j x_p n) for n = 0..count-1, by gridding and one FFT per row; complex128 [rows, count].
-
-    A non-uniform FFT: each tone is spread over the `KERNEL_WIDTH` nearest steps of an oversampled spectrum by a
-    Kaiser-Bessel kernel, whose own transform is divided out afterwards. Cost does not grow with paths x samples.
-    """
-    grid_size = OVERSAMPLING * count
-    steps, kernel = grid_spread((np.asarray(cycles_per_sample, np.float64) % 1.0) * grid_size)
-    # centred samples keep the kernel's transform symmetric and far from its zeros
-    centred = weights * np.exp(2j * np.pi * ((cycles_per_sample * (count // 2)) % 1.0))
-    spectrum = np.empty((len(weights), grid_size), np.complex128)
-    index = (steps % grid_size).ravel()
-    for row, tones in enumerate(centred):
-        spread = (tones[:, None] * kernel).ravel()
-        spectrum[row].real = np.bincount(index, spread.real, grid_size)
-        spectrum[row].imag = np.bincount(index, spread.imag, grid_size)
-    samples = fft.ifft(spectrum, axis=1, norm="forward", overwrite_x=True)
-    half = count // 2
-    ordered = np.concatenate([samples[:, grid_size - half :], samples[:, : count - half]], axis=1)
-    return ordered / kernel_transform(count)
 
 
 def grid_spread(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,86 +74,76 @@ def kernel_transform(count: int) -> np.ndarray:
     return KERNEL_WIDTH * np.sinh(argument) / argument
 
 
-def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the phases of moving paths over a beam's chirps: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
-
-    Chirps count from the middle of the beam. Returns carrier complex128 [chirps], basis float64 [terms, chirps] and
-    share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
-    Slepian sequences as it has turns, and a few.
-    """
-    turn = doppler_turn_rad(radar, radial_speed_mps)
-    middle, widest, carrier = _slow_time_band(radar, turn)
-    basis = _slow_time_basis(radar.chirps_per_beam, widest)
-    phasors = _phasors(turn - middle, radar.chirps_per_beam)
-    return carrier, basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
-
-
 @dataclass(frozen=True)
 class SlowTimeTable:
-    """Terms of a beam's slow time, and the share of each in any turn from chirp to chirp."""
+    """Phases of moving paths over a beam's chirps in few terms: exp(j w c) = carrier[c] sum_r share_r(w) basis[r, c].
 
-    #: As `slow_time_terms` has them.
+    Chirps count from the middle of the beam. A common turn is taken out first, then the band that is left needs only as
+    many Slepian sequences as it has turns, and a few.
+    """
+
+    #: Complex128 [chirps], and float64 [terms, chirps], symmetric and antisymmetric ones in turn.
     carrier: np.ndarray
     basis: np.ndarray
-    #: Chebyshev series of the shares, complex128 [terms, powers], over (turn - middle) / widest in -1..1.
+    #: With x = (w - middle) / widest in -1..1, the shares of symmetric terms are even in x, those of the others j x
+    #: times an even function: Chebyshev series of all these over 2 x^2 - 1, float64 [terms, powers].
     series: np.ndarray
     middle_rad: float
     widest_rad: float
 
+    def shares(self, turn_rad: np.ndarray) -> np.ndarray:
+        """Return the share of each term in turns from chirp to chirp, complex128 [terms, turns]."""
+        place = (turn_rad - self.middle_rad) / (self.widest_rad or 1.0)
+        shares = np.polynomial.chebyshev.chebval(2.0 * place**2 - 1.0, self.series.T).astype(np.complex128)
+        shares[1::2] *= 1j * place
+        return shares
+
 
 def slow_time_table(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> SlowTimeTable:
     """Return the terms for turns from chirp to chirp [rad] of paths; turns may be `margin` times as large."""
-    middle, widest, carrier = _slow_time_band(radar, turn_rad, margin)
-    basis = _slow_time_basis(radar.chirps_per_beam, widest)
-    return SlowTimeTable(carrier, basis, _slow_time_shares(radar.chirps_per_beam, widest), middle, widest)
-
-
-def _slow_time_band(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> tuple[float, float, np.ndarray]:
-    """Return the middle of a band of turns, half its width rounded up, and the carrier at its middle [chirps]; turns
-    may be `margin` times as large.
-    """
     least, greatest = (float(turn_rad.min()), float(turn_rad.max())) if len(turn_rad) else (0.0, 0.0)
     middle = 0.5 * (greatest + least)
     reach = max(abs(least), abs(greatest)) * (margin - 1.0)
-    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
-    return middle, _rounded_up(0.5 * (greatest - least) + reach), np.exp(1j * middle * chirp)
+    widest = _rounded_up(0.5 * (greatest - least) + reach)
+    carrier = np.exp(1j * middle * _chirps(radar.chirps_per_beam))
+    return SlowTimeTable(carrier, *_slow_time_basis(radar.chirps_per_beam, widest), middle, widest)
+
+
+def _chirps(count: int) -> np.ndarray:
+    """Return the numbers of chirps from the middle of a beam."""
+    return np.arange(count) - 0.5 * (count - 1)
 
 
 @lru_cache(maxsize=64)
-def _slow_time_shares(chirps: int, widest_rad: float) -> np.ndarray:
-    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series in w / widest.
-
-    Complex128 [terms, powers].
+def _slow_time_basis(chirps: int, widest_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the tolerance,
+    and the series of their shares, [terms, powers].
     """
-    count = int(0.5 * widest_rad * chirps) + 16 if widest_rad else 1
+    basis = _sequences(chirps, widest_rad)
+    # what rounding leaves of the other symmetry goes: codes are made of halves
+    mirrored = basis[:, ::-1] * (-1.0) ** np.arange(len(basis))[:, None]
+    basis = 0.5 * (basis + mirrored)
+    count = int(0.25 * widest_rad * chirps) + 12 if widest_rad else 1
     node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    share = _slow_time_basis(chirps, widest_rad) @ _phasors(widest_rad * node, chirps)
-    values = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
-    values[:, 0] *= 0.5
-    return np.asarray(share @ values)
+    place = np.sqrt(0.5 * (1.0 + node))
+    turns = np.multiply.outer(_chirps(chirps), widest_rad * place)
+    values = np.empty((len(basis), count))
+    values[::2], values[1::2] = basis[::2] @ np.cos(turns), basis[1::2] @ np.sin(turns) / place
+    fit = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
+    fit[:, 0] *= 0.5
+    series = values @ fit
+    needed = np.abs(series).max(axis=0) > SERIES_TOLERANCE * math.sqrt(chirps)
+    return basis, series[:, : int(np.flatnonzero(needed).max()) + 1]
 
 
-def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
-    """Return exp(j w_p c), c counted from the middle, [chirps, paths]: sixteenths times single steps, few
-    exponentials.
-    """
-    step = 16
-    coarse = np.arange(-(-chirps // step)) * step - 0.5 * (chirps - 1)
-    coarse_phasors = np.exp(1j * np.multiply.outer(coarse, turn))
-    fine_phasors = np.exp(1j * np.multiply.outer(np.arange(step), turn))
-    return (coarse_phasors[:, None] * fine_phasors[None]).reshape(len(coarse) * step, len(turn))[:chirps]
-
-
-@lru_cache(maxsize=64)
-def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
-    """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the
-    tolerance; symmetric and antisymmetric ones in turn.
-    """
+def _sequences(chirps: int, widest_rad: float) -> np.ndarray:
+    """Return the fewest Slepian sequences that hold the edges of a band, [terms, chirps]."""
+    if widest_rad == 0.0:
+        return np.full((1, chirps), 1.0 / math.sqrt(chirps))
     # imported here: the import takes half a second, which a restarted player does not need
     from scipy.signal.windows import dpss
 
-    chirp = np.arange(chirps) - 0.5 * (chirps - 1)
-    edge = np.exp(1j * widest_rad * chirp)
+    edge = np.exp(1j * widest_rad * _chirps(chirps))
     product = min(max(widest_rad * chirps / (2.0 * np.pi), 1e-3), 0.499 * chirps)
     for terms in range(1, chirps):
         basis = np.atleast_2d(dpss(chirps, product, terms)) if chirps > 1 else np.ones((1, 1))
