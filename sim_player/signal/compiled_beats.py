@@ -1,9 +1,9 @@
 """Sums of echoes at a low rate, compiled: what beats of one chirp, at rest and in motion, are made of.
 
 All echoes lie in a small part of the sampled band. So each instant of the sweep and each row (a beam, or a slow-time
-term of one) is summed at a low rate, by a non-uniform FFT; the instants of all groups of paths are joined there, and one
-interpolation a row brings the sum to the converter's rate. In double precision to 1e-11 of the strongest echo, in single
-precision to 1e-5. Cost follows the paths, rows and instants of each group.
+term of one) is summed at a low rate, by a non-uniform FFT; the instants of all groups of paths are joined there, and
+one interpolation a row brings the sum to the converter's rate. In double precision to 1e-11 of the strongest echo, in
+single precision to 1e-5. Cost follows the paths, rows and instants of each group.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ OVERSAMPLING = 2.0
 
 
 def decimation(radar: RadarParams, longest_m: float) -> int:
-    """Return by how much the rate can be lowered, a power of two; 1 where the echoes fill more than half of the band."""
+    """Return by how much the rate can be lowered, a power of two; 1 where echoes fill more than half of the band."""
     # a tone's skirts by the slow factor, and the taps' own
     widest = float(beat_frequency_hz(radar, longest_m)) * radar.chirp_period_s + 32.0
     factor = max(radar.samples_per_chirp // int(OVERSAMPLING * widest), 1)

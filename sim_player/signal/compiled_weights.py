@@ -21,16 +21,17 @@ from sim_player.trace.paths import Paths
 
 #: Paths that the compiled loops work on at a time.
 BLOCK = 256
-#: Rows of the table of paths: length [m], delay [chirps], turn [rad a chirp], constant factor, phases across columns and
-#: rows [rad] of arrival and departure.
+#: Rows of the table of paths: length [m], delay [chirps], turn [rad a chirp], constant factor, phases across columns
+#: and rows [rad] of arrival and departure.
 _LENGTH, _DELAY, _TURN, _RE, _IM, _ACROSS_IN, _UP_IN, _ACROSS_OUT, _UP_OUT = range(9)
 
 
 class EchoWeights:
     """Recorded weights of the echoes of one beam in R slow-time terms, at instants [K] in chirps.
 
-    Echoes that have no power in the beam are left out: each under `tolerance` of the strongest, shared by all. `weights`
-    of the kind of real numbers [2, K, R, P], real parts first; `length_m` [P] of those that are left, longest first.
+    Echoes that have no power in the beam are left out: each under `tolerance` of the strongest, shared by all.
+    `weights` of the kind of real numbers [2, K, R, P], real parts first; `length_m` [P] of those that are left, longest
+    first.
     """
 
     def __init__(

@@ -8,8 +8,8 @@ import pytest
 
 from models.physics.antenna import setup_weights
 from models.physics.mirror import blocked
-from msgs.files.shipped import CHECKOUT
 from models.physics.waveform import beat_samples
+from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.dataset.labelled_scan import clean_profiles

@@ -34,7 +34,7 @@ def test_weights_are_those_of_the_pattern_times_the_shares() -> None:
 
 
 def test_echoes_without_power_in_a_beam_are_left_out() -> None:
-    """One ahead, one in the null at asin(1 / 4) of the beam ahead (-60 dB and below, by its phase steps), one behind."""
+    """One ahead, one in the null at asin(1 / 4) of the beam ahead, which has no phase steps, one behind."""
     paths = Paths.joined([one_path(30.0), one_path(20.0, np.degrees(np.arcsin(0.25))), one_path(10.0, 120.0)])
     np.testing.assert_array_equal(weights_of(paths, 1e-5)[0].length_m, [30.0])
     np.testing.assert_array_equal(weights_of(paths, 0.0)[0].length_m, [30.0, 20.0])
