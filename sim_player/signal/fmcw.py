@@ -192,59 +192,80 @@ def beam_codes(
     per_milliwatt = 1.0 / amplitude_per_code(setup.full_scale_dbm)
     start, turn = noise_reads(radar, bank, seed)
     codes = np.empty((radar.chirps_per_beam, radar.samples_per_chirp, 2), np.int16)
-    sign = float(setup.beat_sign)
     _fill_codes(
-        np.ascontiguousarray(beats.real * per_milliwatt, np.float32),
-        np.ascontiguousarray(beats.imag * per_milliwatt, np.float32),
+        _halves(beats * per_milliwatt, basis),
+        _halves(beats * per_milliwatt, basis, -1.0),
         carrier.astype(np.complex64),
-        basis.astype(np.float32),
         bank,
         start,
         (turn * per_milliwatt).astype(np.complex64),
-        np.float32(sign),
-        codes.reshape(radar.chirps_per_beam, -1),
+        np.float32(setup.beat_sign),
+        # I and Q of a sample as one number: machines that this runs on have its low half first
+        codes.view(np.int32)[..., 0],
     )
     return codes
 
 
+def _halves(beats: np.ndarray, basis: np.ndarray, sign: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the terms that are symmetric over the chirps (antisymmetric with sign -1), or have a part that is.
+
+    Beats float32 [2, terms, samples], real parts first, and the basis over half of the chirps [chirps, terms].
+    """
+    part = 0.5 * (basis + sign * basis[:, ::-1])
+    there = part.any(axis=1)
+    rows = np.stack([beats.real[there], beats.imag[there]]).astype(np.float32)
+    return rows, np.ascontiguousarray(part[there, : (basis.shape[1] + 1) // 2].T, np.float32)
+
+
 @compiled(fastmath=True)
-def _fill_codes(
-    beat_re: np.ndarray,
-    beat_im: np.ndarray,
-    carrier: np.ndarray,
-    basis: np.ndarray,
-    bank: np.ndarray,
-    start: np.ndarray,
-    turn: np.ndarray,
-    sign: np.float32,
-    codes: np.ndarray,
-) -> None:
-    terms, count = beat_re.shape
-    re, im = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    both = np.empty(2 * BLOCK, np.float32)
-    least, greatest = np.float32(-32768.0), np.float32(32767.0)
+def _fill_codes(even, odd, carrier, bank, start, turn, sign, codes):  # type: ignore[no-untyped-def]
+    chirps, count = codes.shape
+    both, apart = np.empty((2, BLOCK), np.float32), np.empty((2, BLOCK), np.float32)
     # block by block: the terms of a block stay in the nearest cache for all chirps
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
-        for chirp in range(len(start)):
-            re[:] = np.float32(0.0)
-            im[:] = np.float32(0.0)
-            for term in range(terms):
-                factor = basis[term, chirp]
-                row_re, row_im = beat_re[term, first : first + size], beat_im[term, first : first + size]
-                for n in range(size):
-                    re[n] += factor * row_re[n]
-                for n in range(size):
-                    im[n] += factor * row_im[n]
-            c, s = carrier[chirp].real, carrier[chirp].imag
-            p, q = turn[chirp].real, turn[chirp].imag
-            noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
-            noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
-            out = codes[chirp, 2 * first : 2 * (first + size)]
+        # a chirp and its mirror image about the middle of the beam share their sums
+        for half in range((chirps + 1) // 2):
+            for c in range(2):
+                _sum_terms(both[c], even[0][c], even[1][half], first, size)
+                _sum_terms(apart[c], odd[0][c], odd[1][half], first, size)
+            for chirp in range(half, chirps - half, max(chirps - 1 - 2 * half, 1)):
+                other = np.float32(1.0) if chirp == half else np.float32(-1.0)
+                noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
+                noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
+                out = codes[chirp, first : first + size]
+                _write_codes(out, both, apart, other, (carrier[chirp], turn[chirp], sign), (noise_re, noise_im))
+
+
+@compiled(fastmath=True)
+def _sum_terms(out, rows, factors, first, size):  # type: ignore[no-untyped-def]
+    """Write sum_t factors[t] rows[t] of a block of samples, two terms at a time."""
+    terms = len(factors)
+    if not terms:
+        out[:] = np.float32(0.0)
+    for t in range(0, terms, 2):
+        f, g = factors[t], factors[t + 1] if t + 1 < terms else np.float32(0.0)
+        a, b = rows[t, first : first + size], rows[min(t + 1, terms - 1), first : first + size]
+        if t:
             for n in range(size):
-                i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
-                j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
-                both[2 * n] = min(max(np.rint(i), least), greatest)
-                both[2 * n + 1] = min(max(np.rint(j), least), greatest)
-            for n in range(2 * size):
-                out[n] = np.int16(np.int32(both[n]))
+                out[n] += f * a[n] + g * b[n]
+        else:
+            for n in range(size):
+                out[n] = f * a[n] + g * b[n]
+
+
+@compiled(fastmath=True)
+def _write_codes(out, both, apart, other, turns, noise):  # type: ignore[no-untyped-def]
+    """Write the codes of a block of a chirp, rounded to nearest and saturated: I in the low half, Q in the high one."""
+    carrier, turn, sign = turns
+    c, s, p, q = carrier.real, carrier.imag, turn.real, turn.imag
+    least, greatest = np.float32(-32768.0), np.float32(32767.0)
+    both_re, both_im, apart_re, apart_im = both[0], both[1], apart[0], apart[1]
+    noise_re, noise_im = noise
+    for n in range(len(out)):
+        re, im = both_re[n] + other * apart_re[n], both_im[n] + other * apart_im[n]
+        i = c * re - s * im + p * noise_re[n] - q * noise_im[n]
+        j = sign * (s * re + c * im) + q * noise_re[n] + p * noise_im[n]
+        low = np.int32(min(max(np.rint(i), least), greatest))
+        high = np.int32(min(max(np.rint(j), least), greatest))
+        out[n] = np.int32(high << np.int32(16)) | np.int32(low & np.int32(65535))
