@@ -156,6 +156,7 @@ def _spread_whole(grid, tones, cycles, ends, sizes):  # type: ignore[no-untyped-
     part, length = sizes
     _, instants, _, columns = tones.shape
     centred = np.empty(tones.shape[1:], np.float32)
+    flat, cells = centred.reshape(-1), grid.reshape(grid.shape[0], grid.shape[1], -1)
     for p in range(len(cycles)):
         filled = ends[p] // part
         if not filled:
@@ -168,11 +169,10 @@ def _spread_whole(grid, tones, cycles, ends, sizes):  # type: ignore[no-untyped-
                 to_re[q], to_im[q] = re[q] * c - im[q] * s, re[q] * s + im[q] * c
         position = 2.0 * length * cycles[p] + SPREAD // 2 + 1
         first = int(np.ceil(position - 0.5 * SPREAD))
-        flat = centred.reshape(-1)
         for j in range(SPREAD):
             z = 2.0 * (position - (first + j)) / SPREAD
             kernel = np.float32(np.exp(2.3 * SPREAD * (np.sqrt(max(1.0 - z * z, 0.0)) - 1.0)))
-            row = grid[filled - 1, first + j].reshape(-1)
+            row = cells[filled - 1, first + j]
             for i in range(len(flat)):
                 row[i] += kernel * flat[i]
     # what fills a part fills all before it

@@ -169,28 +169,39 @@ def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
     return rng.standard_normal((2, size), np.float32) * np.float32(math.sqrt(0.5 * radar.noise_power_mw))
 
 
-def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return where in the bank each chirp of a beam reads its noise, int64 [chirps], and the phasor that turns it
-    [chirps].
-    """
+#: Float32 [2, samples] in sqrt(mW), where each chirp of a beam reads it, int64 [chirps], and the phasor that turns it
+#: [chirps].
+Noise = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> Noise:
+    """Return how the chirps of a beam, which `seed` names, read their white noise from the bank."""
     rng = np.random.default_rng(seed)
     slots = bank.shape[1] // radar.samples_per_chirp - 1
     start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp
     start += rng.integers(radar.samples_per_chirp)
-    return start, np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
+    return bank, start, np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
 
 
 def beam_codes(
-    setup: RadarSetup, beats: np.ndarray, carrier: np.ndarray, basis: np.ndarray, bank: np.ndarray, seed: list[int]
+    setup: RadarSetup,
+    beats: np.ndarray,
+    carrier: np.ndarray,
+    basis: np.ndarray,
+    noise: Noise,
+    mixing: np.ndarray | None = None,
+    step: int = 1,
 ) -> np.ndarray:
     """Return int16 I/Q codes of one beam, [chirps, samples, 2]: sum_r carrier basis[r] beats[r] plus noise.
 
-    `beats` [terms, samples] in sqrt(mW). Rounded to nearest (ties to even), saturated at the ends of int16. Every
-    chirp reads its own stretch of the bank, turned by its own phase: `seed` names the beam.
+    `beats` [terms, samples] in sqrt(mW). Every chirp reads its own stretch of the noise. `mixing` [2, 2] makes the
+    receiver's I and Q of those that come in. Rounded to the nearest `step` codes (ties to even), saturated at the ends
+    of int16.
     """
     radar = setup.radar
     per_milliwatt = 1.0 / amplitude_per_code(setup.full_scale_dbm)
-    start, turn = noise_reads(radar, bank, seed)
+    bank, start, turn = noise
+    mixed = (np.eye(2) if mixing is None else mixing) / step
     codes = np.empty((radar.chirps_per_beam, radar.samples_per_chirp, 2), np.int16)
     _fill_codes(
         _halves(beats * per_milliwatt, basis),
@@ -200,6 +211,7 @@ def beam_codes(
         start,
         (turn * per_milliwatt).astype(np.complex64),
         np.float32(setup.beat_sign),
+        (*mixed.astype(np.float32).ravel(), np.int32(step)),
         # I and Q of a sample as one number: machines that this runs on have its low half first
         codes.view(np.int32)[..., 0],
     )
@@ -218,7 +230,7 @@ def _halves(beats: np.ndarray, basis: np.ndarray, sign: float = 1.0) -> tuple[np
 
 
 @compiled(fastmath=True)
-def _fill_codes(even, odd, carrier, bank, start, turn, sign, codes):  # type: ignore[no-untyped-def]
+def _fill_codes(even, odd, carrier, bank, start, turn, sign, receiver, codes):  # type: ignore[no-untyped-def]
     chirps, count = codes.shape
     both, apart = np.empty((2, BLOCK), np.float32), np.empty((2, BLOCK), np.float32)
     # block by block: the terms of a block stay in the nearest cache for all chirps
@@ -234,7 +246,8 @@ def _fill_codes(even, odd, carrier, bank, start, turn, sign, codes):  # type: ig
                 noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
                 noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
                 out = codes[chirp, first : first + size]
-                _write_codes(out, both, apart, other, (carrier[chirp], turn[chirp], sign), (noise_re, noise_im))
+                turns = (carrier[chirp], turn[chirp], sign)
+                _write_codes(out, (both, apart, other), turns, (noise_re, noise_im), receiver)
 
 
 @compiled(fastmath=True)
@@ -255,17 +268,19 @@ def _sum_terms(out, rows, factors, first, size):  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath=True)
-def _write_codes(out, both, apart, other, turns, noise):  # type: ignore[no-untyped-def]
+def _write_codes(out, sums, turns, noise, receiver):  # type: ignore[no-untyped-def]
     """Write the codes of a block of a chirp, rounded to nearest and saturated: I in the low half, Q in the high one."""
+    both, apart, other = sums
     carrier, turn, sign = turns
     c, s, p, q = carrier.real, carrier.imag, turn.real, turn.imag
-    least, greatest = np.float32(-32768.0), np.float32(32767.0)
+    ii, ij, ji, jj, step = receiver
+    least, greatest = np.float32(-(32768 // step)), np.float32(32768 // step - 1)
     both_re, both_im, apart_re, apart_im = both[0], both[1], apart[0], apart[1]
     noise_re, noise_im = noise
     for n in range(len(out)):
         re, im = both_re[n] + other * apart_re[n], both_im[n] + other * apart_im[n]
         i = c * re - s * im + p * noise_re[n] - q * noise_im[n]
         j = sign * (s * re + c * im) + q * noise_re[n] + p * noise_im[n]
-        low = np.int32(min(max(np.rint(i), least), greatest))
-        high = np.int32(min(max(np.rint(j), least), greatest))
+        low = np.int32(np.int32(min(max(np.rint(ii * i + ij * j), least), greatest)) * step)
+        high = np.int32(np.int32(min(max(np.rint(ji * i + jj * j), least), greatest)) * step)
         out[n] = np.int32(high << np.int32(16)) | np.int32(low & np.int32(65535))

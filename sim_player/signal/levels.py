@@ -32,16 +32,16 @@ from sim_player.signal.fmcw import (
     beam_codes,
     grid_spread,
     kernel_transform,
+    noise_reads,
     slow_time_table,
 )
 from sim_player.signal.receiver import (
-    convert,
     converter_step,
     dither_objection,
-    flicker_noise,
     flicker_ratio,
     iq_factors,
     iq_imbalance,
+    iq_mixing,
     leakage_beat,
     leakage_profile,
     overload_objection,
@@ -49,7 +49,7 @@ from sim_player.signal.receiver import (
     spur_beat,
     spur_profile,
     spur_turns,
-    thermal_noise,
+    with_flicker,
 )
 from sim_player.signal.swept_echoes import (
     TOLERANCE,
@@ -403,35 +403,13 @@ def record_beam(
     """Return int16 I/Q codes of one beam, [chirps, samples, 2]; the converter always has int16 codes.
 
     `terms` are those of `echo_terms` with `with_electronics`.
-    Without flicker, I/Q imbalance and a coarser converter these are the codes of `sim_player.signal.fmcw.beam_codes`.
     """
-    step = converter_step(front_end) if effects.adc else 1
-    flickers = effects.flicker and front_end.flicker_corner_hz > 0.0
-    unbalanced = effects.iq_imbalance and iq_factors(front_end)[1] != 0.0
-    if not (flickers or unbalanced or step > 1):
-        return beam_codes(setup, *terms, bank if effects.thermal_noise else np.zeros_like(bank), seed)
-    samples = received_samples(setup, terms, bank, seed, effects, front_end)
-    return convert(samples / np.float32(np.sqrt(setup.milliwatt_per_code_squared)), step)
-
-
-def received_samples(
-    setup: RadarSetup,
-    terms: Terms,
-    bank: np.ndarray,
-    seed: list[int],
-    effects: SignalEffects = PLAIN,
-    front_end: FrontEnd = NO_FAULTS,
-) -> np.ndarray:
-    """Return the input of the converter: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
-    beats, carrier, basis = terms
-    samples = (carrier[:, None] * basis.T).astype(np.complex64) @ beats.astype(np.complex64)
-    if setup.beat_sign < 0:
-        samples = np.conj(samples)
-    if effects.thermal_noise:
-        samples += thermal_noise(setup.radar, bank, seed)
+    radar = setup.radar
+    noise = noise_reads(radar, bank if effects.thermal_noise else np.zeros_like(bank), seed)
     if effects.flicker and front_end.flicker_corner_hz > 0.0:
-        samples += flicker_noise(setup.radar, front_end.flicker_corner_hz, seed)
-    return iq_imbalance(samples, samples, front_end) if effects.iq_imbalance else samples
+        noise = with_flicker(radar, noise, front_end.flicker_corner_hz, seed)
+    mixing = iq_mixing(front_end) if effects.iq_imbalance else None
+    return beam_codes(setup, *terms, noise, mixing, converter_step(front_end) if effects.adc else 1)
 
 
 def _summed(radar: RadarParams, groups: Sequence[SweptEchoes], rows: int) -> np.ndarray:

@@ -22,10 +22,10 @@ from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import noise_bank
 from sim_player.signal.levels import beam_beats, kernel_profiles, record_beam
 from sim_player.signal.literal import literal_echoes
-from sim_player.signal.receiver import convert, flicker_ratio, spur_profile
+from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.paths import Paths
-from tests.sim_player.signal.references import ALL, beat_terms
+from tests.sim_player.signal.references import ALL, beat_terms, converted
 from tests.stability.catalogue import Errors
 
 
@@ -234,7 +234,7 @@ def test_saturation_at_the_lower_rail(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.signal.receiver",
+    where="sim_player.signal.fmcw",
     naive="cast without a clip",
     bound=0.5,
     unit="codes",
@@ -246,7 +246,7 @@ def test_converter_past_full_scale(errors: Errors) -> None:
     both = np.stack([level.real, level.imag], axis=-1)
     limited = np.clip(both, -32768.0, 32767.0)
     naive = np.rint(both).astype(np.int64).astype(np.int16)
-    errors(naive=np.abs(naive - limited).max(), ours=np.abs(convert(level) - limited).max())
+    errors(naive=np.abs(naive - limited).max(), ours=np.abs(converted(level) - limited).max())
 
 
 @pytest.mark.hard(

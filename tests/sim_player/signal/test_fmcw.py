@@ -9,8 +9,8 @@ import pytest
 
 from models.physics.waveform import beat_samples
 from msgs.values.radar import RadarParams, RadarSetup
-from sim_player.signal.fmcw import beam_codes, noise_bank, slow_time_table
-from tests.sim_player.signal.references import literal_beats
+from sim_player.signal.fmcw import Noise, beam_codes, noise_bank, noise_reads, slow_time_table
+from tests.sim_player.signal.references import literal_beats, quiet
 
 RADAR = RadarParams()
 
@@ -67,13 +67,9 @@ def test_a_scene_at_one_speed_needs_one_term() -> None:
     assert len(slow_time_table(RADAR, np.full(30, 0.3)).basis) == 1
 
 
-def quiet(setup: RadarSetup) -> np.ndarray:
-    return np.zeros_like(noise_bank(setup.radar, 0))
-
-
-def codes_of(tone: np.ndarray, setup: RadarSetup, bank: np.ndarray, seed: list[int]) -> np.ndarray:
+def codes_of(tone: np.ndarray, setup: RadarSetup, noise: Noise) -> np.ndarray:
     ones = np.ones(setup.radar.chirps_per_beam)
-    return beam_codes(setup, tone[None], ones, ones[None], bank, seed)
+    return beam_codes(setup, tone[None], ones, ones[None], noise)
 
 
 def test_codes_are_rounded_to_nearest_and_saturated() -> None:
@@ -81,7 +77,7 @@ def test_codes_are_rounded_to_nearest_and_saturated() -> None:
     setup = RadarSetup(radar=RadarParams(samples_per_chirp=8, chirps_per_beam=2))
     wanted = np.array([0.4, 0.6, -0.6, 1.5, 2.5, 4e4, -4e4, 32767.4])
     per_code = math.sqrt(setup.milliwatt_per_code_squared)
-    codes = codes_of((wanted - 1j * wanted) * per_code, setup, quiet(setup), [0])
+    codes = codes_of((wanted - 1j * wanted) * per_code, setup, quiet(setup.radar))
     expected = [0, 1, -1, 2, 2, 32767, -32768, 32767]
     # 1.5 and 2.5 are ties only up to float32 rounding: either neighbour is nearest
     free = [3, 4]
@@ -98,7 +94,7 @@ def test_codes_follow_the_terms() -> None:
     beats = 0.01 * (rng.normal(size=(3, 3001)) + 1j * rng.normal(size=(3, 3001)))
     carrier, basis = np.exp(1j * rng.uniform(0, 6, 7)), rng.normal(size=(3, 7))
     exact = carrier[:, None] * (basis.T @ beats) / math.sqrt(setup.milliwatt_per_code_squared)
-    codes = beam_codes(setup, beats, carrier, basis, quiet(setup), [0])
+    codes = beam_codes(setup, beats, carrier, basis, quiet(setup.radar))
     np.testing.assert_allclose(codes[..., 0], np.clip(exact.real, -32768, 32767), atol=0.51)
     np.testing.assert_allclose(codes[..., 1], np.clip(exact.imag, -32768, 32767), atol=0.51)
 
@@ -107,7 +103,7 @@ def test_beat_sign_of_the_hardware_conjugates_the_echoes() -> None:
     radar = RadarParams(samples_per_chirp=256, chirps_per_beam=1)
     tone = 1e-2 * np.exp(2j * np.pi * 0.1 * np.arange(256))
     plus, minus = (
-        codes_of(tone, setup, quiet(setup), [0])
+        codes_of(tone, setup, quiet(setup.radar))
         for setup in (RadarSetup(radar=radar), RadarSetup(radar=radar, beat_sign=-1))
     )
     np.testing.assert_array_equal(plus[..., 0], minus[..., 0])
@@ -120,7 +116,7 @@ def test_noise_power_is_k_t0_fs_f() -> None:
     2^20 samples: 0.1 % rms (0.004 dB); rounding to codes of 64 rms adds 2 / 12 code^2, 2e-4 dB.
     """
     setup = RadarSetup()
-    codes = codes_of(np.zeros(8192, complex), setup, noise_bank(RADAR, 3), [3, 0, 0]).astype(float)
+    codes = codes_of(np.zeros(8192, complex), setup, noise_reads(RADAR, noise_bank(RADAR, 3), [3, 0, 0])).astype(float)
     power_mw = np.mean(np.sum(codes**2, axis=-1)) * setup.milliwatt_per_code_squared
     assert 10.0 * math.log10(power_mw) == pytest.approx(-74.2, abs=0.1)
     assert 10.0 * math.log10(power_mw / RADAR.noise_power_mw) == pytest.approx(0.0, abs=0.02)
@@ -137,7 +133,7 @@ def test_noise_is_white_over_samples_chirps_and_beams() -> None:
     bank = noise_bank(RADAR, 1)
     folded = []
     for beam in range(2):
-        codes = codes_of(np.zeros(8192, complex), setup, bank, [1, 0, beam]).astype(float)
+        codes = codes_of(np.zeros(8192, complex), setup, noise_reads(RADAR, bank, [1, 0, beam])).astype(float)
         folded.append((codes[..., 0] + 1j * codes[..., 1]).mean(axis=0))
     spectrum = np.fft.fft(folded[0])[:512] / 8192
     expected = RADAR.noise_power_mw / setup.milliwatt_per_code_squared / 2**20
@@ -152,6 +148,8 @@ def test_noise_has_no_memory_over_chirps() -> None:
     Each bin averages 8192 samples: 1.1 % rms; a bank read twice in step would show up as lines.
     """
     setup = RadarSetup()
-    codes = codes_of(np.zeros(8192, complex), setup, noise_bank(RADAR, 2), [2, 0, 0]).astype(np.float32)
+    codes = codes_of(np.zeros(8192, complex), setup, noise_reads(RADAR, noise_bank(RADAR, 2), [2, 0, 0])).astype(
+        np.float32
+    )
     doppler = np.mean(np.abs(np.fft.fft(codes[..., 0] + 1j * codes[..., 1], axis=0)) ** 2, axis=1)
     assert doppler.max() < 1.1 * doppler.mean()
