@@ -67,10 +67,9 @@ def flicker_ratio(radar: RadarParams, frequency_hz: np.ndarray, corner_hz: float
 
 def flicker_noise(radar: RadarParams, corner_hz: float, seed: Sequence[int]) -> np.ndarray:
     """Return 1/f noise of one beam in sqrt(mW), coloured over the whole beam; complex64 [chirps, samples]."""
-    draws = np.random.default_rng([*seed, 9]).standard_normal(
-        (2, radar.chirps_per_beam * radar.samples_per_chirp), np.float32
-    )
-    spectrum = (draws[0] + 1j * draws[1]) * _flicker_spectrum(radar, corner_hz)
+    rms = _flicker_spectrum(radar, corner_hz)
+    draws = np.random.default_rng([*seed, 9]).standard_normal((2, len(rms)), np.float32)
+    spectrum = (draws[0] + 1j * draws[1]) * rms
     return fft.ifft(spectrum, overwrite_x=True).reshape(radar.chirps_per_beam, -1)
 
 

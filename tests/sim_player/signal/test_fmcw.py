@@ -148,8 +148,7 @@ def test_noise_has_no_memory_over_chirps() -> None:
     Each bin averages 8192 samples: 1.1 % rms; a bank read twice in step would show up as lines.
     """
     setup = RadarSetup()
-    codes = codes_of(np.zeros(8192, complex), setup, noise_reads(RADAR, noise_bank(RADAR, 2), [2, 0, 0])).astype(
-        np.float32
-    )
+    noise = noise_reads(RADAR, noise_bank(RADAR, 2), [2, 0, 0])
+    codes = codes_of(np.zeros(8192, complex), setup, noise).astype(np.float32)
     doppler = np.mean(np.abs(np.fft.fft(codes[..., 0] + 1j * codes[..., 1], axis=0)) ** 2, axis=1)
     assert doppler.max() < 1.1 * doppler.mean()
