@@ -29,7 +29,7 @@ OVERSAMPLING = 2.0
 def decimation(radar: RadarParams, longest_m: float) -> int:
     """Return by how much the rate can be lowered, a power of two; 1 where echoes fill more than half of the band."""
     # a tone's skirts by the slow factor, and the taps' own
-    widest = float(beat_frequency_hz(radar, longest_m)) * radar.chirp_period_s + 32.0
+    widest = float(beat_frequency_hz(radar, np.array(longest_m))) * radar.chirp_period_s + 32.0
     factor = max(radar.samples_per_chirp // int(OVERSAMPLING * widest), 1)
     return 1 << (factor.bit_length() - 1)
 
@@ -40,7 +40,7 @@ class ToneSums:
     def __init__(self, radar: RadarParams, longest_m: float, rows: int, precision: str) -> None:
         self._count, self._precision = radar.samples_per_chirp, precision
         self._step = decimation(radar, longest_m)
-        self._highest = float(beat_frequency_hz(radar, longest_m)) / radar.sample_rate_hz
+        self._highest = float(beat_frequency_hz(radar, np.array(longest_m))) / radar.sample_rate_hz
         self._low = self._count // self._step + TAPS[precision]
         self._samples = np.zeros((2, rows, self._low), KIND[precision])
 

@@ -240,11 +240,11 @@ def _add_ends(sums, tones, paths, slow, local, rate):  # type: ignore[no-untyped
                 line[:] = np.float32(0.0)
                 for k in range(instants):
                     here, rise = slow[filled, k], slow[filled + 1, k] - slow[filled, k]
-                    for c in range(2):
-                        value = tones[at, k, c]
+                    for half in range(2):
+                        value = tones[at, k, half]
                         for q in range(columns):
-                            line[c, q] += here * value[q]
-                            line[2 + c, q] += rise * value[q]
+                            line[half, q] += here * value[q]
+                            line[2 + half, q] += rise * value[q]
                 for n in range(count):
                     turns = (cycles[at] - middle) * (filled + node[n]) * part
                     sine, cosine = sine_cosine(2.0 * np.pi * turns)
@@ -258,9 +258,9 @@ def _add_ends(sums, tones, paths, slow, local, rate):  # type: ignore[no-untyped
             total[:] = np.float32(0.0)
             for n in range(count):
                 factor = near[n, i]
-                for c in range(2):
+                for half in range(2):
                     for q in range(columns):
-                        total[c, q] += factor * held[n, c, q]
+                        total[half, q] += factor * held[n, half, q]
             turn = middle * last
             sine, cosine = sine_cosine(2.0 * np.pi * (turn - np.floor(turn)))
             s, c = np.float32(sine), np.float32(cosine)

@@ -57,11 +57,10 @@ class EchoWeights:
         # nothing comes from behind
         order = np.argsort(-paths.length_m, kind="stable")
         self._table = table.take(order[(table[_RE] != 0.0)[order] | (table[_IM] != 0.0)[order]], axis=1)
-        factors = self._factors(instants)
-        loudness = np.hypot(*factors).max(axis=0, initial=0.0)
-        heard = loudness > tolerance / max(len(paths), 1) * loudness.max(initial=0.0)
-        self._table = self._table.take(np.flatnonzero(heard), axis=1)
-        self.weights = self._in_terms(factors[:, :, heard], instants)
+        factors, power = self._factors(instants)
+        heard = np.flatnonzero(power > (tolerance / max(len(paths), 1)) ** 2 * power.max(initial=0.0))
+        self._table = self._table.take(heard, axis=1)
+        self.weights = self._in_terms(factors.take(heard, axis=2), instants)
 
     @property
     def length_m(self) -> np.ndarray:
@@ -70,7 +69,7 @@ class EchoWeights:
 
     def at(self, instants: np.ndarray) -> np.ndarray:
         """Return the weights of the same echoes at other instants."""
-        return self._in_terms(self._factors(instants), instants)
+        return self._in_terms(self._factors(instants)[0], instants)
 
     def previous_chirp(self) -> tuple[np.ndarray, np.ndarray]:
         """Return what turns the weights of instant x + 1 into the previous chirp's at x: start and slope; [P] each.
@@ -86,15 +85,15 @@ class EchoWeights:
         phase_rad = beat_phase_rad(radar, length_m) - beat_phase_rad(radar, own_m)
         return passes * np.exp(1j * (phase_rad + moved_rad)), -1j * share * sweep * turn
 
-    def _factors(self, instants: np.ndarray) -> np.ndarray:
-        """Return the factors without the terms of slow time, float64 [2, K, P]."""
-        out = np.empty((2, len(instants), self._table.shape[1]))
-        _weigh(out, self._table, instants, self._squint, self._array, np.array(self._migration))
-        return out
+    def _factors(self, instants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factors without the terms of slow time, float64 [2, K, P], and their largest power [P]."""
+        out, power = np.empty((2, len(instants), self._table.shape[1])), np.zeros(self._table.shape[1])
+        _weigh(out, power, self._table, instants, self._squint, self._array, np.array(self._migration))
+        return out, power
 
     def _in_terms(self, factors: np.ndarray, instants: np.ndarray) -> np.ndarray:
         slow, (_, count, paths) = self._slow, factors.shape
-        out = np.empty((2, count, len(slow.series), paths), self._kind)
+        out: np.ndarray = np.empty((2, count, len(slow.series), paths), self._kind)
         place = np.array([slow.middle_rad, 1.0 / slow.widest_rad if slow.widest_rad else 0.0, self._migration[0]])
         _write_terms(out, factors, self._table, instants, slow.series, place)
         return out
@@ -119,7 +118,7 @@ def _table(setup: RadarSetup, paths: Paths, moves: bool) -> np.ndarray:
 
 
 @compiled(error_model="numpy", fastmath=True)
-def _weigh(out, table, instants, squint, array, migration):  # type: ignore[no-untyped-def]
+def _weigh(out, power, table, instants, squint, array, migration):  # type: ignore[no-untyped-def]
     columns, rows, steered_ways = array
     paths = table.shape[1]
     ratio, scratch = np.empty(BLOCK), np.empty((4, BLOCK))
@@ -147,6 +146,9 @@ def _weigh(out, table, instants, squint, array, migration):  # type: ignore[no-u
                     sine, cosine = sine_cosine(own_turn[p] * (1.0 + sweep * (x - delay[p])) * x * share)
                     a, b = re[p], im[p]
                     re[p], im[p] = a * cosine - b * sine, a * sine + b * cosine
+            most = power[first:end]
+            for p in range(size):
+                most[p] = max(most[p], re[p] * re[p] + im[p] * im[p])
 
 
 @compiled(error_model="numpy", fastmath=True)
