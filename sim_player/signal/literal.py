@@ -69,11 +69,9 @@ def _add_literal_echo(
     chirps: Sequence[int],
 ) -> None:
     """Add one path to its chirps, [chirps, samples]; nothing that comes from behind, and no pattern twice."""
-    arrival, departure = (
-        (path.azimuth_rad, path.elevation_rad),
-        (path.departure_azimuth_rad, path.departure_elevation_rad),
-    )
-    if not all(element_field(setup.element, *way).any() for way in (arrival, departure)):
+    arrival = path.azimuth_rad, path.elevation_rad
+    departure = path.departure_azimuth_rad, path.departure_elevation_rad
+    if not all(element_field(setup.element, *direction).any() for direction in (arrival, departure)):
         return
     radar = setup.radar
     time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
