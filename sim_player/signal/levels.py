@@ -13,11 +13,13 @@ All take `SignalEffects` and `FrontEnd`; `PLAIN` effects give the signal of `sim
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from functools import lru_cache
 
 import msgspec
 import numpy as np
 from scipy import fft
+from threadpoolctl import ThreadpoolController
 
 from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup
@@ -304,9 +306,9 @@ def group_beats(
 ) -> np.ndarray:
     """Return the same of groups of paths that each have effects of their own, at the price of one."""
     rows = len(range(len(setup.beams))[beams])
-    return _summed(
-        setup.radar, [swept_echoes(setup, paths, effects, front_end, beams) for paths, effects in groups], rows
-    )
+    with _one_thread():
+        echoes = [swept_echoes(setup, paths, effects, front_end, beams) for paths, effects in groups]
+        return _summed(setup.radar, echoes, rows)
 
 
 def echo_terms(
@@ -340,8 +342,9 @@ def group_terms(
     margin = 1.0 + radar.bandwidth_hz / radar.carrier_hz * migrates
     slow = slow_time_table(radar, doppler_turn_rad(radar, speed_mps), margin)
     if precision == "float64":
-        moving = [_moving_echoes(setup, group, front_end, beam, slow) for group in groups]
-        return _summed(radar, moving, len(slow.basis)), slow.carrier, slow.basis
+        with _one_thread():
+            moving = [_moving_echoes(setup, group, front_end, beam, slow) for group in groups]
+            return _summed(radar, moving, len(slow.basis)), slow.carrier, slow.basis
     longest_m = max(float(paths.length_m.max(initial=0.0)) for paths, _ in groups)
     sums, corrections = ToneSums(radar, longest_m, len(slow.basis), precision), []
     for paths, effects in groups:
@@ -360,6 +363,16 @@ def group_terms(
     for correction in corrections:
         beats[:, : correction.shape[1]] += correction
     return beats, slow.carrier, slow.basis
+
+
+def _one_thread() -> AbstractContextManager[None]:
+    """Keep matrix products to one thread: several are slower for these, and their last bits follow their number."""
+    return _blas().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def _moving_echoes(setup: RadarSetup, group: Group, front_end: FrontEnd, beam: int, slow: SlowTimeTable) -> SweptEchoes:

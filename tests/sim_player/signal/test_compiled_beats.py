@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup
 from sim_player.scene.front_end import NO_FAULTS
@@ -14,7 +15,16 @@ from sim_player.signal.literal import literal_echoes
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
 from sim_player.trace.paths import Paths
 from tests.sim_player.signal.references import ALL
-from tests.sim_player.signal.test_levels import FAULTS, OVERLAP, SMALL, apart, chirp_span_m, one_path, some_paths
+from tests.sim_player.signal.test_levels import (
+    FAULTS,
+    OVERLAP,
+    SMALL,
+    STATIC,
+    apart,
+    chirp_span_m,
+    one_path,
+    some_paths,
+)
 
 BEAM = 9
 RADAR = RadarSetup().radar
@@ -134,7 +144,12 @@ def test_no_paths_are_silence(effects: SignalEffects, precision: str) -> None:
     assert not echo_terms(SMALL, behind, effects, NO_FAULTS, BEAM, precision)[0].any()
 
 
-def test_the_same_paths_give_the_same_bytes() -> None:
-    paths = some_paths(40, 6.0, speed_mps=20.0)
-    first, second = (echo_terms(SMALL, paths, ALL, FAULTS, BEAM, "float32")[0].tobytes() for _ in range(2))
-    assert first == second
+def test_the_same_paths_give_the_same_bytes_with_any_number_of_threads() -> None:
+    paths = some_paths(300, 200.0, speed_mps=20.0)
+    setup = RadarSetup(radar=msgspec.structs.replace(RADAR, chirps_per_beam=4))
+    made = []
+    for threads in (1, 2, 2):
+        with threadpool_limits(threads, "blas"):
+            moving = [echo_terms(setup, paths, ALL, FAULTS, BEAM, kind)[0] for kind in ("float32", "float64")]
+            made.append(b"".join(one.tobytes() for one in (*moving, group_beats(setup, [(paths, STATIC)], FAULTS))))
+    assert made[0] == made[1] == made[2]
