@@ -1,7 +1,7 @@
 """One signal at three levels with one answer: kernel (profiles), beat (samples, codes), literal (Eq. (6) in time).
 
 - Kernel: echoes are gathered on a grid of half range bins and convolved with the window's spectrum, by FFT: exact to
-  rounding like `sum_tones`, at a cost that hardly grows with the number of paths. Scenes that move have profiles of
+  rounding, at a cost that hardly grows with the number of paths. Scenes that move have profiles of
   slow-time sums in place of one profile a beam (`sim_player.signal.slow_time_profiles`).
 - Beat: sums of tones over the chirp, terms of slow time over the beam, faults of the receiver, int16 codes.
 - Literal (`sim_player.signal.literal`): the reference. Chirps delayed and mixed, pattern at every sample; nothing
