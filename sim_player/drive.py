@@ -22,7 +22,7 @@ from sim_player.scene.description import Ego, Scene
 from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import RadarState, prepare, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
-from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.signal.fmcw import noise_bank
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
@@ -66,7 +66,7 @@ class DrivePlayer:
     """Beams of a scene, given in the vehicle's frame at the start, along a drive; same seed, same bytes.
 
     Stamps count from `start_ns`. `effects`: "basic" (direct echoes and single mirrors), "all", or names with commas
-    between them; `precision` ("float64", "float32") is that of the echoes under other than basic effects. Raises
+    between them; `precision` ("float64", "float32") is that of the echoes. Raises
     ValueError for a scene that moves its radar itself (`ego`), for "auto" (the planner knows no drive), and for
     unknown effects or precisions, and once the radar has driven into a wall.
     """
@@ -100,7 +100,6 @@ class DrivePlayer:
         plan = resolve_plan(self._world, setup, effects)
         self._used = BASIC_EFFECTS if plan is None else plan.used
         self._signal = PLAIN if plan is None else plan.signal
-        self._is_basic = plan is None
         self._traced: tuple[float, Paths] | None = None
         self._drawn: tuple[int, Clutter, np.ndarray] | None = None
         self._meeting = _meeting(scene, drive, vehicle_from_radar)
@@ -156,13 +155,8 @@ class DrivePlayer:
         # slow time counts from the middle of the beam
         middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
         time_s = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s
-        if not self._is_basic:
-            paths, front_end = self._track.at(time_s), self._world.scene.radar.front_end
-            return echo_terms(setup, paths, self._signal, front_end, index, self._precision)
-        paths = self.paths(time_s)
-        carrier, basis, share = slow_time_terms(setup.radar, paths.radial_speed_mps)
-        beats = chirp_beats(setup.radar, paths.length_m, share * beam_weights(setup, paths, slice(index, index + 1)))
-        return beats, carrier, basis
+        paths, front_end = self._track.at(time_s), self._world.scene.radar.front_end
+        return echo_terms(setup, paths, self._signal, front_end, index, self._precision)
 
     def truth(self, scan: int) -> SceneTruth:
         """Return the truth at the start of a scan, in the radar's frame."""

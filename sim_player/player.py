@@ -17,14 +17,14 @@ from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, profile_power_mw, with_clutter
-from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
-from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
+from sim_player.signal.fmcw import noise_bank
+from sim_player.signal.levels import Terms, echo_terms, group_beats, record_beam, with_electronics
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_tracks import PathTrack, scene_step_s
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
+from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace
 from sim_player.trace.truth import scene_truth
 
 
@@ -36,11 +36,10 @@ class ScenePlayer:
     `start_ns`, beams are spread evenly over the scan period, those of a digital array are of one time. Raises
     ValueError for a scene that cannot be simulated, and once its radar has driven into a wall.
 
-    `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
-    (the effects that the scene needs for a `purpose` under `budget_db`, planned once), "all", or names with commas
-    between them. What moves under other than basic effects is traced at instants between which it moves
-    little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto" leaves out its
-    weakest paths, chosen from one instant to the next.
+    `effects`: "basic" (direct echoes and single mirrors), "auto" (the effects that the scene needs for a `purpose`
+    under `budget_db`, planned once), "all", or names with commas between them. What moves is traced at instants between
+    which it moves little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto"
+    leaves out its weakest paths, chosen from one instant to the next.
     """
 
     def __init__(
@@ -101,9 +100,8 @@ class ScenePlayer:
         """Return all paths at a time after start, under the effects of a scan."""
         if (time_s, scan) not in self._traced:
             plan = self.plan(scan)
-            paths = trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.present)
             # only the last ones are kept: those of all beams of a digital array
-            self._traced = {(time_s, scan): paths}
+            self._traced = {(time_s, scan): trace(self._world, time_s, BASIC_EFFECTS if plan is None else plan.present)}
         return self._traced[time_s, scan]
 
     def beam(self, scan: int, index: int) -> RadarBeam:
@@ -141,9 +139,15 @@ class ScenePlayer:
         ego = self.scene.ego
         return VehicleState(stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps))
 
-    def _tracked(self, plan: Plan) -> PathTrack:
-        """Return the paths of moving things under a plan."""
-        used, kept = plan.used, None if plan.spans is None else plan.spans.kept
+    def _used(self, scan: int) -> frozenset[str]:
+        """Return the effects of the paths of a scan."""
+        plan = self.plan(scan)
+        return BASIC_EFFECTS if plan is None else plan.used
+
+    def _tracked(self, scan: int) -> PathTrack:
+        """Return the paths of moving things under the effects of a scan."""
+        plan, used = self.plan(scan), self._used(scan)
+        kept = None if plan is None or plan.spans is None else plan.spans.kept
         if self._track is None or self._track[0] != used:
             track = PathTrack(lambda time_s: trace(self._world, time_s, used), scene_step_s(self._world), kept)
             self._track = used, track
@@ -163,18 +167,15 @@ class ScenePlayer:
 
     def _all_beats(self) -> np.ndarray:
         """Return the echoes of every beam of a scene at rest, complex128 [beams, samples]."""
-        plan, front_end = self.plan(0), self.scene.radar.front_end
-        if plan is None:
-            paths = self.paths(0.0)
-            return chirp_beats(self.setup.radar, paths.length_m, beam_weights(self.setup, paths))
-        return np.sum([beam_beats(self.setup, paths, flags, front_end) for paths, flags in plan.groups()], axis=0)
+        plan = self.plan(0)
+        groups = [(self.paths(0.0), self.signal(0))] if plan is None else plan.groups()
+        return group_beats(self.setup, groups, self.scene.radar.front_end)
 
     def beam_paths(self, scan: int, index: int) -> Paths:
         """Return the paths of one beam, frozen at its middle, from where slow time counts."""
-        radar, plan = self.setup.radar, self.plan(scan)
+        radar = self.setup.radar
         middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
-        time_s = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s
-        return self.paths(time_s, scan) if plan is None else self._tracked(plan).at(time_s)
+        return self._tracked(scan).at(self._elapsed_s(self.stamp_ns(scan, index)) + middle_s)
 
     def echoes(self, scan: int, index: int) -> Terms:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
@@ -204,13 +205,8 @@ class ScenePlayer:
 
     def _path_echoes(self, scan: int, index: int) -> Terms:
         """Return the same of the paths alone."""
-        radar = self.setup.radar
         if self._still_beats is not None:
-            unit = np.ones(radar.chirps_per_beam)
+            unit = np.ones(self.setup.radar.chirps_per_beam)
             return self._still_beats[index : index + 1], unit, unit[None]
-        paths, plan = self.beam_paths(scan, index), self.plan(scan)
-        if plan is not None:
-            return echo_terms(self.setup, paths, plan.signal, self.scene.radar.front_end, index, self._precision)
-        carrier, basis, share = slow_time_terms(radar, paths.radial_speed_mps)
-        weights = beam_weights(self.setup, paths, slice(index, index + 1))
-        return chirp_beats(radar, paths.length_m, share * weights), carrier, basis
+        paths, front_end = self.beam_paths(scan, index), self.scene.radar.front_end
+        return echo_terms(self.setup, paths, self.signal(scan), front_end, index, self._precision)

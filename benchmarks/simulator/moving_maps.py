@@ -47,12 +47,13 @@ from sim_player.generate.places import random_place
 from sim_player.planner.plan import manual_plan
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import noise_bank
-from sim_player.signal.levels import Terms, echo_terms, received_samples, record_beam, with_electronics
+from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.slow_time_profiles import group_noise, group_profiles
 from sim_player.trace.path_tracks import PathTrack, tracing_step_s
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
+from tests.sim_player.signal.references import received_samples
 
 #: Beam and chirps of the literal level.
 LITERAL_BEAM, LITERAL_CHIRPS = 12, 8

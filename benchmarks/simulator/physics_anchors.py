@@ -25,7 +25,7 @@ from sim_player.dataset.labelled_scan import WINDOW, profile_noise
 from sim_player.scene.description import Scene, SceneObject, SceneRadar
 from sim_player.scene.meshes import primitive_mesh
 from sim_player.scene.world import prepare
-from sim_player.signal.fmcw import beam_codes, noise_bank
+from sim_player.signal.fmcw import beam_codes, noise_bank, noise_reads
 from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.ray_tracing import trace
 
@@ -150,7 +150,8 @@ def beat_noise_floor(preset: str, seed: int = 0) -> Anchor:
     radar = setup.radar
     nothing = np.zeros((1, radar.samples_per_chirp), np.complex128)
     chirps = np.ones(radar.chirps_per_beam)
-    codes = beam_codes(setup, nothing, chirps + 0j, chirps[None], noise_bank(radar, seed), [seed, 0])
+    noise = noise_reads(radar, noise_bank(radar, seed), [seed, 0])
+    codes = beam_codes(setup, nothing, chirps + 0j, chirps[None], noise)
     per_code_mw = amplitude_per_code(setup.full_scale_dbm) ** 2
     measured_mw = 2.0 * float(np.mean(np.square(codes, dtype=np.float64))) * per_code_mw
     return Anchor(f"noise floor of beats {preset}", _db(measured_mw), _db(_thermal_mw(setup)), "dBm", 0.1)

@@ -94,9 +94,11 @@ def levels(setup: RadarSetup, paths: Paths, literal_beams: int, rounds: int) -> 
 
 
 def costs(setup: RadarSetup, paths: Paths, rounds: int) -> list[dict]:
-    """Kernel level, processor ms a scan, by effect and number of paths; direct: `clean_profiles`' matrix product."""
+    """Kernel and beat level, processor ms a scan, by effect and number of paths; direct: `clean_profiles`' matrix
+    product.
+    """
     rows = []
-    for count in (100, 500, len(paths)):
+    for count in (10, 100, 500, len(paths)):
         some = paths.take(np.random.default_rng(0).permutation(len(paths))[:count])
         row: dict = {"paths": len(some), "direct64": cpu_ms(lambda some=some: clean_profiles(setup, some), rounds)}
         cases = {name: msgspec.structs.replace(PLAIN, motion=False, **{name: True}) for name in SINGLE}
@@ -104,6 +106,7 @@ def costs(setup: RadarSetup, paths: Paths, rounds: int) -> list[dict]:
             for precision in ("float32", "float64"):
                 work = partial(kernel_profiles, setup, some, effects, FAULTS, precision=precision)
                 row[f"{name}{precision[-2:]}"] = cpu_ms(work, rounds)
+            row[f"{name}_beat"] = cpu_ms(lambda some=some, effects=effects: beam_beats(setup, some, effects, FAULTS), 3)
         rows.append(row)
     return rows
 
@@ -123,7 +126,7 @@ def main() -> None:
         "cores": os.cpu_count(),
         "threads": os.environ.get("OPENBLAS_NUM_THREADS"),
         **levels(setup, paths, arguments.literal_beams, arguments.rounds),
-        "kernel_cpu_ms": costs(setup, paths, arguments.rounds),
+        "cpu_ms": costs(setup, paths, arguments.rounds),
     }
     print(json.dumps(result) if arguments.json else json.dumps(result, indent=1))
 

@@ -1,9 +1,9 @@
-"""Echoes of one moving beam in single precision, compiled: what a live player can afford.
+"""Sums of echoes at a low rate, compiled: what beats of one chirp, at rest and in motion, are made of.
 
-The same sum as `sim_player.signal.swept_echoes`, in the same slow-time terms, for a tolerance. All echoes lie in a
-small part of the sampled band. So each instant of the sweep and each slow-time term is summed at a low rate, by a
-non-uniform FFT; instants are joined there, and one interpolation a term brings the sum to the converter's rate. The
-overlapped start of the chirp is exchanged in time (`sim_player.signal.compiled_starts`).
+All echoes lie in a small part of the sampled band. So each instant of the sweep and each row (a beam, or a slow-time
+term of one) is summed at a low rate, by a non-uniform FFT; the instants of all groups of paths are joined there, and
+one interpolation a row brings the sum to the converter's rate. In double precision to 1e-11 of the strongest echo, in
+single precision to 1e-5. Cost follows the paths, rows and instants of each group.
 """
 
 from __future__ import annotations
@@ -15,165 +15,146 @@ from scipy import fft
 
 from models.compiled import compiled
 from models.physics.waveform import beat_frequency_hz
-from msgs.values.radar import RadarParams, RadarSetup
-from sim_player.scene.front_end import FrontEnd
-from sim_player.signal.compiled_starts import StartSums, chebyshev_nodes, instants_of
-from sim_player.signal.compiled_weights import EchoWeights
-from sim_player.signal.swept_echoes import cardinal_functions, sweep_swing_rad
-from sim_player.signal.switches import SignalEffects, overlap_samples
-from sim_player.trace.paths import Paths
+from msgs.values.radar import RadarParams
+from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_nodes
 
-#: Grid steps that a tone is spread over, on a grid of twice the samples; taps of the interpolation. Each to 1e-5 or
-#: less.
-SPREAD, TAPS = 10, 10
+#: Grid steps that a tone is spread over, on a grid of twice the samples, and taps of the interpolation, by precision.
+SPREAD, TAPS = {"float32": 7, "float64": 14}, {"float32": 10, "float64": 24}
+#: Real numbers of a precision, and least singular value of the fit of the taps.
+KIND, LEAST = {"float32": np.float32, "float64": np.float64}, {"float32": 1e-9, "float64": 1e-14}
 #: The low rate is this many times the band of the echoes, or more.
 OVERSAMPLING = 2.0
-#: Parts of a chirp, in each of which the overlapped start takes the slow factor for a straight line.
-PARTS = 128
 
 
-def decimation(radar: RadarParams, length_m: np.ndarray) -> int:
-    """Return by how much the rate can be lowered, a power of two; 0 where the band of the echoes is too wide."""
-    tone_bin = beat_frequency_hz(radar, length_m) * radar.chirp_period_s
+def decimation(radar: RadarParams, longest_m: float) -> int:
+    """Return by how much the rate can be lowered, a power of two; 1 where echoes fill more than half of the band."""
     # a tone's skirts by the slow factor, and the taps' own
-    widest = float(tone_bin.max(initial=0.0)) + 32.0
-    factor = radar.samples_per_chirp // int(OVERSAMPLING * widest)
-    return 1 << (factor.bit_length() - 1) if factor else 0
+    widest = float(beat_frequency_hz(radar, np.array(longest_m))) * radar.chirp_period_s + 32.0
+    factor = max(radar.samples_per_chirp // int(OVERSAMPLING * widest), 1)
+    return 1 << (factor.bit_length() - 1)
 
 
-def compiled_terms(
-    setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beam: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the echoes of one beam: beats complex64 [terms, samples], carrier [chirps], basis [terms, chirps].
+class ToneSums:
+    """Sums over one chirp of tones with slow factors, of several groups of paths; `rows` of them."""
 
-    ValueError where the echoes fill more than half of the sampled band (`decimation`).
-    """
-    radar, count = setup.radar, setup.radar.samples_per_chirp
-    step = decimation(radar, paths.length_m)
-    if not step:
-        raise ValueError(
-            f"length_m must leave half of the sampled band free, got a longest of {paths.length_m.max():g} m"
-        )
-    swing_rad = sweep_swing_rad(setup, paths, effects)
-    overlaps = effects.chirp_overlap and len(paths) > 0
-    ends = overlap_samples(radar, paths.length_m) if overlaps else np.zeros(0, np.int64)
-    part = max(count // PARTS, 1)
-    parts = -(-int(ends.max(initial=0)) // part)
-    # the previous chirp's echo at x is this one's at x + 1
-    span = 1.0 + parts * part / count
-    instants = instants_of(swing_rad, span)
-    weigh = EchoWeights(setup, paths, effects, front_end, beam)
-    weights = weigh.at(instants)
-    cycles = beat_frequency_hz(radar, paths.length_m) / radar.sample_rate_hz
-    beats = _sum_tones(cycles, weights, instants, span, (count, step))
-    if parts:
-        start_sums = StartSums(radar, (part, parts), swing_rad)
-        slow = start_sums.slow_factors(len(instants), span)
-        start_sums.add(beats, slow, weights, weigh.previous_chirp(), cycles, ends)
-    return beats, weigh.carrier, weigh.basis
+    def __init__(self, radar: RadarParams, longest_m: float, rows: int, precision: str) -> None:
+        self._count, self._precision = radar.samples_per_chirp, precision
+        self._step = decimation(radar, longest_m)
+        self._highest = float(beat_frequency_hz(radar, np.array(longest_m))) / radar.sample_rate_hz
+        self._low = self._count // self._step + TAPS[precision]
+        self._samples = np.zeros((2, rows, self._low), KIND[precision])
 
+    def add(self, cycles: np.ndarray, weights: np.ndarray, span: float = 1.0) -> None:
+        """Add sum_k l_k(n) sum_p w_krp exp(2 pi j x_p n), l_k the polynomials of Chebyshev instants over `span` chirps.
 
-def _sum_tones(
-    cycles: np.ndarray, weights: np.ndarray, instants: np.ndarray, span: float, grid: tuple[int, int]
-) -> np.ndarray:
-    """Return sum_k l_k(n) sum_p w_krp exp(2 pi j x_p n) for n = 0..count - 1; complex64 [terms, count].
+        `cycles` a sample [P]; `weights` of the precision [2, instants, rows, P], real parts first.
+        """
+        _, instants, rows, paths = weights.shape
+        taps, low = TAPS[self._precision], self._low
+        size = fft.next_fast_len(2 * low)
+        # sample 0 of the low rate stands half the taps before the chirp; centred samples keep the kernel's transform
+        # large
+        start = self._step * (low // 2 - taps // 2)
+        centred = np.exp(2j * np.pi * ((cycles * start) % 1.0))
+        grid = np.zeros((size, 2 * instants * rows), weights.dtype)
+        position = (cycles * self._step % 1.0) * size
+        flat = weights.reshape(2, instants * rows, paths)
+        _spread(grid, flat, centred.astype(f"c{2 * weights.itemsize}"), position, SPREAD[self._precision])
+        sums = grid.view(f"c{2 * weights.itemsize}").reshape(size, instants, rows)
+        spectrum = fft.ifft(sums, axis=0, norm="forward", overwrite_x=True)
+        _join(self._samples, spectrum, _slow_factors(instants, span, (self._count, self._step), size, self._precision))
 
-    `weights` float32 [2, instants, terms, paths]; `grid`: samples of the chirp and how many of them make one low-rate
-    sample.
-    """
-    count, step = grid
-    low = count // step + TAPS
-    size = fft.next_fast_len(2 * low)
-    # sample 0 of the low rate stands half the taps before the chirp; centred samples keep the kernel's transform large
-    start = step * (low // 2 - TAPS // 2)
-    centred = np.exp(2j * np.pi * ((cycles * start) % 1.0)).astype(np.complex64)
-    sums = np.zeros((size, *weights.shape[1:3]), np.complex64)
-    flat = weights.reshape(2, weights.shape[1] * weights.shape[2], len(cycles))
-    _spread(sums.view(np.float32).reshape(size, -1), flat, centred, (cycles * step % 1.0) * size)
-    spectrum = fft.ifft(sums, axis=0, norm="forward", overwrite_x=True)
-    samples = _join(spectrum, _slow_factors(len(instants), span, grid, size))
-    # few bands, so that beams share their taps
-    highest = np.ceil(64.0 * step * float(cycles.max(initial=0.0))) / 64.0
-    return _interpolate(samples, *_taps(step, highest), count)
+    def beats(self) -> np.ndarray:
+        """Return the sums at the converter's rate, complex of the precision [rows, samples]."""
+        _, rows, _ = self._samples.shape
+        out = np.empty((rows, self._count), f"c{2 * self._samples.itemsize}")
+        if self._step == 1:
+            inside = self._samples[:, :, TAPS[self._precision] // 2 :][:, :, : self._count]
+            out.real, out.imag = inside
+            return out
+        # few bands, so that beams share their taps
+        highest = np.ceil(64.0 * self._step * self._highest) / 64.0
+        _interpolate(out, self._samples, *_taps(self._step, highest, self._precision))
+        return out
 
 
 @lru_cache(maxsize=32)
-def _slow_factors(instants: int, span: float, grid: tuple[int, int], size: int) -> np.ndarray:
+def _slow_factors(instants: int, span: float, grid: tuple[int, int], size: int, precision: str) -> np.ndarray:
     """Return the polynomials of the instants at the low rate over the spreading kernel's transform."""
     count, step = grid
-    low = count // step + TAPS
-    share = (np.arange(low) - TAPS // 2) * (step / count)
-    factors = cardinal_functions(chebyshev_nodes(instants, span), share, span) / _spreading_transform(low, size)
-    return np.asarray(factors, np.float32)
+    low = count // step + TAPS[precision]
+    share = (np.arange(low) - TAPS[precision] // 2) * (step / count)
+    transform = _spreading_transform(low, size, SPREAD[precision])
+    factors = cardinal_functions(chebyshev_nodes(instants, span), share, span) / transform
+    return np.asarray(factors, KIND[precision])
 
 
 @lru_cache(maxsize=8)
-def _spreading_transform(low: int, size: int) -> np.ndarray:
+def _spreading_transform(low: int, size: int, spread: int) -> np.ndarray:
     """Return the transform of the spreading kernel at the centred samples, float64 [low]."""
     node, weight = np.polynomial.legendre.leggauss(64)
-    kernel = np.exp(2.3 * SPREAD * (np.sqrt(1.0 - node**2) - 1.0)) * weight * (0.5 * SPREAD)
+    kernel = np.exp(2.3 * spread * (np.sqrt(1.0 - node**2) - 1.0)) * weight * (0.5 * spread)
     turns = 2.0 * np.pi * (np.arange(low) - low // 2) / size
-    return np.asarray(np.cos(np.multiply.outer(turns, 0.5 * SPREAD * node)) @ kernel)
+    return np.asarray(np.cos(np.multiply.outer(turns, 0.5 * spread * node)) @ kernel)
 
 
 @lru_cache(maxsize=32)
-def _taps(step: int, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the real and imaginary parts of the taps that raise the rate by `step`, float32 [step, TAPS].
+def _taps(step: int, highest: float, precision: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the real and imaginary parts of the taps that raise the rate by `step`, [step, taps].
 
     Least squares over the band of tones, 0 to `highest` cycles per low-rate sample and some skirts.
     """
-    tone = np.linspace(-0.01, highest + 0.01, 8 * TAPS)
-    near = np.exp(2j * np.pi * np.multiply.outer(tone, np.arange(TAPS) - (TAPS // 2 - 1)))
+    taps = TAPS[precision]
+    tone = np.linspace(-0.01, highest + 0.01, 8 * taps)
+    near = np.exp(2j * np.pi * np.multiply.outer(tone, np.arange(taps) - (taps // 2 - 1)))
     wanted = np.exp(2j * np.pi * np.multiply.outer(tone, np.arange(step) / step))
-    taps = np.linalg.lstsq(near, wanted, rcond=1e-9)[0].T
-    return np.ascontiguousarray(taps.real, np.float32), np.ascontiguousarray(taps.imag, np.float32)
+    fit = np.linalg.lstsq(near, wanted, rcond=LEAST[precision])[0].T
+    return np.ascontiguousarray(fit.real, KIND[precision]), np.ascontiguousarray(fit.imag, KIND[precision])
 
 
 @compiled(error_model="numpy", fastmath=True)
-def _spread(grid, weights, centred, position):  # type: ignore[no-untyped-def]
+def _spread(grid, weights, centred, position, spread):  # type: ignore[no-untyped-def]
     """Add each tone to the grid steps next to it, by exp(beta (sqrt(1 - z^2) - 1)); grid [size, 2 sums]."""
     size, columns = grid.shape
-    tones = np.empty(columns, np.float32)
+    # the kernel's value stands in an array for its precision
+    tones, kernel = np.empty(columns, grid.dtype), np.empty(1, grid.dtype)
     for p in range(len(position)):
-        first = int(np.floor(position[p])) - SPREAD // 2 + 1
+        first = int(np.ceil(position[p] - 0.5 * spread))
         c, s = centred[p].real, centred[p].imag
         for i in range(columns // 2):
             re, im = weights[0, i, p], weights[1, i, p]
             tones[2 * i], tones[2 * i + 1] = re * c - im * s, re * s + im * c
-        for j in range(SPREAD):
-            z = 2.0 * (position[p] - (first + j)) / SPREAD
-            kernel = np.float32(np.exp(2.3 * SPREAD * (np.sqrt(max(1.0 - z * z, 0.0)) - 1.0)))
-            row = grid[(first + j) % size]
+        for j in range(spread):
+            z = 2.0 * (position[p] - (first + j)) / spread
+            kernel[0] = np.exp(2.3 * spread * (np.sqrt(max(1.0 - z * z, 0.0)) - 1.0))
+            row, factor = grid[(first + j) % size], kernel[0]
             for i in range(columns):
-                row[i] += kernel * tones[i]
+                row[i] += factor * tones[i]
 
 
 @compiled(error_model="numpy", fastmath=True)
-def _join(spectrum, slow):  # type: ignore[no-untyped-def]
-    """Instants joined by their polynomials, samples from the middle outwards put in order; float32 [2, terms, low]."""
-    size, instants, terms = spectrum.shape
+def _join(out, spectrum, slow):  # type: ignore[no-untyped-def]
+    """Add instants joined by their polynomials, samples from the middle outwards put in order; out [2, rows, low]."""
+    size, instants, rows = spectrum.shape
     low = slow.shape[1]
     half = low // 2
-    out = np.zeros((2, terms, low), np.float32)
     for i in range(low):
         row = spectrum[size - half + i if i < half else i - half]
         for k in range(instants):
-            for r in range(terms):
+            for r in range(rows):
                 out[0, r, i] += slow[k, i] * row[k, r].real
                 out[1, r, i] += slow[k, i] * row[k, r].imag
-    return out
 
 
 @compiled(error_model="numpy", fastmath=True)
-def _interpolate(samples, taps_re, taps_im, count):  # type: ignore[no-untyped-def]
-    """The same at the full rate: sample step * m + q from the taps of phase q; complex64 [terms, count]."""
-    terms, (step, taps) = samples.shape[1], taps_re.shape
-    out = np.empty((terms, count), np.complex64)
+def _interpolate(out, samples, taps_re, taps_im):  # type: ignore[no-untyped-def]
+    """Write the same at the full rate: sample step * m + q from the taps of phase q; out [rows, samples]."""
+    (rows, count), (step, taps) = out.shape, taps_re.shape
     size = count // step
-    re, im = np.empty(size, np.float32), np.empty(size, np.float32)
-    for r in range(terms):
+    re, im = np.empty(size, taps_re.dtype), np.empty(size, taps_re.dtype)
+    for r in range(rows):
         for q in range(step):
-            re[:], im[:] = np.float32(0.0), np.float32(0.0)
+            re[:], im[:] = 0.0, 0.0
             for j in range(taps):
                 a, b = taps_re[q, j], taps_im[q, j]
                 near_re, near_im = samples[0, r, 1 + j : 1 + j + size], samples[1, r, 1 + j : 1 + j + size]
@@ -182,4 +163,3 @@ def _interpolate(samples, taps_re, taps_im, count):  # type: ignore[no-untyped-d
                     im[m] += a * near_im[m] + b * near_re[m]
             for m in range(size):
                 out[r, step * m + q] = complex(re[m], im[m])
-    return out

@@ -17,7 +17,6 @@ from scipy import fft
 
 from models.compiled import compiled
 from models.physics.antenna import setup_weights, two_way_pattern
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
 from sim_player.trace.paths import Paths
 
@@ -27,6 +26,8 @@ KERNEL_WIDTH, OVERSAMPLING = 12, 2
 BLOCK = 2048
 #: Largest error of the slow-time basis for any path, relative to that path.
 SLOW_TIME_TOLERANCE = 1e-5
+#: Terms of the series of their shares that are left out, relative to a path.
+SERIES_TOLERANCE = 1e-9
 
 
 def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) -> np.ndarray:
@@ -45,34 +46,6 @@ def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
     if np.array_equal(azimuth_rad, paths.azimuth_rad) and np.array_equal(elevation_rad, paths.elevation_rad):
         return None, None
     return azimuth_rad, elevation_rad
-
-
-def chirp_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the sums of beats over one chirp, one per row of `weights` [rows, paths]; complex128 [rows, samples]."""
-    cycles = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz
-    return sum_tones(cycles, weights * np.exp(1j * beat_phase_rad(radar, length_m)), radar.samples_per_chirp)
-
-
-def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Return sum_p w_p exp(2 pi j x_p n) for n = 0..count-1, by gridding and one FFT per row; complex128 [rows, count].
-
-    A non-uniform FFT: each tone is spread over the `KERNEL_WIDTH` nearest steps of an oversampled spectrum by a
-    Kaiser-Bessel kernel, whose own transform is divided out afterwards. Cost does not grow with paths x samples.
-    """
-    grid_size = OVERSAMPLING * count
-    steps, kernel = grid_spread((np.asarray(cycles_per_sample, np.float64) % 1.0) * grid_size)
-    # centred samples keep the kernel's transform symmetric and far from its zeros
-    centred = weights * np.exp(2j * np.pi * ((cycles_per_sample * (count // 2)) % 1.0))
-    spectrum = np.empty((len(weights), grid_size), np.complex128)
-    index = (steps % grid_size).ravel()
-    for row, tones in enumerate(centred):
-        spread = (tones[:, None] * kernel).ravel()
-        spectrum[row].real = np.bincount(index, spread.real, grid_size)
-        spectrum[row].imag = np.bincount(index, spread.imag, grid_size)
-    samples = fft.ifft(spectrum, axis=1, norm="forward", overwrite_x=True)
-    half = count // 2
-    ordered = np.concatenate([samples[:, grid_size - half :], samples[:, : count - half]], axis=1)
-    return ordered / kernel_transform(count)
 
 
 def grid_spread(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,86 +74,76 @@ def kernel_transform(count: int) -> np.ndarray:
     return KERNEL_WIDTH * np.sinh(argument) / argument
 
 
-def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the phases of moving paths over a beam's chirps: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
-
-    Chirps count from the middle of the beam. Returns carrier complex128 [chirps], basis float64 [terms, chirps] and
-    share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
-    Slepian sequences as it has turns, and a few.
-    """
-    turn = doppler_turn_rad(radar, radial_speed_mps)
-    middle, widest, carrier = _slow_time_band(radar, turn)
-    basis = _slow_time_basis(radar.chirps_per_beam, widest)
-    phasors = _phasors(turn - middle, radar.chirps_per_beam)
-    return carrier, basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
-
-
 @dataclass(frozen=True)
 class SlowTimeTable:
-    """Terms of a beam's slow time, and the share of each in any turn from chirp to chirp."""
+    """Phases of moving paths over a beam's chirps in few terms: exp(j w c) = carrier[c] sum_r share_r(w) basis[r, c].
 
-    #: As `slow_time_terms` has them.
+    Chirps count from the middle of the beam. A common turn is taken out first, then the band that is left needs only as
+    many Slepian sequences as it has turns, and a few.
+    """
+
+    #: Complex128 [chirps], and float64 [terms, chirps], symmetric and antisymmetric ones in turn.
     carrier: np.ndarray
     basis: np.ndarray
-    #: Chebyshev series of the shares, complex128 [terms, powers], over (turn - middle) / widest in -1..1.
+    #: With x = (w - middle) / widest in -1..1, the shares of symmetric terms are even in x, those of the others j x
+    #: times an even function: Chebyshev series of all these over 2 x^2 - 1, float64 [terms, powers].
     series: np.ndarray
     middle_rad: float
     widest_rad: float
 
+    def shares(self, turn_rad: np.ndarray) -> np.ndarray:
+        """Return the share of each term in turns from chirp to chirp, complex128 [terms, turns]."""
+        place = (turn_rad - self.middle_rad) / (self.widest_rad or 1.0)
+        shares = np.polynomial.chebyshev.chebval(2.0 * place**2 - 1.0, self.series.T).astype(np.complex128)
+        shares[1::2] *= 1j * place
+        return shares
+
 
 def slow_time_table(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> SlowTimeTable:
     """Return the terms for turns from chirp to chirp [rad] of paths; turns may be `margin` times as large."""
-    middle, widest, carrier = _slow_time_band(radar, turn_rad, margin)
-    basis = _slow_time_basis(radar.chirps_per_beam, widest)
-    return SlowTimeTable(carrier, basis, _slow_time_shares(radar.chirps_per_beam, widest), middle, widest)
-
-
-def _slow_time_band(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> tuple[float, float, np.ndarray]:
-    """Return the middle of a band of turns, half its width rounded up, and the carrier at its middle [chirps]; turns
-    may be `margin` times as large.
-    """
     least, greatest = (float(turn_rad.min()), float(turn_rad.max())) if len(turn_rad) else (0.0, 0.0)
     middle = 0.5 * (greatest + least)
     reach = max(abs(least), abs(greatest)) * (margin - 1.0)
-    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
-    return middle, _rounded_up(0.5 * (greatest - least) + reach), np.exp(1j * middle * chirp)
+    widest = _rounded_up(0.5 * (greatest - least) + reach)
+    carrier = np.exp(1j * middle * _chirps(radar.chirps_per_beam))
+    return SlowTimeTable(carrier, *_slow_time_basis(radar.chirps_per_beam, widest), middle, widest)
+
+
+def _chirps(count: int) -> np.ndarray:
+    """Return the numbers of chirps from the middle of a beam."""
+    return np.arange(count) - 0.5 * (count - 1)
 
 
 @lru_cache(maxsize=64)
-def _slow_time_shares(chirps: int, widest_rad: float) -> np.ndarray:
-    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series in w / widest.
-
-    Complex128 [terms, powers].
+def _slow_time_basis(chirps: int, widest_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the tolerance,
+    and the series of their shares, [terms, powers].
     """
-    count = int(0.5 * widest_rad * chirps) + 16 if widest_rad else 1
+    basis = _sequences(chirps, widest_rad)
+    # what rounding leaves of the other symmetry goes: codes are made of halves
+    mirrored = basis[:, ::-1] * (-1.0) ** np.arange(len(basis))[:, None]
+    basis = 0.5 * (basis + mirrored)
+    count = int(0.25 * widest_rad * chirps) + 12 if widest_rad else 1
     node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    share = _slow_time_basis(chirps, widest_rad) @ _phasors(widest_rad * node, chirps)
-    values = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
-    values[:, 0] *= 0.5
-    return np.asarray(share @ values)
+    place = np.sqrt(0.5 * (1.0 + node))
+    turns = np.multiply.outer(_chirps(chirps), widest_rad * place)
+    values = np.empty((len(basis), count))
+    values[::2], values[1::2] = basis[::2] @ np.cos(turns), basis[1::2] @ np.sin(turns) / place
+    fit = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
+    fit[:, 0] *= 0.5
+    series = values @ fit
+    needed = np.abs(series).max(axis=0) > SERIES_TOLERANCE * math.sqrt(chirps)
+    return basis, series[:, : int(np.flatnonzero(needed).max()) + 1]
 
 
-def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
-    """Return exp(j w_p c), c counted from the middle, [chirps, paths]: sixteenths times single steps, few
-    exponentials.
-    """
-    step = 16
-    coarse = np.arange(-(-chirps // step)) * step - 0.5 * (chirps - 1)
-    coarse_phasors = np.exp(1j * np.multiply.outer(coarse, turn))
-    fine_phasors = np.exp(1j * np.multiply.outer(np.arange(step), turn))
-    return (coarse_phasors[:, None] * fine_phasors[None]).reshape(len(coarse) * step, len(turn))[:chirps]
-
-
-@lru_cache(maxsize=64)
-def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
-    """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the
-    tolerance; symmetric and antisymmetric ones in turn.
-    """
+def _sequences(chirps: int, widest_rad: float) -> np.ndarray:
+    """Return the fewest Slepian sequences that hold the edges of a band, [terms, chirps]."""
+    if widest_rad == 0.0:
+        return np.full((1, chirps), 1.0 / math.sqrt(chirps))
     # imported here: the import takes half a second, which a restarted player does not need
     from scipy.signal.windows import dpss
 
-    chirp = np.arange(chirps) - 0.5 * (chirps - 1)
-    edge = np.exp(1j * widest_rad * chirp)
+    edge = np.exp(1j * widest_rad * _chirps(chirps))
     product = min(max(widest_rad * chirps / (2.0 * np.pi), 1e-3), 0.499 * chirps)
     for terms in range(1, chirps):
         basis = np.atleast_2d(dpss(chirps, product, terms)) if chirps > 1 else np.ones((1, 1))
@@ -206,82 +169,118 @@ def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
     return rng.standard_normal((2, size), np.float32) * np.float32(math.sqrt(0.5 * radar.noise_power_mw))
 
 
-def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return where in the bank each chirp of a beam reads its noise, int64 [chirps], and the phasor that turns it
-    [chirps].
-    """
+#: Float32 [2, samples] in sqrt(mW), where each chirp of a beam reads it, int64 [chirps], and the phasor that turns it
+#: [chirps].
+Noise = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> Noise:
+    """Return how the chirps of a beam, which `seed` names, read their white noise from the bank."""
     rng = np.random.default_rng(seed)
     slots = bank.shape[1] // radar.samples_per_chirp - 1
     start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp
     start += rng.integers(radar.samples_per_chirp)
-    return start, np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
+    return bank, start, np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
 
 
 def beam_codes(
-    setup: RadarSetup, beats: np.ndarray, carrier: np.ndarray, basis: np.ndarray, bank: np.ndarray, seed: list[int]
+    setup: RadarSetup,
+    beats: np.ndarray,
+    carrier: np.ndarray,
+    basis: np.ndarray,
+    noise: Noise,
+    mixing: np.ndarray | None = None,
+    step: int = 1,
 ) -> np.ndarray:
     """Return int16 I/Q codes of one beam, [chirps, samples, 2]: sum_r carrier basis[r] beats[r] plus noise.
 
-    `beats` [terms, samples] in sqrt(mW). Rounded to nearest (ties to even), saturated at the ends of int16. Every
-    chirp reads its own stretch of the bank, turned by its own phase: `seed` names the beam.
+    `beats` [terms, samples] in sqrt(mW). Every chirp reads its own stretch of the noise. `mixing` [2, 2] makes the
+    receiver's I and Q of those that come in. Rounded to the nearest `step` codes (ties to even), saturated at the ends
+    of int16.
     """
     radar = setup.radar
     per_milliwatt = 1.0 / amplitude_per_code(setup.full_scale_dbm)
-    start, turn = noise_reads(radar, bank, seed)
+    bank, start, turn = noise
+    mixed = (np.eye(2) if mixing is None else mixing) / step
     codes = np.empty((radar.chirps_per_beam, radar.samples_per_chirp, 2), np.int16)
-    sign = float(setup.beat_sign)
     _fill_codes(
-        np.ascontiguousarray(beats.real * per_milliwatt, np.float32),
-        np.ascontiguousarray(beats.imag * per_milliwatt, np.float32),
+        _halves(beats * per_milliwatt, basis),
+        _halves(beats * per_milliwatt, basis, -1.0),
         carrier.astype(np.complex64),
-        basis.astype(np.float32),
         bank,
         start,
         (turn * per_milliwatt).astype(np.complex64),
-        np.float32(sign),
-        codes.reshape(radar.chirps_per_beam, -1),
+        np.float32(setup.beat_sign),
+        (*mixed.astype(np.float32).ravel(), np.int32(step)),
+        # I and Q of a sample as one number: machines that this runs on have its low half first
+        codes.view(np.int32)[..., 0],
     )
     return codes
 
 
+def _halves(beats: np.ndarray, basis: np.ndarray, sign: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the terms that are symmetric over the chirps (antisymmetric with sign -1), or have a part that is.
+
+    Beats float32 [2, terms, samples], real parts first, and the basis over half of the chirps [chirps, terms].
+    """
+    part = 0.5 * (basis + sign * basis[:, ::-1])
+    there = part.any(axis=1)
+    rows = np.stack([beats.real[there], beats.imag[there]]).astype(np.float32)
+    return rows, np.ascontiguousarray(part[there, : (basis.shape[1] + 1) // 2].T, np.float32)
+
+
 @compiled(fastmath=True)
-def _fill_codes(
-    beat_re: np.ndarray,
-    beat_im: np.ndarray,
-    carrier: np.ndarray,
-    basis: np.ndarray,
-    bank: np.ndarray,
-    start: np.ndarray,
-    turn: np.ndarray,
-    sign: np.float32,
-    codes: np.ndarray,
-) -> None:
-    terms, count = beat_re.shape
-    re, im = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    both = np.empty(2 * BLOCK, np.float32)
-    least, greatest = np.float32(-32768.0), np.float32(32767.0)
+def _fill_codes(even, odd, carrier, bank, start, turn, sign, receiver, codes):  # type: ignore[no-untyped-def]
+    chirps, count = codes.shape
+    both, apart = np.empty((2, BLOCK), np.float32), np.empty((2, BLOCK), np.float32)
     # block by block: the terms of a block stay in the nearest cache for all chirps
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
-        for chirp in range(len(start)):
-            re[:] = np.float32(0.0)
-            im[:] = np.float32(0.0)
-            for term in range(terms):
-                factor = basis[term, chirp]
-                row_re, row_im = beat_re[term, first : first + size], beat_im[term, first : first + size]
-                for n in range(size):
-                    re[n] += factor * row_re[n]
-                for n in range(size):
-                    im[n] += factor * row_im[n]
-            c, s = carrier[chirp].real, carrier[chirp].imag
-            p, q = turn[chirp].real, turn[chirp].imag
-            noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
-            noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
-            out = codes[chirp, 2 * first : 2 * (first + size)]
+        # a chirp and its mirror image about the middle of the beam share their sums
+        for half in range((chirps + 1) // 2):
+            for c in range(2):
+                _sum_terms(both[c], even[0][c], even[1][half], first, size)
+                _sum_terms(apart[c], odd[0][c], odd[1][half], first, size)
+            for chirp in range(half, chirps - half, max(chirps - 1 - 2 * half, 1)):
+                other = np.float32(1.0) if chirp == half else np.float32(-1.0)
+                noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
+                noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
+                out = codes[chirp, first : first + size]
+                turns = (carrier[chirp], turn[chirp], sign)
+                _write_codes(out, (both, apart, other), turns, (noise_re, noise_im), receiver)
+
+
+@compiled(fastmath=True)
+def _sum_terms(out, rows, factors, first, size):  # type: ignore[no-untyped-def]
+    """Write sum_t factors[t] rows[t] of a block of samples, two terms at a time."""
+    terms = len(factors)
+    if not terms:
+        out[:] = np.float32(0.0)
+    for t in range(0, terms, 2):
+        f, g = factors[t], factors[t + 1] if t + 1 < terms else np.float32(0.0)
+        a, b = rows[t, first : first + size], rows[min(t + 1, terms - 1), first : first + size]
+        if t:
             for n in range(size):
-                i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
-                j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
-                both[2 * n] = min(max(np.rint(i), least), greatest)
-                both[2 * n + 1] = min(max(np.rint(j), least), greatest)
-            for n in range(2 * size):
-                out[n] = np.int16(np.int32(both[n]))
+                out[n] += f * a[n] + g * b[n]
+        else:
+            for n in range(size):
+                out[n] = f * a[n] + g * b[n]
+
+
+@compiled(fastmath=True)
+def _write_codes(out, sums, turns, noise, receiver):  # type: ignore[no-untyped-def]
+    """Write the codes of a block of a chirp, rounded to nearest and saturated: I in the low half, Q in the high one."""
+    both, apart, other = sums
+    carrier, turn, sign = turns
+    c, s, p, q = carrier.real, carrier.imag, turn.real, turn.imag
+    ii, ij, ji, jj, step = receiver
+    least, greatest = np.float32(-(32768 // step)), np.float32(32768 // step - 1)
+    both_re, both_im, apart_re, apart_im = both[0], both[1], apart[0], apart[1]
+    noise_re, noise_im = noise
+    for n in range(len(out)):
+        re, im = both_re[n] + other * apart_re[n], both_im[n] + other * apart_im[n]
+        i = c * re - s * im + p * noise_re[n] - q * noise_im[n]
+        j = sign * (s * re + c * im) + q * noise_re[n] + p * noise_im[n]
+        low = np.int32(np.int32(min(max(np.rint(ii * i + ij * j), least), greatest)) * step)
+        high = np.int32(np.int32(min(max(np.rint(ji * i + jj * j), least), greatest)) * step)
+        out[n] = np.int32(high << np.int32(16)) | np.int32(low & np.int32(65535))

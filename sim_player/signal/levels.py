@@ -1,7 +1,7 @@
 """One signal at three levels with one answer: kernel (profiles), beat (samples, codes), literal (Eq. (6) in time).
 
 - Kernel: echoes are gathered on a grid of half range bins and convolved with the window's spectrum, by FFT: exact to
-  rounding like `sum_tones`, at a cost that hardly grows with the number of paths. Scenes that move have profiles of
+  rounding, at a cost that hardly grows with the number of paths. Scenes that move have profiles of
   slow-time sums in place of one profile a beam (`sim_player.signal.slow_time_profiles`).
 - Beat: sums of tones over the chirp, terms of slow time over the beam, faults of the receiver, int16 codes.
 - Literal (`sim_player.signal.literal`): the reference. Chirps delayed and mixed, pattern at every sample; nothing
@@ -13,25 +13,37 @@ All take `SignalEffects` and `FrontEnd`; `PLAIN` effects give the signal of `sim
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from functools import lru_cache
 
 import msgspec
 import numpy as np
 from scipy import fft
+from threadpoolctl import ThreadpoolController
 
-from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz
-from msgs.values.radar import RadarSetup
+from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz, doppler_turn_rad
+from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.scene.front_end import NO_FAULTS, FrontEnd
-from sim_player.signal.compiled_beats import compiled_terms, decimation
-from sim_player.signal.fmcw import KERNEL_WIDTH, OVERSAMPLING, beam_codes, grid_spread, kernel_transform, sum_tones
+from sim_player.signal.compiled_beats import ToneSums
+from sim_player.signal.compiled_starts import StartSums, instants_of
+from sim_player.signal.compiled_weights import EchoWeights
+from sim_player.signal.fmcw import (
+    KERNEL_WIDTH,
+    OVERSAMPLING,
+    SlowTimeTable,
+    beam_codes,
+    grid_spread,
+    kernel_transform,
+    noise_reads,
+    slow_time_table,
+)
 from sim_player.signal.receiver import (
-    convert,
     converter_step,
     dither_objection,
-    flicker_noise,
     flicker_ratio,
     iq_factors,
     iq_imbalance,
+    iq_mixing,
     leakage_beat,
     leakage_profile,
     overload_objection,
@@ -39,21 +51,26 @@ from sim_player.signal.receiver import (
     spur_beat,
     spur_profile,
     spur_turns,
-    thermal_noise,
+    with_flicker,
 )
 from sim_player.signal.swept_echoes import (
+    TOLERANCE,
     SweptEchoes,
     cardinal_functions,
-    moving_echoes,
+    check_precision,
     overlap_correction,
+    sweep,
+    sweep_swing_rad,
     swept_echoes,
 )
-from sim_player.signal.switches import PLAIN, SignalEffects
+from sim_player.signal.switches import PLAIN, SignalEffects, overlap_samples
 from sim_player.trace.paths import Paths
 
 RANGE_BINS = 512
 #: One beam as sum_r carrier[c] basis[r, c] beats[r]: beats [terms, samples], carrier [chirps], basis [terms, chirps].
 Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: Paths that share the same effects.
+Group = tuple[Paths, SignalEffects]
 #: Grid of the kernel level: whole blocks of range bins, so that scenes share their kernels; steps left free below 0.
 BLOCK_BINS, MARGIN = 256, KERNEL_WIDTH // 2
 
@@ -281,7 +298,17 @@ def beam_beats(
     beams: slice = slice(None),
 ) -> np.ndarray:
     """Return the echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
-    return echo_beats(swept_echoes(setup, paths, effects, front_end, beams))
+    return group_beats(setup, [(paths, effects)], front_end, beams)
+
+
+def group_beats(
+    setup: RadarSetup, groups: Sequence[Group], front_end: FrontEnd = NO_FAULTS, beams: slice = slice(None)
+) -> np.ndarray:
+    """Return the same of groups of paths that each have effects of their own, at the price of one."""
+    rows = len(range(len(setup.beams))[beams])
+    with _one_thread():
+        echoes = [swept_echoes(setup, paths, effects, front_end, beams) for paths, effects in groups]
+        return _summed(setup.radar, echoes, rows)
 
 
 def echo_terms(
@@ -294,12 +321,75 @@ def echo_terms(
 ) -> Terms:
     """Return the echoes of one beam alone, which stay the same from scan to scan while nothing moves.
 
-    In float32 compiled, to 1e-4 of the strongest echo, wherever the echoes leave half of the sampled band free.
+    In float32 to 1e-4 of the strongest echo. ValueError for an unknown precision.
     """
-    if precision == "float32" and decimation(setup.radar, paths.length_m):
-        return compiled_terms(setup, paths, effects, front_end, beam)
-    echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam, precision)
-    return echo_beats(echoes), carrier, basis
+    return group_terms(setup, [(paths, effects)], front_end, beam, precision)
+
+
+def group_terms(
+    setup: RadarSetup,
+    groups: Sequence[Group],
+    front_end: FrontEnd = NO_FAULTS,
+    beam: int = 0,
+    precision: str = "float64",
+) -> Terms:
+    """Return the same of groups of paths that each have effects of their own, at the price of one."""
+    check_precision(precision)
+    radar = setup.radar
+    migrates = any(effects.range_migration for _, effects in groups)
+    speed_mps = np.concatenate([paths.radial_speed_mps * effects.motion for paths, effects in groups])
+    # along the sweep a migrating path's Doppler follows the frequency
+    margin = 1.0 + radar.bandwidth_hz / radar.carrier_hz * migrates
+    slow = slow_time_table(radar, doppler_turn_rad(radar, speed_mps), margin)
+    if precision == "float64":
+        with _one_thread():
+            moving = [_moving_echoes(setup, group, front_end, beam, slow) for group in groups]
+            return _summed(radar, moving, len(slow.basis)), slow.carrier, slow.basis
+    longest_m = max(float(paths.length_m.max(initial=0.0)) for paths, _ in groups)
+    sums, corrections = ToneSums(radar, longest_m, len(slow.basis), precision), []
+    for paths, effects in groups:
+        swing_rad = sweep_swing_rad(setup, paths, effects)
+        last = int(overlap_samples(radar, paths.length_m).max(initial=0)) if effects.chirp_overlap else 0
+        starts = StartSums(radar, last, swing_rad) if last else None
+        span = starts.span if starts else 1.0
+        instants = instants_of(swing_rad, span)
+        weigh = EchoWeights(setup, (paths, effects), front_end, beam, slow, instants, TOLERANCE[precision], np.float32)
+        cycles = beat_frequency_hz(radar, weigh.length_m) / radar.sample_rate_hz
+        sums.add(cycles, weigh.weights, span)
+        if starts:
+            ends = overlap_samples(radar, weigh.length_m)
+            corrections.append(starts.correction(weigh.weights, weigh.previous_chirp(), cycles, ends))
+    beats = sums.beats()
+    for correction in corrections:
+        beats[:, : correction.shape[1]] += correction
+    return beats, slow.carrier, slow.basis
+
+
+def _one_thread() -> AbstractContextManager[None]:
+    """Keep matrix products to one thread: several are slower for these, and their last bits follow their number."""
+    return _blas().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _moving_echoes(setup: RadarSetup, group: Group, front_end: FrontEnd, beam: int, slow: SlowTimeTable) -> SweptEchoes:
+    """Return the echoes of one beam, one row per slow-time term, in float64."""
+    paths, effects = group
+    weigh = EchoWeights(setup, group, front_end, beam, slow, np.array([0.5]), 0.0, np.float64)
+
+    def values(instants: list[tuple[float, bool]]) -> np.ndarray:
+        share, previous = np.array([share for share, _ in instants]), np.array([late for _, late in instants])
+        real, imaginary = weigh.at(share + previous)
+        weights = real + 1j * imaginary
+        start, slope = weigh.previous_chirp()
+        weights[previous] *= (start * (1.0 + np.multiply.outer(share[previous], slope)))[:, None]
+        return np.asarray(weights)
+
+    swing_rad = sweep_swing_rad(setup, paths, effects)
+    return sweep(setup.radar, weigh.length_m, swing_rad, effects.chirp_overlap, values, "float64")
 
 
 def with_electronics(
@@ -326,46 +416,25 @@ def record_beam(
     """Return int16 I/Q codes of one beam, [chirps, samples, 2]; the converter always has int16 codes.
 
     `terms` are those of `echo_terms` with `with_electronics`.
-    Without flicker, I/Q imbalance and a coarser converter these are the codes of `sim_player.signal.fmcw.beam_codes`.
     """
-    step = converter_step(front_end) if effects.adc else 1
-    flickers = effects.flicker and front_end.flicker_corner_hz > 0.0
-    unbalanced = effects.iq_imbalance and iq_factors(front_end)[1] != 0.0
-    if not (flickers or unbalanced or step > 1):
-        return beam_codes(setup, *terms, bank if effects.thermal_noise else np.zeros_like(bank), seed)
-    samples = received_samples(setup, terms, bank, seed, effects, front_end)
-    return convert(samples / np.float32(np.sqrt(setup.milliwatt_per_code_squared)), step)
-
-
-def received_samples(
-    setup: RadarSetup,
-    terms: Terms,
-    bank: np.ndarray,
-    seed: list[int],
-    effects: SignalEffects = PLAIN,
-    front_end: FrontEnd = NO_FAULTS,
-) -> np.ndarray:
-    """Return the input of the converter: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
-    beats, carrier, basis = terms
-    samples = (carrier[:, None] * basis.T).astype(np.complex64) @ beats.astype(np.complex64)
-    if setup.beat_sign < 0:
-        samples = np.conj(samples)
-    if effects.thermal_noise:
-        samples += thermal_noise(setup.radar, bank, seed)
+    radar = setup.radar
+    noise = noise_reads(radar, bank if effects.thermal_noise else np.zeros_like(bank), seed)
     if effects.flicker and front_end.flicker_corner_hz > 0.0:
-        samples += flicker_noise(setup.radar, front_end.flicker_corner_hz, seed)
-    return iq_imbalance(samples, samples, front_end) if effects.iq_imbalance else samples
+        noise = with_flicker(radar, noise, front_end.flicker_corner_hz, seed)
+    mixing = iq_mixing(front_end) if effects.iq_imbalance else None
+    return beam_codes(setup, *terms, noise, mixing, converter_step(front_end) if effects.adc else 1)
 
 
-def echo_beats(echoes: SweptEchoes) -> np.ndarray:
+def _summed(radar: RadarParams, groups: Sequence[SweptEchoes], rows: int) -> np.ndarray:
     """Return the samples of swept echoes over one chirp, complex128 [rows, samples]."""
-    radar, count = echoes.radar, echoes.radar.samples_per_chirp
-    cycles = beat_frequency_hz(radar, echoes.length_m) / radar.sample_rate_hz
-    slow = cardinal_functions(echoes.instants, np.arange(count) / count)
-    beats = np.zeros((echoes.weights.shape[1], count), np.complex128)
-    for weights, factor in zip(echoes.weights, slow, strict=True):
-        beats += factor * sum_tones(cycles, weights, count)
-    beats[:, : echoes.head_samples] += overlap_correction(echoes)
+    longest_m = max(float(echoes.length_m.max(initial=0.0)) for echoes in groups)
+    sums = ToneSums(radar, longest_m, rows, "float64")
+    for echoes in groups:
+        cycles = beat_frequency_hz(radar, echoes.length_m) / radar.sample_rate_hz
+        sums.add(cycles, np.stack([echoes.weights.real, echoes.weights.imag]))
+    beats = sums.beats()
+    for echoes in groups:
+        beats[:, : echoes.head_samples] += overlap_correction(echoes)
     return beats
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.physics.antenna import column_response, element_field, row_field
+from models.physics.antenna import element_field, row_field
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import NO_FAULTS, FrontEnd
@@ -34,12 +34,10 @@ def literal_echoes(
     change sample by sample with range migration, chirp by chirp in phase alone without. Low pass: `sampled`.
     """
     setup_seen = setup if effects.element_pattern else isotropic(setup)
-    columns = column_weights(setup, effects, front_end)[beam : beam + 1]
+    columns = column_weights(setup, effects, front_end)[beam]
     samples = np.zeros((len(chirps), setup.radar.samples_per_chirp), np.complex128)
-    for index in range(len(paths)):
-        path = paths.take(np.array([index]))
-        for row, chirp in zip(samples, chirps, strict=True):
-            row += _literal_echo(setup_seen, columns, path, effects, chirp)
+    for index in np.flatnonzero(paths.amplitude):
+        _add_literal_echo(samples, setup_seen, columns, paths.take(np.array([index])), effects, chirps)
     return samples
 
 
@@ -62,40 +60,60 @@ def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
     return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
 
 
-def _literal_echo(
-    setup: RadarSetup, columns: np.ndarray, path: Paths, effects: SignalEffects, chirp: int
-) -> np.ndarray:
-    """Return one path in one chirp, [samples]."""
+def _add_literal_echo(
+    samples: np.ndarray,
+    setup: RadarSetup,
+    columns: np.ndarray,
+    path: Paths,
+    effects: SignalEffects,
+    chirps: Sequence[int],
+) -> None:
+    """Add one path to its chirps, [chirps, samples]; nothing that comes from behind, and no pattern twice."""
+    arrival = path.azimuth_rad, path.elevation_rad
+    departure = path.departure_azimuth_rad, path.departure_elevation_rad
+    if not all(element_field(setup.element, *direction).any() for direction in (arrival, departure)):
+        return
     radar = setup.radar
     time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
-    since_middle_s = (chirp - 0.5 * (radar.chirps_per_beam - 1)) * radar.chirp_period_s
+    sent_turns = chirp_turns(radar, time_s)
     closing = 2.0 * path.radial_speed_mps[0] / SPEED_OF_LIGHT_MPS if effects.motion else 0.0
-    moved_s = closing * (since_middle_s + time_s)
-    delay_s = path.length_m[0] / SPEED_OF_LIGHT_MPS + (moved_s if effects.range_migration else 0.0)
-    since_sent_s = time_s - delay_s
-    previous = (since_sent_s < 0.0) & effects.chirp_overlap
-    since_sent_s = np.where(previous, since_sent_s + radar.chirp_period_s, since_sent_s)
-    turns = chirp_turns(radar, time_s) - chirp_turns(radar, since_sent_s)
-    if not effects.range_migration:
-        turns = turns + radar.carrier_hz * closing * since_middle_s
-    passes = ~previous | sampled(radar, radar.chirp_slope_hz_per_s * (time_s - since_sent_s))
-    ratio = sweep_ratio(radar, since_sent_s) if effects.squint else 1.0
-    received = _literal_pattern(setup, columns, path.azimuth_rad, path.elevation_rad, ratio)
-    sent = _literal_pattern(setup, columns, path.departure_azimuth_rad, path.departure_elevation_rad, ratio)
-    return passes * np.conj(path.amplitude[0] * sent * received) * np.exp(2j * np.pi * (turns % 1.0))
+    pattern: np.ndarray | None = None
+    for row, chirp in zip(samples, chirps, strict=True):
+        since_middle_s = (chirp - 0.5 * (radar.chirps_per_beam - 1)) * radar.chirp_period_s
+        moved_s = closing * (since_middle_s + time_s) if effects.range_migration else 0.0
+        since_sent_s = time_s - (path.length_m[0] / SPEED_OF_LIGHT_MPS + moved_s)
+        previous = (since_sent_s < 0.0) & effects.chirp_overlap
+        since_sent_s = np.where(previous, since_sent_s + radar.chirp_period_s, since_sent_s)
+        turns = sent_turns - chirp_turns(radar, since_sent_s)
+        if not effects.range_migration:
+            turns = turns + radar.carrier_hz * closing * since_middle_s
+        passes = ~previous | sampled(radar, radar.chirp_slope_hz_per_s * (time_s - since_sent_s))
+        # of a path whose delay stays the same every chirp sees the same pattern
+        if pattern is None or (effects.squint and effects.range_migration and closing):
+            ratio = sweep_ratio(radar, since_sent_s) if effects.squint else np.ones(1)
+            received = _literal_pattern(setup, columns, *arrival, ratio)
+            if setup.array.steered_ways == 1:
+                sent = element_field(setup.element, *departure)
+            else:
+                sent = received if arrival == departure else _literal_pattern(setup, columns, *departure, ratio)
+            pattern = np.conj(path.amplitude[0] * sent * received)
+        row += passes * pattern * np.exp(2j * np.pi * (turns % 1.0))
 
 
 def _literal_pattern(
-    setup: RadarSetup,
-    columns: np.ndarray,
-    azimuth_rad: np.ndarray,
-    elevation_rad: np.ndarray,
-    ratio: float | np.ndarray,
+    setup: RadarSetup, columns: np.ndarray, azimuth_rad: np.ndarray, elevation_rad: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
     """Return the one-way field of one direction, element by element, at every sample's frequency ratio; [samples] or
     [1].
     """
     array, wavelength_m = setup.array, setup.radar.wavelength_m
-    phased = columns * column_response(array, wavelength_m, azimuth_rad, elevation_rad, ratio)
-    field = phased.sum(axis=-1) / np.sqrt(array.columns) * row_field(array, wavelength_m, elevation_rad, ratio)
+    across = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m) * ratio
+    step_rad = across * np.sin(azimuth_rad) * np.cos(elevation_rad)
+    # the columns one after the other, each a step on from the last; the middle of the array has no phase
+    step, turn = np.exp(1j * step_rad), np.exp(-0.5j * (array.columns - 1) * step_rad)
+    field = np.zeros(len(ratio), np.complex128)
+    for weight in columns:
+        field += weight * turn
+        turn = turn * step
+    field = field / np.sqrt(array.columns) * row_field(array, wavelength_m, elevation_rad, ratio)
     return field * element_field(setup.element, azimuth_rad, elevation_rad)

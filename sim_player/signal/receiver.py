@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy import fft
@@ -16,7 +17,7 @@ from models.physics.waveform import beat_samples, range_profile, tone_profile
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.scene.front_end import FrontEnd, Spur
-from sim_player.signal.fmcw import noise_reads
+from sim_player.signal.fmcw import Noise
 
 #: Thermal noise per component, in steps of the converter, that makes rounding errors white (error 3e-9 at 1).
 DITHER_STEPS = 1.0
@@ -66,21 +67,30 @@ def flicker_ratio(radar: RadarParams, frequency_hz: np.ndarray, corner_hz: float
 
 def flicker_noise(radar: RadarParams, corner_hz: float, seed: Sequence[int]) -> np.ndarray:
     """Return 1/f noise of one beam in sqrt(mW), coloured over the whole beam; complex64 [chirps, samples]."""
-    count = radar.chirps_per_beam * radar.samples_per_chirp
-    frequency_hz = np.fft.fftfreq(count, 1.0 / radar.sample_rate_hz)
-    draws = np.random.default_rng([*seed, 9]).standard_normal((2, count), np.float32)
-    power = flicker_ratio(radar, frequency_hz, corner_hz) * (0.5 * radar.noise_power_mw * count)
-    spectrum = (draws[0] + 1j * draws[1]) * np.sqrt(power).astype(np.float32)
+    rms = _flicker_spectrum(radar, corner_hz)
+    draws = np.random.default_rng([*seed, 9]).standard_normal((2, len(rms)), np.float32)
+    spectrum = (draws[0] + 1j * draws[1]) * rms
     return fft.ifft(spectrum, overwrite_x=True).reshape(radar.chirps_per_beam, -1)
 
 
-def thermal_noise(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> np.ndarray:
-    """Return the white noise of one beam as `beam_codes` reads it from the bank, in sqrt(mW); complex64 [chirps,
-    samples].
-    """
-    start, turn = noise_reads(radar, bank, seed)
-    index = start[:, None] + np.arange(radar.samples_per_chirp)
-    return turn.astype(np.complex64)[:, None] * (bank[0][index] + 1j * bank[1][index])
+@lru_cache(maxsize=2)
+def _flicker_spectrum(radar: RadarParams, corner_hz: float) -> np.ndarray:
+    """Return the rms of each line of a beam's 1/f noise, per component; float32 [chirps x samples]."""
+    count = radar.chirps_per_beam * radar.samples_per_chirp
+    frequency_hz = np.fft.fftfreq(count, 1.0 / radar.sample_rate_hz)
+    power = flicker_ratio(radar, frequency_hz, corner_hz) * (0.5 * radar.noise_power_mw * count)
+    return np.sqrt(power).astype(np.float32)
+
+
+def with_flicker(radar: RadarParams, noise: Noise, corner_hz: float, seed: list[int]) -> Noise:
+    """Return white noise with 1/f noise added, which every chirp reads in turn."""
+    bank, start, turn = noise
+    count = radar.samples_per_chirp
+    beam = flicker_noise(radar, corner_hz, seed)
+    for chirp, (first, phasor) in enumerate(zip(start, turn.astype(np.complex64), strict=True)):
+        beam[chirp] += phasor * (bank[0, first : first + count] + 1j * bank[1, first : first + count])
+    flat = beam.ravel()
+    return np.stack([flat.real, flat.imag]), np.arange(len(start)) * count, np.ones(len(start))
 
 
 def iq_factors(front_end: FrontEnd) -> tuple[complex, complex]:
@@ -90,6 +100,13 @@ def iq_factors(front_end: FrontEnd) -> tuple[complex, complex]:
     """
     gain = 10.0 ** (front_end.iq_gain_db / 20.0) * np.exp(1j * math.radians(front_end.iq_phase_deg))
     return complex(0.5 * (1.0 + gain)), complex(0.5 * (1.0 - np.conj(gain)))
+
+
+def iq_mixing(front_end: FrontEnd) -> np.ndarray:
+    """Return the same for samples: rows make the receiver's I and Q of those that come in, float64 [2, 2]."""
+    wanted, image = iq_factors(front_end)
+    both, apart = wanted + image, wanted - image
+    return np.array([[both.real, -apart.imag], [both.imag, apart.real]])
 
 
 def iq_imbalance(values: np.ndarray, mirrored: np.ndarray, front_end: FrontEnd, beat_sign: int = 1) -> np.ndarray:
@@ -108,14 +125,6 @@ def converter_step(front_end: FrontEnd) -> int:
     if not 2 <= front_end.adc_bits <= 16:
         raise ValueError(f"front_end.adc_bits must be 2..16, got {front_end.adc_bits!r}")
     return 2 ** (16 - front_end.adc_bits)
-
-
-def convert(codes: np.ndarray, step: int = 1) -> np.ndarray:
-    """Return the complex samples in codes to int16 I and Q, [..., 2]: rounded to the nearest step, saturated at the
-    ends.
-    """
-    both = np.stack([codes.real, codes.imag], axis=-1)
-    return (np.clip(np.rint(both / step), -32768 // step, 32768 // step - 1) * step).astype(np.int16)
 
 
 def quantisation_power_mw(setup: RadarSetup, step: int) -> float:

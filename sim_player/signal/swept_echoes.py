@@ -7,17 +7,18 @@ beforehand: a phase that swings by +-alpha over the chirp needs them until the B
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import jv
 
 from models.physics.antenna import two_way_pattern
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
-from sim_player.signal.fmcw import departure, slow_time_terms
+from sim_player.signal.fmcw import departure
 from sim_player.signal.switches import (
     SignalEffects,
     column_weights,
@@ -75,8 +76,12 @@ def chebyshev_instants(swing_rad: float, tolerance: float, span: float = 1.0) ->
     """Return the fewest Chebyshev points of [0, span] that interpolate exp(j swing x), |x| <= 1, to a tolerance."""
     orders = np.abs(jv(np.arange(int(2.0 * swing_rad) + 60), swing_rad))
     left = 4.0 * np.cumsum(orders[::-1])[::-1]
-    count = max(int(np.argmax(left <= tolerance)), 1) if swing_rad > 0.0 else 1
-    return span * (0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count))
+    return chebyshev_nodes(max(int(np.argmax(left <= tolerance)), 1) if swing_rad > 0.0 else 1, span)
+
+
+def chebyshev_nodes(count: int, span: float = 1.0) -> np.ndarray:
+    """Return so many Chebyshev instants of [0, span]."""
+    return np.asarray(span * (0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)))
 
 
 def squint_swing_rad(setup: RadarSetup, paths: Paths) -> float:
@@ -124,26 +129,17 @@ def swept_echoes(
     precision.
     """
     check_precision(precision)
-    return _sweep(_Factors(setup, paths, effects, front_end, beams), None, precision)
-
-
-def moving_echoes(
-    setup: RadarSetup,
-    paths: Paths,
-    effects: SignalEffects,
-    front_end: FrontEnd,
-    beam: int,
-    precision: str = "float64",
-) -> tuple[SweptEchoes, np.ndarray, np.ndarray]:
-    """Return the echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows,
-    chirps].
-
-    ValueError for an unknown precision.
-    """
-    check_precision(precision)
-    factors = _Factors(setup, paths, effects, front_end, slice(beam, beam + 1))
-    slow = _SlowTime(setup.radar, paths, effects)
-    return _sweep(factors, slow, precision), slow.carrier, slow.basis
+    factors = _Factors(setup, paths, effects, front_end, beams)
+    swing_rad = sweep_swing_rad(setup, paths, effects)
+    kind = np.complex64 if precision == "float32" else np.complex128
+    return sweep(
+        setup.radar,
+        paths.length_m,
+        swing_rad,
+        effects.chirp_overlap,
+        lambda instants: factors.weights(instants, kind),
+        precision,
+    )
 
 
 class _Factors:
@@ -172,6 +168,14 @@ class _Factors:
         )
         return np.conj(pattern)
 
+    def weights(self, instants: list[tuple[float, bool]], kind: type) -> np.ndarray:
+        """Return the recorded weights at instants (share of the chirp, previous chirp's?), [instants, beams, P]."""
+        recorded = {previous: self.recorded(previous) for previous in (False, True)}
+        values: np.ndarray = np.empty((len(instants), self.beams, len(self.paths)), kind)
+        for index, (share, previous) in enumerate(instants):
+            values[index] = self.at(share, previous) * recorded[previous]
+        return values
+
     def recorded(self, previous: bool) -> np.ndarray:
         """Return the factor that is constant along the chirp: conj(W), turned by the phase of the beat; complex128
         [P].
@@ -184,84 +188,39 @@ class _Factors:
         return np.conj(self.paths.amplitude) * passes * np.exp(1j * beat_phase_rad(radar, length_m))
 
 
-class _SlowTime:
-    """Doppler of every path in few terms over the beam; with range migration, per instant of the chirp."""
+def sweep(
+    radar: RadarParams,
+    length_m: np.ndarray,
+    swing_rad: float,
+    overlaps: bool,
+    values: Callable[[list[tuple[float, bool]]], np.ndarray],
+    precision: str,
+) -> SweptEchoes:
+    """Return echoes whose slow factor swings so much over a chirp, their weights from `values`.
 
-    def __init__(self, radar: RadarParams, paths: Paths, effects: SignalEffects) -> None:
-        self._radar, self._speed_mps = radar, paths.radial_speed_mps
-        self._still = not effects.motion
-        self._migrates = effects.motion and effects.range_migration
-        self.carrier = np.ones(radar.chirps_per_beam, np.complex128)
-        self.basis = np.ones((1, radar.chirps_per_beam))
-
-    def prepare(self, since_sent_s: list[np.ndarray]) -> None:
-        """Find terms that hold for all instants, given t - tau at each, [P] each."""
-        if self._still:
-            self._share = np.ones((len(since_sent_s), 1, len(self._speed_mps)), np.complex128)
-            return
-        instants = since_sent_s if self._migrates else since_sent_s[:1]
-        turn = np.stack([self._doppler(since) for since in instants])
-        self.carrier, self.basis, share = slow_time_terms(self._radar, turn.ravel())
-        share = share.reshape(len(self.basis), len(turn), len(self._speed_mps)).swapaxes(0, 1)
-        self._share = np.broadcast_to(share, (len(since_sent_s), *share.shape[1:]))
-
-    def at(self, index: int, share_of_chirp: float, since_sent_s: np.ndarray) -> np.ndarray:
-        """Return the share of each term at an instant, complex128 [terms, P]."""
-        if not self._migrates:
-            return self._share[index]
-        # the distance moved since the chirp's start, as a phase
-        turn = doppler_turn_rad(self._radar, self._doppler(since_sent_s))
-        return self._share[index] * np.exp(1j * share_of_chirp * turn)
-
-    def _doppler(self, since_sent_s: np.ndarray) -> np.ndarray:
-        """Return the speed whose Doppler at f_c is the path's at the frequency of the moment."""
-        if not self._migrates:
-            return self._speed_mps
-        return self._speed_mps * (1.0 + self._radar.chirp_slope_hz_per_s * since_sent_s / self._radar.carrier_hz)
-
-
-def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEchoes:
-    """Return the weights at all instants, over the chirp and over its overlapped start."""
-    radar, length_m = factors.setup.radar, factors.paths.length_m
-    overlaps = factors.effects.chirp_overlap
+    `values` gives weights [instants, R, P] at instants (share of the chirp, previous chirp's?).
+    """
     head_samples = int(overlap_samples(radar, length_m).max(initial=0)) if overlaps else 0
     span = -(-head_samples // CHUNK) * CHUNK / radar.samples_per_chirp
-    swing_rad, tolerance = sweep_swing_rad(factors.setup, factors.paths, factors.effects), TOLERANCE[precision]
+    tolerance = TOLERANCE[precision]
     instants = chebyshev_instants(swing_rad, tolerance)
     head = chebyshev_instants(swing_rad * span, tolerance, span) if head_samples else np.zeros(0)
     # the chirp's own echo over the chirp and over its start, then the previous chirp's over the start
-    steps = [(share, False) for share in (*instants, *head)] + [(share, True) for share in head]
-    values = _values(factors, slow, steps, np.complex64 if precision == "float32" else np.complex128)
+    weights = values([(share, False) for share in (*instants, *head)] + [(share, True) for share in head])
     own, previous = len(instants), len(instants) + len(head)
     return SweptEchoes(
         radar=radar,
         length_m=length_m,
         instants=instants,
-        weights=values[:own],
+        weights=weights[:own],
         head_samples=head_samples,
         head_span=span,
         head_instants=head,
-        head_own=values[own:previous],
-        head_previous=values[previous:],
+        head_own=weights[own:previous],
+        head_previous=weights[previous:],
         swing_rad=swing_rad,
         precision=precision,
     )
-
-
-def _values(factors: _Factors, slow: _SlowTime | None, instants: list[tuple[float, bool]], kind: type) -> np.ndarray:
-    """Return the recorded weights at instants (share of the chirp, previous chirp's?), [instants, R, P]."""
-    recorded = {previous: factors.recorded(previous) for previous in (False, True)}
-    if slow is None:
-        rows = factors.beams
-    else:
-        slow.prepare([factors.since_sent_s(*instant) for instant in instants])
-        rows = len(slow.basis)
-    values: np.ndarray = np.empty((len(instants), rows, len(factors.paths)), kind)
-    for index, instant in enumerate(instants):
-        values[index] = factors.at(*instant) * recorded[instant[1]]
-        if slow is not None:
-            values[index] *= slow.at(index, instant[0], factors.since_sent_s(*instant))
-    return values
 
 
 def overlap_correction(echoes: SweptEchoes) -> np.ndarray:

@@ -54,9 +54,15 @@ class PathTrack:
         self._trace, self._step_s, self._kept = trace, step_s, kept
         self._knots: dict[int, Paths] = {}
         self._span: tuple[int, Span] | None = None
+        self._last: tuple[float, Paths] | None = None
 
     def at(self, time_s: float) -> Paths:
-        """Return all paths at a time."""
+        """Return all paths at a time; those of the last time are kept."""
+        if self._last is None or self._last[0] != time_s:
+            self._last = time_s, self._at(time_s)
+        return self._last[1]
+
+    def _at(self, time_s: float) -> Paths:
         index = int(np.floor(time_s / self._step_s))
         if self._span is None or self._span[0] != index:
             self._knots = {knot: self._knot(knot) for knot in (index, index + 1)}

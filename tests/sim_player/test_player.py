@@ -8,6 +8,7 @@ import pytest
 
 from models.physics.antenna import setup_weights
 from models.physics.mirror import blocked
+from models.physics.waveform import beat_samples
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams, RadarSetup
@@ -15,7 +16,8 @@ from sim_player.dataset.labelled_scan import clean_profiles
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
 from sim_player.scene.world import prepare
-from sim_player.signal.fmcw import beam_weights, chirp_beats
+from sim_player.signal.fmcw import beam_weights
+from sim_player.signal.levels import beam_beats
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import hidden_objects
 
@@ -110,7 +112,7 @@ def test_beat_level_equals_kernel_level() -> None:
     """
     scene = facade()
     paths, setup = trace(prepare(scene)), scene.setup
-    beats = chirp_beats(setup.radar, paths.length_m, beam_weights(setup, paths))
+    beats = beam_beats(setup, paths)
     count = setup.radar.samples_per_chirp
     window = 1.0 - np.cos(2.0 * np.pi * np.arange(count) / count)
     profiles = np.fft.fft(beats * window, axis=1)[:, :512] / count
@@ -154,7 +156,7 @@ def test_moving_beams_equal_a_chirp_by_chirp_sum(speed_mps: float, ego_mps: floa
     for chirp in range(0, radar.chirps_per_beam, 8):
         paths = player.paths(start_s + chirp * radar.chirp_period_s)
         weights = beam_weights(setup, paths, slice(index, index + 1))
-        exact.append(chirp_beats(radar, paths.length_m, weights)[0])
+        exact.append((weights @ beat_samples(radar, paths.length_m))[0])
     quantisation = np.sqrt(got.size * setup.milliwatt_per_code_squared / 6.0)
     assert np.linalg.norm(got - exact) < 0.05 * np.linalg.norm(exact) + 1.1 * quantisation
     assert np.linalg.norm(exact) > 20.0 * quantisation

@@ -13,7 +13,8 @@ from models.physics.waveform import beat_phase_rad, beat_samples, tone_profile
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState
-from sim_player.signal.fmcw import slow_time_terms, sum_tones
+from sim_player.signal.compiled_beats import ToneSums
+from sim_player.signal.fmcw import slow_time_table
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.switches import PLAIN
 from sim_player.trace.paths import Paths
@@ -221,8 +222,9 @@ def test_slow_time_of_a_frame(errors: Errors) -> None:
     """-15 to 40 m/s at 77 GHz from 220 m: 10 turns in a frame, read off 56,500."""
     radar, length = radar_at(77e9), 220.0
     speeds = np.linspace(-15.0, 40.0, 12)
-    carrier, basis, share = slow_time_terms(radar, speeds)
-    got = carrier[:, None] * (basis.T @ share)
+    turns = 4.0 * np.pi * speeds * radar.chirp_period_s / radar.wavelength_m
+    table = slow_time_table(radar, turns)
+    got = table.carrier[:, None] * (table.basis.T @ table.shares(turns))
     chirps = [Fraction(2 * chirp - 127, 2) for chirp in range(128)]
     rate = 2 * Fraction(radar.carrier_hz) / Fraction(SPEED_OF_LIGHT_MPS) * 8192 / Fraction(radar.sample_rate_hz)
     exact = np.exp(1j * TURN_RAD * np.array([[float(rate * Fraction(v) * c % 1) for v in speeds] for c in chirps]))
@@ -344,11 +346,11 @@ def test_hann_window_one_bin_off(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.signal.fmcw",
+    where="sim_player.signal.compiled_beats",
     naive="grid step taken from the fraction of a turn",
     bound=1e-9,
     unit="of the tone",
-    source="the gridding kernel, 1e-10 of the strongest tone, over 12 steps",
+    source="the gridding kernel, 1e-12 of the strongest tone, over 14 steps",
 )
 def test_a_tone_a_rounding_below_zero(errors: Errors) -> None:
     """-1e-18 turns a sample: its fraction of a turn rounds up to a whole one, a step beyond the grid's last."""
@@ -360,4 +362,7 @@ def test_a_tone_a_rounding_below_zero(errors: Errors) -> None:
         naive = np.abs(np.fft.ifft(grid, norm="forward")[:512] - 1.0).max()
     except IndexError:
         pass
-    errors(naive=naive, ours=np.abs(sum_tones(cycles, np.ones((1, 1)), 512) - 1.0).max())
+    # a band of all frequencies: summed at the full rate
+    sums = ToneSums(RadarParams(samples_per_chirp=512), 2e3, 1, "float64")
+    sums.add(cycles, np.array([1.0, 0.0]).reshape(2, 1, 1, 1))
+    errors(naive=naive, ours=np.abs(sums.beats() - 1.0).max())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,18 +15,25 @@ from models.perception.forming.digital_array import DigitalArrayParams, range_do
 from models.perception.forming.ra_former import RaFormer
 from models.perception.forming.ra_forming import FormingParams
 from models.perception.forming.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
-from models.physics.waveform import beat_samples, range_profile, window_noise_gain
+from models.physics.waveform import (
+    beat_frequency_hz,
+    beat_phase_rad,
+    beat_samples,
+    range_profile,
+    window_noise_gain,
+)
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from sim_player.scene.front_end import FrontEnd, Spur
-from sim_player.signal.fmcw import noise_bank
-from sim_player.signal.levels import beam_beats, kernel_profiles, record_beam
+from sim_player.signal.fmcw import beam_weights, noise_bank
+from sim_player.signal.levels import beam_beats, echo_terms, kernel_profiles, record_beam
 from sim_player.signal.literal import literal_echoes
-from sim_player.signal.receiver import convert, flicker_ratio, spur_profile
-from sim_player.signal.switches import SignalEffects
+from sim_player.signal.receiver import flicker_ratio, spur_profile
+from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.paths import Paths
-from tests.sim_player.signal.references import ALL, beat_terms
+from tests.sim_player.signal.references import ALL, beat_terms, converted
+from tests.sim_player.signal.test_levels import some_paths
 from tests.stability.catalogue import Errors
 
 
@@ -234,7 +242,7 @@ def test_saturation_at_the_lower_rail(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.signal.receiver",
+    where="sim_player.signal.fmcw",
     naive="cast without a clip",
     bound=0.5,
     unit="codes",
@@ -246,7 +254,7 @@ def test_converter_past_full_scale(errors: Errors) -> None:
     both = np.stack([level.real, level.imag], axis=-1)
     limited = np.clip(both, -32768.0, 32767.0)
     naive = np.rint(both).astype(np.int64).astype(np.int16)
-    errors(naive=np.abs(naive - limited).max(), ours=np.abs(convert(level) - limited).max())
+    errors(naive=np.abs(naive - limited).max(), ours=np.abs(converted(level) - limited).max())
 
 
 @pytest.mark.hard(
@@ -280,6 +288,37 @@ def test_what_stands_still_at_a_million(errors: Errors) -> None:
     samples = np.full((4096, 1, 16), 1e6 * (0.7 + 0.3j), np.complex64)
     params = DigitalArrayParams(remove_static=True, window="none", channel_slot=(0,), channel_y_m=(0.0,))
     errors(naive=np.abs(samples - samples.mean(axis=0)).max(), ours=np.abs(range_doppler(samples, params)).max())
+
+
+@pytest.mark.hard(
+    where="sim_player.signal.levels",
+    naive="phase of every sample in float32",
+    bound=1e-4,
+    unit="of the largest sample",
+    source="the tolerances of the low rate, 1e-5, and of slow time, 1e-5, over a band half full",
+)
+@pytest.mark.parametrize("count", [1, 20_000])
+def test_fast_echoes_near_and_far(count: int, errors: Errors) -> None:
+    """From 0.5 to 200 m at up to 40 m/s, first and last of 128 chirps, every 101st sample; a lone echo at 200 m."""
+    setup, rng = RadarSetup(), np.random.default_rng(4)
+    radar, beam = setup.radar, 12
+    paths = replace(
+        some_paths(count, 400.0, speed_mps=40.0),
+        length_m=np.append(rng.uniform(1.0, 400.0, count - 1), 400.0),
+        radial_speed_mps=np.append(rng.uniform(-40.0, 40.0, count - 1), 40.0),
+    )
+    beats, carrier, basis = echo_terms(setup, paths, PLAIN, beam=beam, precision="float32")
+    sample, chirps = np.arange(0, 8192, 101), np.array([0, 127])
+    got = ((carrier[:, None] * basis.T)[chirps] @ beats)[:, sample]
+    weights = beam_weights(setup, paths, slice(beam, beam + 1))[0] * np.exp(1j * beat_phase_rad(radar, paths.length_m))
+    cycles = beat_frequency_hz(radar, paths.length_m) / radar.sample_rate_hz
+    turns = 2.0 * paths.radial_speed_mps * radar.chirp_period_s / radar.wavelength_m
+    start = np.exp(2j * np.pi * np.multiply.outer(chirps - 63.5, turns)) * weights
+    exact = start @ np.exp(2j * np.pi * (np.multiply.outer(cycles, sample) % 1.0))
+    single = np.multiply.outer(cycles.astype(np.float32), sample.astype(np.float32)).astype(np.float32)
+    naive = start @ np.exp(np.complex64(2j * np.pi) * single)
+    off = [float(np.abs(one - exact).max() / np.abs(exact).max()) for one in (naive, got)]
+    errors(naive=off[0], ours=off[1])
 
 
 @pytest.mark.hard(

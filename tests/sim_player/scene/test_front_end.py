@@ -10,22 +10,19 @@ import pytest
 from models.physics.waveform import range_profile
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup
 from sim_player.scene.front_end import FrontEnd, Spur
-from sim_player.signal.fmcw import beam_codes, noise_bank
+from sim_player.signal.fmcw import noise_bank
 from sim_player.signal.levels import noise_density_mw, noise_profiles, record_beam
 from sim_player.signal.receiver import (
-    convert,
     converter_step,
     dither_objection,
     flicker_noise,
-    iq_factors,
-    iq_imbalance,
     leakage_profile,
     quantisation_power_mw,
     spur_beat,
     spur_profile,
-    thermal_noise,
 )
 from sim_player.signal.switches import SignalEffects
+from tests.sim_player.signal.references import converted
 
 RADAR = RadarParams(samples_per_chirp=512, chirps_per_beam=32)
 SETUP = RadarSetup(radar=RADAR)
@@ -101,33 +98,12 @@ def test_kernel_noise_has_the_density_of_the_recorded_codes() -> None:
     assert density[120] > 1.02 * noise_density_mw(SETUP, np.array([120]), SignalEffects())[0]
 
 
-def test_thermal_noise_is_what_the_codes_hold() -> None:
-    bank = noise_bank(RADAR, 2)
-    ones = np.ones(RADAR.chirps_per_beam)
-    codes = beam_codes(SETUP, np.zeros((1, 512), complex), ones, ones[None], bank, [5])
-    noise = thermal_noise(RADAR, bank, [5]) / math.sqrt(SETUP.milliwatt_per_code_squared)
-    assert np.abs(codes[..., 0] - noise.real).max() < 0.51
-    assert np.abs(codes[..., 1] - noise.imag).max() < 0.51
-
-
-def test_imbalance_of_samples() -> None:
-    """y = mu m + nu m* is I = Re m, Q = g (cos Im m + sin Re m); off: nothing changes."""
-    faults = FrontEnd(iq_gain_db=1.0, iq_phase_deg=5.0)
-    samples = np.exp(1j * np.linspace(0.0, 6.0, 50)) * np.linspace(1.0, 2.0, 50)
-    got = iq_imbalance(samples, samples, faults)
-    gain, phase = 10.0 ** (1.0 / 20.0), math.radians(5.0)
-    np.testing.assert_allclose(got.real, samples.real, atol=1e-12)
-    expected = gain * (math.cos(phase) * samples.imag + math.sin(phase) * samples.real)
-    np.testing.assert_allclose(got.imag, expected, atol=1e-12)
-    assert iq_factors(FrontEnd()) == (1.0, 0.0)
-
-
 @pytest.mark.parametrize("bits", [16, 12, 8, 2])
 def test_converter_of_few_bits(bits: int) -> None:
     """Codes are whole steps within half a step of the input, 2^bits levels, saturated at the ends."""
     step = converter_step(FrontEnd(adc_bits=bits))
     ramp = np.linspace(-40000.0, 40000.0, 20001) * (1.0 + 0.5j)
-    codes = convert(ramp, step)
+    codes = converted(ramp, step)
     assert codes.dtype == np.int16
     assert not np.any(codes.astype(int) % step)
     assert codes[:, 0].min() == -32768
@@ -147,7 +123,7 @@ def test_rounding_is_white_noise_under_dither(rms_steps: float) -> None:
     step = 16
     true = 0.3 * step
     noise = rms_steps * step * (rng.standard_normal(2**18) + 1j * rng.standard_normal(2**18))
-    codes = convert(true * (1.0 + 1.0j) + noise, step).astype(float)
+    codes = converted(true * (1.0 + 1.0j) + noise, step).astype(float)
     error = codes[:, 0] + 1j * codes[:, 1] - true * (1.0 + 1.0j) - noise
     expected = quantisation_power_mw(SETUP, step) / SETUP.milliwatt_per_code_squared
     assert np.mean(np.abs(error) ** 2) == pytest.approx(expected, rel=0.01)
@@ -158,7 +134,7 @@ def test_rounding_is_white_noise_under_dither(rms_steps: float) -> None:
 def test_without_dither_a_weak_echo_is_lost() -> None:
     """0.3 step under noise of a tenth of a step rounds to nothing: why the kernel level objects."""
     rng = np.random.default_rng(4)
-    codes = convert(0.3 * 256 + 25.6 * (rng.standard_normal(10000) + 1j * rng.standard_normal(10000)), 256)
+    codes = converted(0.3 * 256 + 25.6 * (rng.standard_normal(10000) + 1j * rng.standard_normal(10000)), 256)
     assert abs(codes[:, 0].astype(float).mean()) < 0.1 * 256
     assert dither_objection(SETUP, FrontEnd(adc_bits=8), True) is not None
     assert dither_objection(SETUP, FrontEnd(adc_bits=12), True) is None

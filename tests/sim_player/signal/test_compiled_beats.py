@@ -5,16 +5,26 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup
-from sim_player.signal.compiled_beats import compiled_terms, decimation
-from sim_player.signal.fmcw import slow_time_table, slow_time_terms
-from sim_player.signal.levels import Terms, echo_beats, echo_terms
-from sim_player.signal.swept_echoes import moving_echoes
+from sim_player.scene.front_end import NO_FAULTS
+from sim_player.signal.compiled_beats import decimation
+from sim_player.signal.levels import Terms, echo_terms, group_beats, group_terms
+from sim_player.signal.literal import literal_echoes
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
 from sim_player.trace.paths import Paths
 from tests.sim_player.signal.references import ALL
-from tests.sim_player.signal.test_levels import FAULTS, OVERLAP, SMALL, chirp_span_m, some_paths
+from tests.sim_player.signal.test_levels import (
+    FAULTS,
+    OVERLAP,
+    SMALL,
+    STATIC,
+    apart,
+    chirp_span_m,
+    one_path,
+    some_paths,
+)
 
 BEAM = 9
 RADAR = RadarSetup().radar
@@ -26,15 +36,16 @@ def samples_of(terms: Terms) -> np.ndarray:
     return np.asarray((carrier[:, None] * basis.T) @ beats)
 
 
-def reference(setup: RadarSetup, paths: Paths, effects: SignalEffects) -> np.ndarray:
-    echoes, carrier, basis = moving_echoes(setup, paths, effects, FAULTS, BEAM)
-    return samples_of((echo_beats(echoes), carrier, basis))
+def error_over_largest(got: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.abs(got - wanted).max() / np.abs(wanted).max())
 
 
 def largest_error(setup: RadarSetup, paths: Paths, effects: SignalEffects) -> float:
-    """Over the largest sample."""
-    got, wanted = samples_of(compiled_terms(setup, paths, effects, FAULTS, BEAM)), reference(setup, paths, effects)
-    return float(np.abs(got - wanted).max() / np.abs(wanted).max())
+    """Of single precision against double, which `test_levels` holds against the literal level."""
+    single, double = (
+        samples_of(echo_terms(setup, paths, effects, FAULTS, BEAM, precision)) for precision in ("float32", "float64")
+    )
+    return error_over_largest(single, double)
 
 
 @pytest.mark.parametrize("two_ways", [False, True])
@@ -52,12 +63,13 @@ def largest_error(setup: RadarSetup, paths: Paths, effects: SignalEffects) -> fl
     ],
     ids=["ideal", "plain", "isotropic", "coupling", "squint", "overlap", "migration", "all"],
 )
-def test_the_compiled_sum_is_that_in_double_precision(effects: SignalEffects, two_ways: bool) -> None:
-    """40 echoes up to 13 % of the chirp at up to 20 m/s. Bias: kernels to 1e-5 each, straight lines over a 128th of
-    the chirp at its start: 1e-4 of the largest sample.
+def test_the_compiled_sum_is_the_literal_one(effects: SignalEffects, two_ways: bool) -> None:
+    """40 echoes up to 13 % of the chirp at up to 20 m/s, four chirps. Bias: kernels to 1e-5 each, straight lines over a
+    128th of the chirp at its start: 1e-4 of the largest sample.
     """
     paths = some_paths(40, chirp_span_m(SMALL, OVERLAP), two_ways=two_ways, speed_mps=20.0)
-    assert largest_error(SMALL, paths, effects) < 1e-4
+    got = samples_of(echo_terms(SMALL, paths, effects, FAULTS, BEAM, "float32"))
+    assert error_over_largest(got, literal_echoes(SMALL, paths, effects, FAULTS, BEAM, range(4))) < 1e-4
 
 
 @pytest.mark.parametrize("effects", [PLAIN, ALL], ids=["plain", "all"])
@@ -75,7 +87,7 @@ def test_long_beams_keep_their_slow_time() -> None:
     setup = RadarSetup(radar=RadarParams(samples_per_chirp=512, chirps_per_beam=1024))
     paths = some_paths(20, 5.0, speed_mps=30.0)
     assert largest_error(setup, paths, PLAIN) < 1e-4
-    assert compiled_terms(setup, paths, PLAIN, FAULTS, BEAM)[0].dtype == np.complex64
+    assert echo_terms(setup, paths, PLAIN, FAULTS, BEAM, "float32")[0].dtype == np.complex64
 
 
 def test_the_last_chirps_echo_counts_where_it_passes_the_low_pass() -> None:
@@ -86,43 +98,58 @@ def test_the_last_chirps_echo_counts_where_it_passes_the_low_pass() -> None:
     for bandwidth_hz in (0.5 * SMALL.radar.sample_rate_hz, SMALL.radar.sample_rate_hz):
         setup = RadarSetup(radar=msgspec.structs.replace(SMALL.radar, bandwidth_hz=bandwidth_hz))
         paths = some_paths(20, chirp_span_m(setup, OVERLAP))
-        assert decimation(setup.radar, paths.length_m)
+        assert decimation(setup.radar, float(paths.length_m.max())) > 1
         assert largest_error(setup, paths, SignalEffects(chirp_overlap=True)) < 1e-4
 
 
-def test_too_wide_a_band_is_refused_and_summed_in_full() -> None:
-    """Echoes over the whole band: no low rate holds them. `echo_terms` sums them the exact way."""
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_full_band_is_summed_at_the_full_rate(precision: str) -> None:
+    """Echoes over the whole band: no low rate holds them. Literal: 1e-4 and, but for slow time, 1e-9."""
     setup = RadarSetup(radar=msgspec.structs.replace(SMALL.radar, bandwidth_hz=SMALL.radar.sample_rate_hz))
     paths = some_paths(10, chirp_span_m(setup, 0.9))
-    assert decimation(setup.radar, paths.length_m) == 0
-    with pytest.raises(ValueError, match="must leave half of the sampled band free"):
-        compiled_terms(setup, paths, PLAIN, FAULTS, BEAM)
-    got = samples_of(echo_terms(setup, paths, PLAIN, FAULTS, BEAM, "float32"))
-    wanted = reference(setup, paths, PLAIN)
-    assert np.abs(got - wanted).max() < 1e-4 * np.abs(wanted).max()
+    assert decimation(setup.radar, float(paths.length_m.max())) == 1
+    got = samples_of(echo_terms(setup, paths, ALL, FAULTS, BEAM, precision))
+    wanted = literal_echoes(setup, paths, ALL, FAULTS, BEAM, range(4))
+    assert error_over_largest(got, wanted) < {"float32": 1e-4, "float64": 1e-9}[precision]
 
 
+def in_groups(paths: Paths) -> list[tuple[Paths, SignalEffects]]:
+    """Every pair of squint and overlap, for a quarter of the paths each."""
+    effects = [
+        msgspec.structs.replace(ALL, squint=squint, chirp_overlap=overlap)
+        for squint in (True, False)
+        for overlap in (True, False)
+    ]
+    return [(paths.take(np.arange(i, len(paths), 4)), one) for i, one in enumerate(effects)]
+
+
+def test_groups_with_effects_of_their_own_add_up() -> None:
+    """One sum of four groups against a sum of each: at rest 1e-11, in motion the tolerance of slow time."""
+    paths = some_paths(40, chirp_span_m(SMALL, OVERLAP), speed_mps=20.0)
+    groups = in_groups(paths)
+    alone = [group_beats(SMALL, [group], FAULTS) for group in groups]
+    assert apart(group_beats(SMALL, groups, FAULTS), np.sum(alone, axis=0)) < 1e-11
+    literal = sum(literal_echoes(SMALL, some, effects, FAULTS, BEAM, range(4)) for some, effects in groups)
+    for precision, most in (("float32", 1e-4), ("float64", 2e-5)):
+        assert error_over_largest(samples_of(group_terms(SMALL, groups, FAULTS, BEAM, precision)), literal) < most
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("effects", [PLAIN, ALL], ids=["plain", "all"])
-def test_no_paths_are_silence(effects: SignalEffects) -> None:
-    beats, _, _ = compiled_terms(SMALL, some_paths(0, 1.0), effects, FAULTS, BEAM)
+def test_no_paths_are_silence(effects: SignalEffects, precision: str) -> None:
+    beats, _, _ = echo_terms(SMALL, some_paths(0, 1.0), effects, FAULTS, BEAM, precision)
+    assert beats.shape[1] == 512
     assert not beats.any()
+    behind = one_path(3.0, 120.0, speed_mps=1.0)
+    assert not echo_terms(SMALL, behind, effects, NO_FAULTS, BEAM, precision)[0].any()
 
 
-def test_the_same_paths_give_the_same_bytes() -> None:
-    paths = some_paths(40, 6.0, speed_mps=20.0)
-    first, second = (compiled_terms(SMALL, paths, ALL, FAULTS, BEAM)[0].tobytes() for _ in range(2))
-    assert first == second
-
-
-@pytest.mark.parametrize("speeds_mps", [(0.0,), (5.0, 5.0), (-30.0, 3.0, 30.0)])
-def test_the_table_of_shares_is_what_the_terms_are(speeds_mps: tuple[float, ...]) -> None:
-    """exp(j w c) from both, to the slow-time tolerance; the table's own turns and any between them."""
-    speed = np.array(speeds_mps)
-    turn = 4.0 * np.pi * speed * RADAR.chirp_period_s / RADAR.wavelength_m
-    carrier, basis, share = slow_time_terms(RADAR, speed)
-    table = slow_time_table(RADAR, turn)
-    np.testing.assert_array_equal(basis, table.basis)
-    np.testing.assert_array_equal(carrier, table.carrier)
-    place = (turn - table.middle_rad) / table.widest_rad if table.widest_rad else np.zeros_like(turn)
-    shares = np.polynomial.chebyshev.chebval(place, table.series.T)
-    np.testing.assert_allclose(shares, share, atol=1e-9 * np.abs(share).max())
+def test_the_same_paths_give_the_same_bytes_with_any_number_of_threads() -> None:
+    paths = some_paths(300, 200.0, speed_mps=20.0)
+    setup = RadarSetup(radar=msgspec.structs.replace(RADAR, chirps_per_beam=4))
+    made = []
+    for threads in (1, 2, 2):
+        with threadpool_limits(threads, "blas"):
+            moving = [echo_terms(setup, paths, ALL, FAULTS, BEAM, kind)[0] for kind in ("float32", "float64")]
+            made.append(b"".join(one.tobytes() for one in (*moving, group_beats(setup, [(paths, STATIC)], FAULTS))))
+    assert made[0] == made[1] == made[2]

@@ -1,20 +1,40 @@
-"""Compiled weights of echoes: their series against NumPy's."""
+"""Compiled weights of echoes: terms of slow time against their table, and what is left out of a beam."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from sim_player.signal.compiled_weights import _write_term
+from msgs.values.radar import RadarSetup
+from sim_player.scene.front_end import NO_FAULTS
+from sim_player.signal.compiled_weights import EchoWeights
+from sim_player.signal.fmcw import beam_weights, slow_time_table
+from sim_player.signal.switches import PLAIN
+from sim_player.trace.paths import Paths
+from tests.sim_player.signal.test_levels import one_path, some_paths
+
+SETUP, BEAM = RadarSetup(), 12
 
 
-@pytest.mark.parametrize("powers", range(1, 10))
-def test_series_of_any_length(powers: int) -> None:
-    """A factor times a Chebyshev series, whatever is left of its powers after fours; in single precision: 1e-6."""
-    rng = np.random.default_rng(powers)
-    series = rng.standard_normal(powers) + 1j * rng.standard_normal(powers)
-    place, factor = rng.uniform(-1.0, 1.0, 50), rng.standard_normal(50) + 1j * rng.standard_normal(50)
-    out = np.empty((2, 50), np.float32)
-    _write_term(out[0], out[1], factor.real.copy(), factor.imag.copy(), series, place, np.empty((4, 64)))
-    wanted = factor * np.polynomial.chebyshev.chebval(place, series)
-    np.testing.assert_allclose(out[0] + 1j * out[1], wanted, rtol=0.0, atol=1e-6 * np.abs(series).sum() * 3.0)
+def weights_of(paths: Paths, tolerance: float) -> tuple[EchoWeights, np.ndarray]:
+    radar = SETUP.radar
+    turn = 4.0 * np.pi * paths.radial_speed_mps * radar.chirp_period_s / radar.wavelength_m
+    slow = slow_time_table(radar, turn)
+    weigh = EchoWeights(SETUP, (paths, PLAIN), NO_FAULTS, BEAM, slow, np.array([0.5]), tolerance, np.float64)
+    return weigh, slow.shares(turn)
+
+
+def test_weights_are_those_of_the_pattern_times_the_shares() -> None:
+    """300 echoes up to 30 m/s at mid-sweep: Eq. (1) by NumPy, the beat's phase aside; sines and series to 1e-9."""
+    paths = some_paths(300, 90.0, two_ways=True, speed_mps=30.0)
+    weigh, shares = weights_of(paths, 0.0)
+    order = np.argsort(-paths.length_m, kind="stable")
+    np.testing.assert_array_equal(weigh.length_m, paths.length_m[order])
+    wanted = np.abs(beam_weights(SETUP, paths, slice(BEAM, BEAM + 1)) * shares)[:, order]
+    np.testing.assert_allclose(np.hypot(*weigh.weights)[0], wanted, rtol=0.0, atol=1e-8 * wanted.max())
+
+
+def test_echoes_without_power_in_a_beam_are_left_out() -> None:
+    """One ahead, one in the null at asin(1 / 4) of the beam ahead, which has no phase steps, one behind."""
+    paths = Paths.joined([one_path(30.0), one_path(20.0, np.degrees(np.arcsin(0.25))), one_path(10.0, 120.0)])
+    np.testing.assert_array_equal(weights_of(paths, 1e-5)[0].length_m, [30.0])
+    np.testing.assert_array_equal(weights_of(paths, 0.0)[0].length_m, [30.0, 20.0])

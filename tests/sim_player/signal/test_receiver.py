@@ -12,13 +12,13 @@ from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.levels import noise_density_mw
 from sim_player.signal.receiver import (
-    convert,
     converter_step,
     dither_objection,
     flicker_noise,
     flicker_ratio,
     iq_factors,
     iq_imbalance,
+    iq_mixing,
     leakage_beat,
     leakage_profile,
     overload_objection,
@@ -28,6 +28,7 @@ from sim_player.signal.receiver import (
     spur_turns,
 )
 from sim_player.signal.switches import SignalEffects
+from tests.sim_player.signal.references import converted
 
 RADAR = RadarParams(samples_per_chirp=256, chirps_per_beam=8)
 SETUP = RadarSetup(radar=RADAR)
@@ -104,6 +105,8 @@ def test_unbalanced_i_and_q_are_the_two_factors(gain_db: float, phase_deg: float
     np.testing.assert_allclose(iq_imbalance(m, m, front_end), wanted)
     profile, mirrored = np.fft.fft(m), np.fft.fft(m)[-np.arange(64)]
     np.testing.assert_allclose(iq_imbalance(profile, mirrored, front_end), np.fft.fft(wanted), atol=1e-9)
+    mixed = iq_mixing(front_end) @ np.stack([m.real, m.imag])
+    np.testing.assert_allclose(mixed[0] + 1j * mixed[1], wanted)
     # of a receiver that conjugates, both are those of the conjugate
     np.testing.assert_allclose(iq_imbalance(m.conj(), m.conj(), front_end, -1), wanted.conj())
     assert iq_factors(FrontEnd()) == (1.0, 0.0)
@@ -112,7 +115,7 @@ def test_unbalanced_i_and_q_are_the_two_factors(gain_db: float, phase_deg: float
 @pytest.mark.parametrize(("bits", "step", "top"), [(16, 1, 32767), (12, 16, 32752), (2, 16384, 16384)])
 def test_a_converter_rounds_to_its_step_and_saturates(bits: int, step: int, top: int) -> None:
     assert converter_step(FrontEnd(adc_bits=bits)) == step
-    codes = convert(np.array([1e6 - 1e6j, 0.4 * step - 0.6j * step, 1.4 * step + 0j]), step)
+    codes = converted(np.array([1e6 - 1e6j, 0.4 * step - 0.6j * step, 1.4 * step + 0j]), step)
     assert codes.tolist() == [[top, -32768], [0, -step], [min(step, top), 0]]
     assert codes.dtype == np.int16
     # two components, a step's square over twelve each

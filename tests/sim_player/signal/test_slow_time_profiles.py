@@ -13,11 +13,11 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState
 from sim_player.dataset.labelled_scan import noise_power_mw
 from sim_player.scene.front_end import FrontEnd, Spur
-from sim_player.signal.levels import RANGE_BINS, echo_terms, received_samples, with_electronics
+from sim_player.signal.levels import RANGE_BINS, echo_terms, with_electronics
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.slow_time_profiles import converter_objection, group_noise, group_profiles
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
-from tests.sim_player.signal.references import ALL
+from tests.sim_player.signal.references import ALL, received_samples
 from tests.sim_player.signal.test_levels import FAULTS, SMALL, apart, some_paths
 
 BEAM = 9
