@@ -267,8 +267,10 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
             continue
         spread = math.sqrt(2.0 / away)
         built, front, left = np.zeros(2, np.complex128), np.zeros(2, np.complex128), np.ones(2)
+        # in the order of the walls, whichever side they are seen from
+        turned = face_wall[last] < face_wall[first]
         for face in range(2):
-            f, sense = (last, -1.0) if face else (first, 1.0)
+            f, sense = (last, -1.0) if (face == 0) == turned else (first, 1.0)
             w, turn = face_wall[f], turn_from_face(x, y, face_rad[f], sense)
             over = passed_edge_at(top[w] - start[2], away, away, wavelength_m)
             # an arc's foot moves along it the slower or faster by its bend, and so does the border
@@ -285,6 +287,8 @@ def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
             built[face], front[face] = whole * term * spread * over, of_front * term * spread * over
         alike = left[0] == left[1] or builds[0][face_wall[first], 2] == builds[0][face_wall[last], 2]
         if alike:
+            # what roughness leaves is that of the face that sends back more
+            left[0] = left[0] if abs(built[0]) >= abs(built[1]) else left[1]
             built[0], front[0] = built[0] + built[1], front[0] + front[1]
         if max(np.abs(built).max(), np.abs(front).max()) < FAINTEST:
             continue
