@@ -25,8 +25,10 @@ from sim_player.scene.world import LIT_MARGIN, Snapshot, World
 from sim_player.trace.bounce import all_below_top, below_top, bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import (
+    LIT_SHARE,
     NEAREST_M,
     ROUTE,
+    SHADOWED,
     Routes,
     bounce_routes,
     clear_ways,
@@ -241,7 +243,8 @@ def _free_routes(antenna, pairs, vertices, owner, other, walls, is_curved, build
             continue
         row = rows[count]
         count += 1
-        fill_route(row, target, length_1 + length_2 + length_3, depart, arrive, _TWICE)
+        needs = _TWICE if abs(over * passed) >= LIT_SHARE else _TWICE | SHADOWED
+        fill_route(row, target, length_1 + length_2 + length_3, depart, arrive, needs)
         cosine_1 = abs(depart[0] * normal[first, 0] + depart[1] * normal[first, 1])
         cosine_2 = abs(arrive[0] * normal[second, 0] + arrive[1] * normal[second, 1])
         if is_curved[first] or is_curved[second]:

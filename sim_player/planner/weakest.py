@@ -174,7 +174,8 @@ class Weakest:
         # one of them may say no for all
         if float((change * span.strength).max(initial=0.0)) > share * float(self.limit.max()):
             return False
-        magnitude = span.magnitude * change[:, None].astype(np.float32)
+        # as large as single precision can say: a path of nothing changes by any factor
+        magnitude = span.magnitude * np.minimum(change, 1e30)[:, None].astype(np.float32)
         return not self._weakest(magnitude, span, share, self._skirt, np.ones(len(change), bool))[0].any()
 
     def _weakest(

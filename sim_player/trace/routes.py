@@ -54,6 +54,8 @@ ROUTE = Routes.dtype
 #: What `plane_bounces` returns.
 Bounces = tuple[np.ndarray, np.ndarray, np.ndarray]
 _MIRROR = bit("specular_relay")
+#: Where tops leave less of the field, the geometrical ray is blocked, and what passes is bent.
+LIT_SHARE, SHADOWED = 0.5, bit("edge_diffraction")
 
 
 def join_routes(parts: list[Routes]) -> Routes:
@@ -94,10 +96,14 @@ def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int
 
 
 def clear_ways(routes: Routes, occlusion: Occlusion) -> Routes:
-    """Return those of some routes that nothing blocks, with what passes over the tops on their way."""
+    """Return those of some routes that nothing blocks, with what passes over the tops on their way.
+
+    Where that is less than half the field, the way is there by diffraction alone.
+    """
     free = np.flatnonzero(occlusion.free)
-    routes = routes.take(free)
-    return routes.with_columns(other=routes.other * all_faded(occlusion.over[free]))
+    routes, passed = routes.take(free), all_faded(occlusion.over[free])
+    needs = routes.needs | np.where(np.abs(passed) < LIT_SHARE, SHADOWED, 0).astype(routes.needs.dtype)
+    return routes.with_columns(other=routes.other * passed, needs=needs)
 
 
 def scatterer_routes(view: Snapshot, specks: np.ndarray, point_m: np.ndarray) -> tuple[np.ndarray, Routes]:
@@ -306,6 +312,8 @@ def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: i
         portion = (specular[0] - start[0]) * depart[0] + (specular[1] - start[1]) * depart[1]
         portion /= max(1.0 - depart[2] * depart[2], 1e-12)
         rows[m].other = below_top(builds[3], top[w] - specular[2], portion, length - portion, depart[2])
+        if abs(rows[m].other) < LIT_SHARE:
+            rows[m].needs |= SHADOWED
     return rows, free, over, through, foliage
 
 

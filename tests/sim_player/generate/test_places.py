@@ -28,7 +28,7 @@ from sim_player.scene.front_end import FrontEnd
 from sim_player.scene.road_users import scattering_centres, seen_rcs_m2
 from sim_player.scene.world import prepare
 from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import hidden_objects
+from sim_player.trace.truth import hidden_objects, labelled
 
 COUNT = 200
 FIRST = (12.0, -3.0)
@@ -47,7 +47,7 @@ def seen(places: list[Place]) -> list[tuple[frozenset[int], frozenset[int]]]:
     found = []
     for place in places:
         paths = trace(prepare(place.scene), 0.0, OBJECT_EFFECTS)
-        direct = paths.object_index[paths.kind == PathClass.LOS]
+        direct = paths.object_index[labelled(paths) & (paths.kind == PathClass.LOS)]
         found.append((frozenset(direct.tolist()), hidden_objects(paths)))
     return found
 

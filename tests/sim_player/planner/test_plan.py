@@ -148,7 +148,7 @@ def test_absent_effects_say_why() -> None:
     plan = plan_effects(scene(CAR))
     for name, why in {
         "specular_relay": "no wall",
-        "second_relay": "0 straight walls",
+        "second_relay": "0 walls",
         "ground_bounce": "no ground",
         "object_interreflection": "1 object",
         "motion": "nothing moves",

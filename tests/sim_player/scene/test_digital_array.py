@@ -84,11 +84,11 @@ def peak(ra_map: RangeAzimuthMap) -> tuple[float, float, float]:
     return 10.0 * math.log10(snr), float(ra_map.grid.range_m[row]), float(ra_map.grid.azimuth_rad[column])
 
 
-def test_all_beams_are_of_one_time_and_traced_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_beams_are_of_one_time_and_traced_at_both_ends_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
     source, point = player(monkeypatch, speed_mps=5.0)
     point.asked_s.clear()
     assert {source.beam(2, index).stamp_ns for index in range(57)} == {600_000_000}
-    assert len(point.asked_s) == 1
+    assert len(point.asked_s) == 2
     assert (formed(source, 2).azimuth_stamp_ns == 600_000_000).all()
 
 
