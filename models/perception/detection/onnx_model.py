@@ -125,9 +125,9 @@ class DensePredictor:
     """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
 
     The session is warm when the constructor returns. A heatmap of a mirrored map is the mirrored heatmap: the network
-    looks at the map or at its mirror image, whichever is louder on its left (`is_turned`). `flip_test` averages both
-    looks: twice the time, fewer errors. Raises `ValueError` naming file and field when the
-    file, its card and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
+    looks at the map or at its mirror image, whichever is louder at its lower azimuths (`Encoding.is_turned`).
+    `flip_test` averages both looks: twice the time. Raises `ValueError` naming file and field when the file, its card
+    and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
     """
 
     def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
@@ -163,12 +163,13 @@ class DensePredictor:
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Return the network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
         require_grid(self.card.name, self.card.grid, ra_map.grid)
-        turned = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
+        mirrored = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
+        encoded = encode_map(self.card.encoding, ra_map)
         if self._flip_test:
-            return 0.5 * (self._look(ra_map) + self._look(turned)[..., ::-1])
-        if self.card.head == "heatmap" and is_turned(np.square(np.abs(ra_map.values))):
-            return self._look(turned)[..., ::-1]
-        return self._look(ra_map)
+            return 0.5 * (self.infer(encoded) + self._look(mirrored)[..., ::-1])
+        if self.card.head == "heatmap" and self.card.encoding.is_turned(encoded):
+            return self._look(mirrored)[..., ::-1]
+        return self.infer(encoded)
 
     def _look(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         return self.infer(encode_map(self.card.encoding, ra_map))
@@ -176,13 +177,6 @@ class DensePredictor:
     def infer(self, encoded: np.ndarray) -> np.ndarray:
         """Return the network's answer to an encoded map [channels, range, columns]."""
         return self._session.run(None, {self._input: encoded[None]})[0][0]
-
-
-def is_turned(level: np.ndarray) -> bool:
-    """Return whether a map [range, azimuth] is louder at its higher azimuths: networks look at it mirrored."""
-    columns = level.sum(axis=0, dtype=np.float64)
-    half = len(columns) // 2
-    return bool(columns[-half:].sum() > columns[:half].sum())
 
 
 def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_distance: int) -> Points:

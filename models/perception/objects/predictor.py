@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import card_path, learned_path, read_card
-from models.perception.detection.onnx_model import is_turned
 from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
@@ -82,7 +81,7 @@ class ObjectPredictor:
     """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
 
     Session and kernels are warm when the constructor returns. `threshold`: least probability that is reported; None:
-    the card's. The network looks at a scan or at its mirror image, by `is_turned`, so that a mirrored scan gives
+    the card's. The network looks at a scan or at its mirror image, by `Encoding.is_turned`, so that a mirrored scan gives
     mirrored objects; `flip_test` takes the mean of both looks.
 
     Raises `ValueError` when the file, its card and its shapes do not belong together.
@@ -160,8 +159,9 @@ class ObjectPredictor:
         """Return the network's answer to one input [channels, rows, columns]."""
         if self._flip_test:
             return 0.5 * (self._infer(cells) + self._mirrored(cells))
-        levels = cells[:BINS].sum(axis=0)
-        return self._mirrored(cells) if is_turned(levels) else self._infer(cells)
+        encoding = self.card.encoding
+        of_map = cells[: BINS * len(encoding.levels.channels)].reshape(-1, BINS, *cells.shape[1:])
+        return self._mirrored(cells) if encoding.levels.is_turned(of_map) else self._infer(cells)
 
     def _mirrored(self, cells: np.ndarray) -> np.ndarray:
         """Return the answer to the mirror image, mirrored back."""
