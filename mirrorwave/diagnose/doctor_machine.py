@@ -153,11 +153,9 @@ def check_viewer_port() -> Iterator[Finding]:
 
 
 def check_processor() -> Iterator[Finding]:
-    """Cores, memory, a compiler that works, and the kernels of int8 networks."""
+    """Cores, memory, and a compiler that works."""
     import numba
     import psutil
-
-    from models.perception.onnx_session import integer_kernels
 
     yield Finding("cores", Status.OK, f"{len(os.sched_getaffinity(0))} usable")
     free = psutil.virtual_memory().available
@@ -165,7 +163,6 @@ def check_processor() -> Iterator[Finding]:
     yield Finding("memory", Status.OK if enough else Status.WARNING, f"{free / _MIB:.0f} MiB available")
     works = numba.njit(_one_more)(1) == 2
     yield Finding("compiler", Status.OK if works else Status.FAILED, f"numba {numba.__version__} compiles")
-    yield Finding("int8 networks", Status.OK, str(integer_kernels()))
 
 
 def check_weights(folder: Path) -> Iterator[Finding]:

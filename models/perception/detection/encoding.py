@@ -92,6 +92,20 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
             )
 
 
+    def is_turned(self, channels: np.ndarray) -> bool:
+        """Return whether a map is louder at its higher azimuths, by its encoded channels [channels, ..., columns]:
+        networks then look at its mirror image, so that a mirrored map gives the mirrored answer.
+
+        Without levels among the channels no map is turned.
+        """
+        if "level" not in self.channels:
+            return False
+        level = channels[self.channels.index("level")].reshape(-1, channels.shape[-1]).astype(np.float64)
+        power = np.exp(level * (self.level_max_db - self.level_min_db) * math.log(10.0) / 10.0).sum(axis=0)
+        half = len(power) // 2
+        return bool(power[-half:].sum() > power[:half].sum())
+
+
 def encode_map(encoding: Encoding, ra_map: RangeAzimuthMap) -> np.ndarray:
     """Return the network input of one map, float32 [channels, range, columns]."""
     encoding.check_grid(ra_map.grid)

@@ -124,9 +124,10 @@ def load_card(model_path: Path) -> ModelCard:
 class DensePredictor:
     """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
 
-    The session is warm when the constructor returns. `flip_test` averages the output over every map and the same map
-    with left and right exchanged: twice the time, fewer errors. Raises `ValueError` naming file and field when the
-    file, its card and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
+    The session is warm when the constructor returns. A heatmap of a mirrored map is the mirrored heatmap: the network
+    looks at the map or at its mirror image, whichever is louder at its lower azimuths (`Encoding.is_turned`).
+    `flip_test` averages both looks: twice the time. Raises `ValueError` naming file and field when the file, its card
+    and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
     """
 
     def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
@@ -148,9 +149,6 @@ class DensePredictor:
         if self.card.head != "heatmap":
             raise ValueError(f"{self.card.name}: card.head must be heatmap for a heatmap, got {self.card.head}")
         visible = self.answer(ra_map)
-        if self._flip_test:
-            flipped = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
-            visible = 0.5 * (visible + self.answer(flipped)[..., ::-1])
         confidence = np.zeros((len(visible), *ra_map.grid.shape), np.float32)
         confidence[:, : visible.shape[1]] = visible
         return confidence
@@ -165,6 +163,15 @@ class DensePredictor:
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Return the network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
         require_grid(self.card.name, self.card.grid, ra_map.grid)
+        mirrored = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
+        encoded = encode_map(self.card.encoding, ra_map)
+        if self._flip_test:
+            return 0.5 * (self.infer(encoded) + self._look(mirrored)[..., ::-1])
+        if self.card.head == "heatmap" and self.card.encoding.is_turned(encoded):
+            return self._look(mirrored)[..., ::-1]
+        return self.infer(encoded)
+
+    def _look(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         return self.infer(encode_map(self.card.encoding, ra_map))
 
     def infer(self, encoded: np.ndarray) -> np.ndarray:

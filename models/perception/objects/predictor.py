@@ -18,7 +18,7 @@ from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
 from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, detections, hidden_objects
-from models.perception.objects.encoding import ObjectEncoding, encode_objects
+from models.perception.objects.encoding import BINS, ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import open_session
@@ -81,7 +81,8 @@ class ObjectPredictor:
     """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
 
     Session and kernels are warm when the constructor returns. `threshold`: least probability that is reported; None:
-    the card's. `flip_test` takes the mean of the answers to a scan and to its mirror image.
+    the card's. The network looks at a scan or at its mirror image, by `Encoding.is_turned`, so that a mirrored scan gives
+    mirrored objects; `flip_test` takes the mean of both looks.
 
     Raises `ValueError` when the file, its card and its shapes do not belong together.
     """
@@ -100,7 +101,7 @@ class ObjectPredictor:
         self.threshold = self.card.threshold if threshold is None else threshold
         require_within("threshold", 0.0, 1.0, self.threshold)
         self._session = open_session(self._path, self.card.sha256, threads)
-        self._odd_channels = self.card.encoding.odd_channels if flip_test else None
+        self._odd_channels, self._flip_test = self.card.encoding.odd_channels, flip_test
         self._check_shapes()
         self._warm()
 
@@ -156,14 +157,20 @@ class ObjectPredictor:
 
     def answer(self, cells: np.ndarray) -> np.ndarray:
         """Return the network's answer to one input [channels, rows, columns]."""
-        answer = self._infer(cells)
-        if self._odd_channels is None:
-            return answer
+        if self._flip_test:
+            return 0.5 * (self._infer(cells) + self._mirrored(cells))
+        encoding = self.card.encoding
+        of_map = cells[: BINS * len(encoding.levels.channels)].reshape(-1, BINS, *cells.shape[1:])
+        return self._mirrored(cells) if encoding.levels.is_turned(of_map) else self._infer(cells)
+
+    def _mirrored(self, cells: np.ndarray) -> np.ndarray:
+        """Return the answer to the mirror image, mirrored back."""
         flipped = cells[..., ::-1].copy()
         flipped[self._odd_channels] *= -1.0
-        mirrored = self._infer(flipped)[..., ::-1].reshape(HYPOTHESES, ANSWERS, *answer.shape[1:]).copy()
-        mirrored[:, _ODD_ANSWERS] *= -1.0
-        return 0.5 * (answer + mirrored.reshape(answer.shape))
+        mirrored = self._infer(flipped)[..., ::-1]
+        answer = mirrored.reshape(HYPOTHESES, ANSWERS, *mirrored.shape[1:]).copy()
+        answer[:, _ODD_ANSWERS] *= -1.0
+        return answer.reshape(mirrored.shape)
 
     def _infer(self, cells: np.ndarray) -> np.ndarray:
         answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: cells[None]})[0][0]

@@ -15,6 +15,9 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 #: Attention (products of two activations), softmax, norms and the final sigmoid stay in fp32.
 QUANTIZED_OPS = ("Conv", "Gemm", "MatMul", "Add", "Relu", "Concat", "DepthToSpace")
 
+#: Two weights of one sign times activations of 255 that add up to at most 2^15 - 1.
+MAX_PAIR = 128
+
 
 class _Maps(quantization.CalibrationDataReader):
     """Encoded maps one after the other, as the calibration requests them."""
@@ -55,6 +58,75 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
             weight_type=quantization.QuantType.QInt8,
             calibrate_method=quantization.CalibrationMethod.MinMax,
         )
+        onnx.save(limit_pair_sums(onnx.load(target), onnx.load(prepared)), target)
+
+
+def limit_pair_sums(quantized: onnx.ModelProto, source: onnx.ModelProto) -> onnx.ModelProto:
+    """Return an int8 network whose weights are rounded anew from those of its `source`, no sum of two products of which
+    leaves 16 bits.
+
+    x86 processors with AVX2 and without VNNI multiply two unsigned activations by two signed weights and add both in 16
+    bits: two neighbours of one sign that add up to over `MAX_PAIR` are cut off there. A channel's scale is the one
+    with the least squared error once such neighbours are lowered.
+    """
+    tensors = {tensor.name: tensor for tensor in quantized.graph.initializer}
+    exact = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in source.graph.initializer}
+    made = {output: node for node in quantized.graph.node for output in node.output}
+
+    def value(name: str) -> np.ndarray:
+        return np.asarray(onnx.numpy_helper.to_array(tensors[name]))
+
+    def set_value(name: str, array: np.ndarray) -> None:
+        tensors[name].CopyFrom(onnx.numpy_helper.from_array(array, name))
+
+    for node in quantized.graph.node:
+        if node.op_type not in ("Conv", "Gemm", "MatMul") or not (entry := made.get(node.input[1])):
+            continue
+        if entry.input[0] not in tensors:
+            continue
+        # output channels first, then the order in which the kernels add: cells of the kernel, input channels last
+        axis = 0 if node.op_type == "Conv" else 1
+        weights = np.moveaxis(exact[entry.input[0].removesuffix("_quantized")], axis, 0)
+        codes, scale = _paired_codes(weights.reshape(len(weights), weights.shape[1], -1).swapaxes(1, 2))
+        codes = np.moveaxis(codes.swapaxes(1, 2).reshape(weights.shape), 0, axis)
+        set_value(entry.input[0], np.ascontiguousarray(codes))
+        before = value(entry.input[1])
+        set_value(entry.input[1], scale)
+        for bias in (made[name] for name in node.input[2:] if name in made):
+            set_value(bias.input[0], np.round(value(bias.input[0]) * (before / scale)).astype(np.int32))
+            set_value(bias.input[1], value(bias.input[1]) * (scale / before))
+    return quantized
+
+
+def _paired_codes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return int8 codes of weights [channels, cells, inputs] and the scale of each channel."""
+    largest = np.maximum(np.abs(weights).max(axis=(1, 2)), np.finfo(np.float32).tiny)
+    best, codes, scale = np.full(len(weights), np.inf), np.zeros(weights.shape, np.int8), np.zeros(len(weights))
+    for stretch in np.linspace(1.0, 127.0 / (MAX_PAIR / 2), 41):
+        step = largest * stretch / 127.0
+        tried = _lowered(np.round(weights / step[:, None, None]))
+        error = np.square(tried * step[:, None, None] - weights).sum(axis=(1, 2))
+        better = error < best
+        best[better], codes[better], scale[better] = error[better], tried[better], step[better]
+    return codes, scale.astype(np.float32)
+
+
+def _lowered(codes: np.ndarray) -> np.ndarray:
+    """Lower neighbours of one sign whose sum leaves 16 bits, in both orders in which kernels may add."""
+    while True:
+        over = 0
+        for order in ((0, 1, 2), (0, 2, 1)):
+            rows = codes.transpose(order).reshape(len(codes), -1).copy()
+            pairs = rows[:, : rows.shape[1] // 2 * 2].reshape(len(codes), -1, 2)
+            excess = np.maximum(np.abs(pairs.sum(axis=-1)) - MAX_PAIR, 0.0)
+            pairs[..., 0] -= np.sign(pairs[..., 0]) * np.ceil(excess / 2.0)
+            pairs[..., 1] -= np.sign(pairs[..., 1]) * np.floor(excess / 2.0)
+            rows[:, : rows.shape[1] // 2 * 2] = pairs.reshape(len(codes), -1)
+            shape = tuple(codes.shape[axis] for axis in order)
+            codes = rows.reshape(shape).transpose(order)
+            over += int((excess > 0.0).sum())
+        if not over:
+            return codes
 
 
 def without_transposed_convolutions(model: onnx.ModelProto) -> onnx.ModelProto:

@@ -165,7 +165,7 @@ def test_no_radial_speed_is_said_in_noise_or_of_a_map_from_an_unknown_motion(net
     assert all(item.radial_speed is None for item in (*silent, *unknown))
 
 
-def test_with_the_flip_test_left_and_right_are_alike(network: Path, tmp_path: Path) -> None:
+def test_left_and_right_are_alike(network: Path, tmp_path: Path) -> None:
     """Cells and their mirror image: answers of the other side, across with the other sign. Random weights."""
     import torch
 
@@ -193,7 +193,8 @@ def test_with_the_flip_test_left_and_right_are_alike(network: Path, tmp_path: Pa
         here, there = (predictor.answer(item).reshape(HYPOTHESES, ANSWERS, rows, columns) for item in (cells, flipped))
         turned = there[..., ::-1].copy()
         turned[:, [PLACE.start + 1, HEADING.start + 1, CENTRE.start + 1]] *= -1.0
-        assert np.allclose(here, turned, atol=1e-5) == flip_test
+        np.testing.assert_allclose(here, turned, atol=1e-5)
+        assert flip_test or not np.allclose(predictor._infer(flipped)[..., ::-1], predictor._infer(cells), atol=1e-2)
 
 
 def test_what_does_not_belong_together_is_refused_in_a_line(network: Path, tmp_path: Path) -> None:
