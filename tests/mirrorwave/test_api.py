@@ -30,7 +30,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def beams() -> tuple[RadarSetup, list[RadarBeam]]:
-    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="all"))
     return player.setup, [player.beam(0, index) for index in range(25)]
 
 

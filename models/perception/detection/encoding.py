@@ -91,7 +91,6 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
                 f"would fall between them, got {self.columns}: compact_unet:fine has enough, method cfar needs none"
             )
 
-
     def is_turned(self, channels: np.ndarray) -> bool:
         """Return whether a map is louder at its higher azimuths, by its encoded channels [channels, ..., columns]:
         networks then look at its mirror image, so that a mirrored map gives the mirrored answer.

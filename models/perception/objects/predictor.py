@@ -81,8 +81,8 @@ class ObjectPredictor:
     """An object network under ONNX Runtime: what a scan hides, by its map, its peaks and the walls in them.
 
     Session and kernels are warm when the constructor returns. `threshold`: least probability that is reported; None:
-    the card's. The network looks at a scan or at its mirror image, by `Encoding.is_turned`, so that a mirrored scan gives
-    mirrored objects; `flip_test` takes the mean of both looks.
+    the card's. The network looks at a scan or at its mirror image, by `Encoding.is_turned`, so that a mirrored scan
+    gives mirrored objects; `flip_test` takes the mean of both looks.
 
     Raises `ValueError` when the file, its card and its shapes do not belong together.
     """

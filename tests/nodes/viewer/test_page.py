@@ -36,7 +36,7 @@ FLAGS = [
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
 PATIENCE_S = 60.0
-SCENE = "launch/scenes/facade_across_lane.yaml"
+SCENE = "launch/scenes/parallel_street_wall.yaml"
 
 Open = Callable[..., Any]
 

@@ -96,8 +96,7 @@ def test_the_law_holds_in_every_cell_of_a_scan(index: int, purpose: Purpose) -> 
 
 def test_a_planned_beam_is_everything_but_what_is_left_out() -> None:
     """In double precision: the difference of both signals, not what is left out alone, keeps the law."""
-    world = prepare(scene(WALL, CAR, ego=Ego(speed_mps=3.0, yaw_rate_dps=5.0)))
-    plan = planned(world)
+    plan = planned(moving_place(0))
     span = span_of(plan)
     kept = selection(plan).kept(*span.ends(), plan.holds_s)
     assert 0 < kept.sum() < len(kept)
@@ -177,7 +176,7 @@ def test_what_is_kept_whole() -> None:
 
 
 def test_same_bytes_in_any_order() -> None:
-    asked = scene(WALL, CAR, ego=Ego(speed_mps=3.0))
+    asked = moving_place(0).scene
     one, other = (ScenePlayer(asked, effects="auto", purpose="peaks", chirps_per_beam=4) for _ in range(2))
     beams = ((0, 3), (2, 7), (1, 0))
     first = {at: one.beam(*at).samples for at in beams}
