@@ -282,7 +282,7 @@ def test_pause_holds_the_scan_and_counts_what_passes(server: ViewerServer, board
     assert page.locator("#missed").inner_text() == "7"
     assert page.locator("#pause").get_attribute("aria-pressed") == "true"
     page.keyboard.press("Space")
-    until(page, "mirrorwave.state.view.scan_id === 7")
+    until(page, "mirrorwave.state.view?.scan_id === 7")
     assert page.locator("#scan").inner_text() == "7"
 
 
@@ -436,7 +436,7 @@ def test_only_a_picture_of_now_is_called_live(
     aged(board, 0, 0.0)
     aged(board, 1, age_s)
     page = open_page(server)
-    until(page, "mirrorwave.state.view.scan_id === 1")
+    until(page, "mirrorwave.state.view?.scan_id === 1")
     assert (page.evaluate(f"{LINK}.dataset.state"), page.evaluate(f"{LINK}.textContent")) == (state, words)
     assert page.evaluate(f"!{BANNER}.hidden") == bool(banner)
     assert page.evaluate(f"{BANNER}.textContent").startswith(banner)
@@ -532,7 +532,7 @@ def test_a_recording_is_moved_by_keys_and_slider(tmp_path: Path, open_page: Open
             page.keyboard.press(key)
             until(page, f"mirrorwave.state.view.scan_id === {scan}")
         page.locator("#seek").fill("9")
-        until(page, "mirrorwave.state.view.scan_id === 109")
+        until(page, "mirrorwave.state.view?.scan_id === 109")
         # the slider that was moved last does not keep the space bar to itself
         page.locator("#speed").select_option("4")
         page.locator("#seek").focus()
@@ -639,7 +639,7 @@ def test_no_track_one_and_a_thousand(server: ViewerServer, board: Board, open_pa
     rng = np.random.default_rng(0)
     places = rng.uniform(-80.0, 80.0, (1000, 2)).tolist()
     board_tracks(board, 1, *(road_user(index, x, y) for index, (x, y) in enumerate(places)))
-    until(page, "mirrorwave.state.view.tracks_total === 1000")
+    until(page, "mirrorwave.state.view?.tracks_total === 1000")
     assert page.locator("#tracks tbody tr").last.inner_text().startswith("and 988 more")
     assert page.locator("#warning-list li").count() <= 12
     # several urgent ones at once: no word of what they are and no time left lies out of sight

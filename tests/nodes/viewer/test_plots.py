@@ -166,7 +166,7 @@ def test_nothing_is_sent_to_a_page_that_plots_nothing(board: Board, server: View
     page.click("#plots button")
     assert page.locator("#plots li").count() == 0
     run_graph(board, range(5, 8))
-    until(page, "mirrorwave.state.view.scan_id === 7")
+    until(page, "mirrorwave.state.view?.scan_id === 7")
     assert page.evaluate("mirrorwave.plots.now") == 0
     assert page.evaluate("[...mirrorwave.plots.data.values()][0].v.length") == 5
 
@@ -189,7 +189,7 @@ def test_a_node_that_ends_leaves_its_line_behind(board: Board, server: ViewerSer
     page = open_page(server)
     plot(page, "node geometry", "stages.geometry.mean_ms")
     run_graph(board, range(5, 30), has_node=False)
-    until(page, "mirrorwave.state.view.scan_id === 29 && mirrorwave.plots.shown[0].data.t.at(-1) < -4")
+    until(page, "mirrorwave.state.view?.scan_id === 29 && mirrorwave.plots.shown[0].data.t.at(-1) < -4")
     assert page.locator("#plots li").count() == 1
 
 
