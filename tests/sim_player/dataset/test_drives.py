@@ -323,11 +323,11 @@ def test_series_at_rest_keep_their_scenes_and_signals() -> None:
     """
     pinned = {
         "any": (
-            "e0ce860961f38cca9aaeee5d6b2b96a2325ccd6c6b85068434adeaedfbef6fab",
+            "998fa422a4908569cdd5d97a327d5b3f7cd0a1f8e2cb1705cbb273c2c2797ea5",
             [0.00548547, 0.000890583, 0.00454423, 0.000372451, 0.000174015, 0.000175213],
         ),
         "street_v1": (
-            "97581a990e8e6a562fa29eb3931c59a4d02b1a48f5771977ac7821bab98b6c23",
+            "0680c3b6d1f197c6541b048e7991e45be82f48e730b3534c9664c2f804ad0d33",
             [0.00421743, 0.00254513, 0.00122776, 0.000414848, 0.000948531, 0.000113199],
         ),
     }
