@@ -109,7 +109,11 @@ class DoubleChain:
     def heatmap(self, double_map: SimpleNamespace) -> np.ndarray:
         """Probabilities float64 [2, range, azimuth]."""
         encoded = encode_double(self.card.encoding, double_map.values, double_map.noise_power_mw)
+        turned = self.card.encoding.is_turned(encoded)
+        if turned:
+            encoded = encode_double(self.card.encoding, double_map.values[:, ::-1], double_map.noise_power_mw)
         seen = self._network.run(None, {"encoded": encoded[None]})[0][0]
+        seen = seen[..., ::-1] if turned else seen
         assert seen.dtype == np.float64
         whole = np.zeros((len(PathClass), *self.grid.shape))
         whole[:, : seen.shape[1]] = seen

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.accuracy.severity import FAULTS, run
 from benchmarks.accuracy.six_scenes import SCENES
 
-TWO = [scene for scene in SCENES if scene.stem in ("corner", "two_hidden_vehicles")]
+TWO = [scene for scene in SCENES if scene.stem in ("oblique_container", "two_hidden_vehicles")]
 #: Mild, severe, and the flag that a severe fault must raise.
 CASES = {
     "phase_errors": (10.0, 60.0, "array_error"),

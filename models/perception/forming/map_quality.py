@@ -20,7 +20,7 @@ _NEAR_BINS = 4
 #: A silent beam's mean power stays under the first over at least so many bins in which some beam is over the second:
 #: the side lobes of echoes this loud bring every live beam over it (docs/explain/faults.md). Their echoes come from so
 #: many directions: a lone one has nulls. At 40 dB a live beam towards smooth walls may hold noise alone.
-_SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 50.0, 16, 4
+_SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 50.0, 12, 4
 #: Noise of a beam over the median of all beams from which the beam is left out.
 _INTERFERED_DB = 6.0
 #: A spur stands this far over the noise in every beam, within this spread; echoes differ by 26 dB and more.

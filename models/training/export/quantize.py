@@ -100,7 +100,9 @@ def limit_pair_sums(quantized: onnx.ModelProto, source: onnx.ModelProto) -> onnx
 
 def _paired_codes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return int8 codes of weights [channels, cells, inputs] and the scale of each channel."""
-    largest = np.maximum(np.abs(weights).max(axis=(1, 2)), np.finfo(np.float32).tiny)
+    largest = np.abs(weights).max(axis=(1, 2))
+    # a channel of nothing has any scale
+    largest[largest == 0.0] = 1.0
     best, codes, scale = np.full(len(weights), np.inf), np.zeros(weights.shape, np.int8), np.zeros(len(weights))
     for stretch in np.linspace(1.0, 127.0 / (MAX_PAIR / 2), 41):
         step = largest * stretch / 127.0
