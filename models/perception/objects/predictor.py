@@ -158,21 +158,22 @@ class ObjectPredictor:
     def answer(self, cells: np.ndarray) -> np.ndarray:
         """Return the network's answer to one input [channels, rows, columns]."""
         if self._flip_test:
-            return 0.5 * (self._infer(cells) + self._mirrored(cells))
+            return 0.5 * (self.look(cells) + self._mirrored(cells))
         encoding = self.card.encoding
         of_map = cells[: BINS * len(encoding.levels.channels)].reshape(-1, BINS, *cells.shape[1:])
-        return self._mirrored(cells) if encoding.levels.is_turned(of_map) else self._infer(cells)
+        return self._mirrored(cells) if encoding.levels.is_turned(of_map) else self.look(cells)
 
     def _mirrored(self, cells: np.ndarray) -> np.ndarray:
         """Return the answer to the mirror image, mirrored back."""
         flipped = cells[..., ::-1].copy()
         flipped[self._odd_channels] *= -1.0
-        mirrored = self._infer(flipped)[..., ::-1]
+        mirrored = self.look(flipped)[..., ::-1]
         answer = mirrored.reshape(HYPOTHESES, ANSWERS, *mirrored.shape[1:]).copy()
         answer[:, _ODD_ANSWERS] *= -1.0
         return answer.reshape(mirrored.shape)
 
-    def _infer(self, cells: np.ndarray) -> np.ndarray:
+    def look(self, cells: np.ndarray) -> np.ndarray:
+        """Return what the network says of one input as it is; ValueError for what is not finite."""
         answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: cells[None]})[0][0]
         if not np.isfinite(answer).all():
             raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")

@@ -141,6 +141,6 @@ def _check_parity(path: Path, network: ObjectUNet, predictor: ObjectPredictor, f
         cells = stored.sample.cells.astype(np.float32)
         with torch.no_grad():
             wanted = network(torch.from_numpy(cells[None]))[0].numpy()
-        difference = float(np.abs(predictor.answer(cells) - wanted).max() / np.abs(wanted).max())
+        difference = float(np.abs(predictor.look(cells) - wanted).max() / np.abs(wanted).max())
         if not difference <= PARITY:
             raise ValueError(f"{path}: answers must agree with torch within {PARITY}, differ by {difference}")

@@ -141,7 +141,7 @@ def test_a_training_goes_on_from_an_exported_network(files: list[Path], tmp_path
     cells = np.random.default_rng(2).standard_normal(wider.shape).astype(np.float32)
     with torch.no_grad():
         said = network.eval()(torch.from_numpy(cells[None]))[0].numpy()
-    np.testing.assert_allclose(said, ObjectPredictor(path).answer(cells[: ENCODING.shape[0]]), atol=1e-4)
+    np.testing.assert_allclose(said, ObjectPredictor(path).look(cells[: ENCODING.shape[0]]), atol=1e-4)
 
     started = replace(config(1), training=replace(config(1).training, start=str(path)))
     training = ObjectTraining(started, files[:1], files[1:], tmp_path / "more")

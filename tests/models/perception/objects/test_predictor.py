@@ -194,7 +194,7 @@ def test_left_and_right_are_alike(network: Path, tmp_path: Path) -> None:
         turned = there[..., ::-1].copy()
         turned[:, [PLACE.start + 1, HEADING.start + 1, CENTRE.start + 1]] *= -1.0
         np.testing.assert_allclose(here, turned, atol=1e-5)
-        assert flip_test or not np.allclose(predictor._infer(flipped)[..., ::-1], predictor._infer(cells), atol=1e-2)
+        assert flip_test or not np.allclose(predictor.look(flipped)[..., ::-1], predictor.look(cells), atol=1e-2)
 
 
 def test_what_does_not_belong_together_is_refused_in_a_line(network: Path, tmp_path: Path) -> None:
