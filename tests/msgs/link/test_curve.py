@@ -145,14 +145,16 @@ def renamed(message: msgspec.Struct) -> msgspec.Struct:
 def test_every_message_of_every_topic_arrives_as_it_was_in_our_clock_and_under_its_peer_s_name(bench: Bench) -> None:
     exporter, importer = bench.linked(*TOPICS)
     originals = [sent(topic, shift_stamps(message, AHEAD_NS), number) for number, (topic, message) in enumerate(CASES)]
+    # on a busy machine a later exchange may know the offset better
+    offsets_ns = []
     for count, original in enumerate(originals, start=1):
         exporter.send(original)
         bench.until(lambda expected=count: len(bench.came) == expected)
-    offset_ns = importer.offset_ns()
+        offsets_ns.append(importer.offset_ns())
     error_ns = importer.error_ns()
     assert error_ns is not None
-    assert abs(offset_ns - AHEAD_NS) <= error_ns
-    for came, original in zip(bench.came, originals, strict=True):
+    assert abs(offsets_ns[-1] - AHEAD_NS) <= error_ns
+    for came, original, offset_ns in zip(bench.came, originals, offsets_ns, strict=True):
         got = decode(came.frames)
         assert_same(got.message, renamed(shift_stamps(original.message, -offset_ns)))
         assert got.envelope == came.envelope
