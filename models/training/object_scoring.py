@@ -47,7 +47,7 @@ class ObjectTally:
         likely = replace(likely, score=calibrated(table, likely.score))
         column_rad, stamp_ns = self._encoding.cells.azimuth_rad, stored.column_stamp_ns
         stamp_ns = np.rint(np.interp(likely.azimuth_rad, column_rad, stamp_ns)).astype(np.int64)
-        truth, images = _truth(len(self.rows[min(self.rows)]), stored), _images(stored)
+        truth, images = scan_truth(len(self.rows[min(self.rows)]), stored), image_truths(stored)
         for threshold, rows in self.rows.items():
             reached = likely.score >= threshold
             reports = hidden_objects(likely.take(reached), stamp_ns[reached])
@@ -65,7 +65,7 @@ class ObjectTally:
         return threshold, reports[threshold]
 
 
-def _truth(scan: int, stored: StoredSample) -> SceneTruth:
+def scan_truth(scan: int, stored: StoredSample) -> SceneTruth:
     """Return the truth of a scan as far as the labels tell it."""
     labels = stored.labels
     images = np.flatnonzero((labels.path_class == PathClass.MIRRORED) & (labels.object_index >= 0))
@@ -83,7 +83,7 @@ def _truth(scan: int, stored: StoredSample) -> SceneTruth:
     )
 
 
-def _images(stored: StoredSample) -> list[ImageTruth]:
+def image_truths(stored: StoredSample) -> list[ImageTruth]:
     """Return what the labels tell of each object's images; those under 10 dB have no label.
 
     An object beside the radar's sector is in sight although no label of the map shows it.

@@ -313,10 +313,10 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
     }
 
 
-def _walls(scene: Scene, seed: int) -> dict[str, tuple[PriorWall, ...]]:
-    """Return the walls of a place at rest in the radar's frame: exact, and as a poor map has them."""
+def _walls(scene: Scene, seed: int, start_from_radar: Pose2 | None = None) -> dict[str, tuple[PriorWall, ...]]:
+    """Return the walls of a place in the radar's frame (None: at rest): exact, and as a poor map has them."""
     return {
-        name: scene_walls(scene, Pose2(), 0, seed, errors).walls
+        name: scene_walls(scene, start_from_radar or Pose2(), 0, seed, errors).walls
         for name, errors in (("walls", None), ("map_walls", POOR))
     }
 
@@ -334,13 +334,14 @@ def _drive_arrays(recipe: Recipe, scans: int, seed: int, first: int, count: int)
             scan = drive.scan(number)
             labels.append(scan.labels)
             facts = {"place": place.kind, "relays": place.relays, "hidden": scan.hidden} | scene_facts(scene)
+            walls = _walls(scene, scene_seed(seed, index), scan.start_from_radar)
             row = {
                 "profiles": scan.profiles,
                 "radial_speed_cmps": speed_codes(scan.radial_speed_mps),
                 "noise_power_mw": noise_power_mw(setup),
                 "gain_db": gain_db,
                 "scene_yaml": scene_to_yaml(scene),
-                "facts": msgspec.json.encode(facts | {"truth": scan.objects}),
+                "facts": msgspec.json.encode(facts | {"truth": scan.objects} | walls),
                 "plan": _plan_line(recipe, scan),
                 "velocity_mps": scan.velocity_mps,
                 "elapsed_s": scan.elapsed_s,

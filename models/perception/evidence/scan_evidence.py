@@ -1,0 +1,76 @@
+"""A scan's evidence: its walls by the wall network, and what the map shows of each place by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from scipy.special import expit
+
+from models.perception.evidence.gathering import BirdsEyeGrid, Evidence, channel_names, gathered, odd_channels
+from models.perception.evidence.wall_elements import (
+    WALL_ANSWERS,
+    WallGrowth,
+    certainties,
+    grown_walls,
+    nearest_walls,
+    others,
+    wall_elements,
+)
+from models.perception.geometry.mirrors import WallArrays, wall_arrays
+from msgs.values.perception import Wall
+from msgs.values.radar import RangeAzimuthMap
+
+
+class EvidenceEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of the evidence network's input; travels in its card."""
+
+    grid: BirdsEyeGrid = BirdsEyeGrid()
+    growth: WallGrowth = WallGrowth()
+    #: Mirrors of a place that stand side by side.
+    mirrors: int = 3
+    max_walls: int = 24
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(channels, x, y) of one input."""
+        return len(channel_names(self.mirrors)), *self.grid.shape
+
+    @property
+    def odd_channels(self) -> list[int]:
+        """Channels that change sign when left and right are exchanged."""
+        return odd_channels(self.mirrors)
+
+
+@dataclass(frozen=True)
+class ScanEvidence:
+    """Walls of a scan, as messages and arrays, how certain each is [walls], and the evidence."""
+
+    walls: list[Wall]
+    arrays: WallArrays
+    certainty: np.ndarray
+    evidence: Evidence
+
+
+def scan_evidence(
+    encoding: EvidenceEncoding,
+    ra_map: RangeAzimuthMap,
+    answer: np.ndarray,
+    fitted: Sequence[Wall] = (),
+) -> ScanEvidence:
+    """Return the evidence of a map by the field network's answer [answers, range, azimuth].
+
+    `fitted`: walls known otherwise, by a fit of direct returns or a map; its walls join them where they are
+    others.
+    """
+    elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
+    grown, _ = grown_walls(elements, encoding.growth)
+    walls = [*fitted, *others(grown, fitted)][: encoding.max_walls]
+    arrays = wall_arrays(walls)
+    certainty = certainties(arrays, answer, ra_map.grid)
+    support = nearest_walls(elements.place_m, arrays)
+    heat = expit(answer[WALL_ANSWERS:])
+    evidence = gathered(encoding.grid, ra_map, heat, arrays, certainty, elements.place_m, support, encoding.mirrors)
+    return ScanEvidence(walls, arrays, certainty, evidence)

@@ -1,0 +1,84 @@
+"""Scores of the evidence network on stored scans: objects found one to one, and reports where none is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.evaluation.object_rows import ScanRow, is_false, scan_row, single_reaches
+from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
+from models.perception.evidence.answers import evidence_detections
+from models.perception.evidence.scan_evidence import EvidenceEncoding
+from models.perception.objects.answers import hidden_objects
+from models.training.data.evidence_store import ScanTruth
+from models.training.object_scoring import as_answered, image_truths, scan_truth
+
+#: Thresholds watched; the loss of the best one selects the checkpoint.
+WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
+
+
+class EvidenceTally:
+    """Rows of all scans at some thresholds; `calibration` gives the table of a vehicle that moves or does not."""
+
+    def __init__(
+        self,
+        encoding: EvidenceEncoding,
+        azimuth_rad: np.ndarray,
+        thresholds: Sequence[float] = WATCHED_THRESHOLDS,
+        calibration: Callable[[bool], ScoreTable] = as_answered,
+    ) -> None:
+        self._grid, self._azimuth_rad, self._calibration = encoding.grid, azimuth_rad, calibration
+        self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
+
+    def add(self, stored: ScanTruth, answer: np.ndarray) -> None:
+        """Score the answer to one scan."""
+        table = self._calibration(stored.ego_compensated)
+        least = score_of(table, min(self.rows))
+        likely = evidence_detections(answer, stored.mirror, self._grid, stored.walls, least)
+        likely = replace(likely, score=calibrated(table, likely.score))
+        stamp_ns = np.rint(np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)).astype(np.int64)
+        truth, images = scan_truth(len(self.rows[min(self.rows)]), stored), image_truths(stored)
+        for threshold, rows in self.rows.items():
+            reached = likely.score >= threshold
+            reports = hidden_objects(likely.take(reached), stamp_ns[reached])
+            rows.append(scan_row(truth.scan_id, reports, truth, images))
+
+    def points(self) -> list[CurvePoint]:
+        """Return the measures at each threshold, the lowest first."""
+        return [_point(threshold, rows) for threshold, rows in sorted(self.rows.items())]
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Measures at a threshold: shares of the objects that a mirror shows, and of those at 25 dB by one mirror, that
+    are found; false reports a scan; missed objects and false reports a scan.
+    """
+
+    threshold: float
+    recall: float
+    recall_single_25_db: float
+    false_per_scan: float
+    loss_per_scan: float
+
+
+def _point(threshold: float, rows: Sequence[ScanRow]) -> CurvePoint:
+    asked = [item for row in rows for item in row.hidden if item.image.mirrored]
+    loud = [item for item in asked if single_reaches(item, 25.0)]
+    found = sum(item.error_m is not None for item in asked)
+    false = sum(is_false(report) for row in rows for report in row.reports)
+    return CurvePoint(
+        threshold,
+        found / max(len(asked), 1),
+        sum(item.error_m is not None for item in loud) / max(len(loud), 1),
+        false / max(len(rows), 1),
+        (len(asked) - found + false) / max(len(rows), 1),
+    )
+
+
+def recall_at(points: Sequence[CurvePoint], false_per_scan: float) -> float:
+    """Return the recall at 25 dB at a number of false reports a scan, linear between thresholds."""
+    ordered = sorted(points, key=lambda point: point.false_per_scan)
+    false = [point.false_per_scan for point in ordered]
+    return float(np.interp(false_per_scan, false, [point.recall_single_25_db for point in ordered]))

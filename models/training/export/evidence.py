@@ -1,0 +1,93 @@
+"""Export of trained field and evidence networks to the files and cards that the vehicle loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from models.networks.compact_unet import CompactUNet
+from models.networks.evidence_unet import EvidenceUNet, EvidenceUNetConfig
+from models.perception.detection.encoding import Encoding
+from models.perception.evidence.field_predictor import FieldCard
+from models.perception.evidence.predictor import EvidenceCard
+from models.perception.evidence.scan_evidence import EvidenceEncoding
+from models.perception.objects.answers import ANSWERS
+from models.perception.onnx_session import open_session
+from models.training.export.onnx import require_onnx, write_card, write_onnx
+from models.training.files import file_sha256
+from models.training.run_folder import BEST, load_state
+from models.training.train_fields import field_network
+from msgs.values.radar import RangeAzimuthGrid
+
+#: Largest difference of an answer between torch and ONNX Runtime, relative to the largest answer.
+PARITY = 1e-4
+
+
+def export_fields(
+    run_dir: Path, encoding: Encoding, grid: RangeAzimuthGrid, model_path: Path, **said: Any
+) -> FieldCard:
+    """Export the best field network of a run and write its card; `said` are the card's further fields.
+
+    Raises `ValueError` if the folder holds none, or where the file answers otherwise than torch.
+    """
+    require_onnx(model_path)
+    network = CompactUNet(field_network(len(encoding.channels)))
+    epoch = _load(network, run_dir)
+    _write(network, encoding.shape, model_path)
+    answer = (network.config.classes, encoding.seen_bins, grid.azimuth_bins)
+    card = FieldCard(encoding=encoding, grid=grid, **_facts(network, model_path, encoding.shape, answer, epoch, said))
+    write_card(card, model_path)
+    return card
+
+
+def export_evidence(run_dir: Path, encoding: EvidenceEncoding, model_path: Path, **said: Any) -> EvidenceCard:
+    """Export the best evidence network of a run and write its card; as `export_fields`."""
+    require_onnx(model_path)
+    network = EvidenceUNet(EvidenceUNetConfig(in_channels=encoding.shape[0], answers=ANSWERS))
+    epoch = _load(network, run_dir)
+    _write(network, encoding.shape, model_path)
+    facts = _facts(network, model_path, encoding.shape, (ANSWERS, *encoding.grid.shape), epoch, said)
+    card = EvidenceCard(encoding=encoding, **facts)
+    write_card(card, model_path)
+    return card
+
+
+def _load(network: nn.Module, run_dir: Path) -> int:
+    state = load_state(run_dir / BEST)
+    network.load_state_dict(state["network"])
+    network.eval()
+    return int(state["epoch"])
+
+
+def _write(network: nn.Module, shape: tuple[int, ...], path: Path) -> None:
+    write_onnx(network, (torch.zeros(1, *shape),), path, input_names=["cells"], output_names=["answer"])
+    cells = np.random.default_rng(0).uniform(-1.0, 1.0, (1, *shape)).astype(np.float32)
+    with torch.no_grad():
+        wanted = network(torch.from_numpy(cells)).numpy()
+    said = open_session(path, file_sha256(path), 1).run(None, {"cells": cells})[0]
+    difference = float(np.abs(said - wanted).max() / np.abs(wanted).max())
+    if not difference <= PARITY:
+        raise ValueError(f"{path}: answers must agree with torch within {PARITY}, differ by {difference}")
+
+
+def _facts(
+    network: nn.Module,
+    path: Path,
+    shape: tuple[int, ...],
+    answer: tuple[int, ...],
+    epoch: int,
+    said: dict[str, Any],
+) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "name": path.stem,
+        "sha256": file_sha256(path),
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "input_shape": (1, *shape),
+        "output_shape": (1, *answer),
+    }
+    training = {"chosen_epoch": epoch} | said.pop("training", {})
+    return facts | {"training": training} | said
