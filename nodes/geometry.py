@@ -29,6 +29,7 @@ from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 if TYPE_CHECKING:
+    from models.perception.evidence.predictor import EvidencePredictor
     from models.perception.objects.predictor import ObjectPredictor
 
 _LOG = logging.getLogger(__name__)
@@ -190,7 +191,7 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
     return params, residual, fitted[0] if fitted else None
 
 
-def predictor_of(params: Params) -> ObjectPredictor | None:
+def predictor_of(params: Params) -> ObjectPredictor | EvidencePredictor | None:
     """Return the object network that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.object_network == "none":
         return None
@@ -198,6 +199,10 @@ def predictor_of(params: Params) -> ObjectPredictor | None:
     from models.perception.objects.predictor import ObjectPredictor
 
     path = learned_path(params.object_network, ".onnx")
+    if "evidence" in path.stem:
+        from models.perception.evidence.predictor import EvidencePredictor
+
+        return EvidencePredictor(path, threshold=params.object_threshold)
     return ObjectPredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
 
 

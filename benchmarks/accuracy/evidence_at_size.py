@@ -9,6 +9,7 @@ Usage: python -m benchmarks.accuracy.evidence_at_size --places DIR --validation 
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import time
 from collections.abc import Sequence
@@ -18,8 +19,6 @@ from typing import Any
 from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.evidence.scan_evidence import EvidenceEncoding
-from models.perception.geometry.stage import GeometryParams
-from models.perception.objects.predictor import DEFAULT_OBJECTS, load_object_card
 from models.training.data.evidence_store import EvidenceTask, FieldTask, make_files
 from models.training.export.evidence import export_evidence, export_fields
 from models.training.files import file_sha256
@@ -59,14 +58,15 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--evidence-epochs", type=int, default=12)
     parser.add_argument("--field-batch", type=int, default=32)
     parser.add_argument("--evidence-batch", type=int, default=32)
+    parser.add_argument("--sample-minutes", type=float, help="for training samples of each network")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--validated-from", type=float, default=0.0)
     return parser.parse_args(argv)
 
 
 def _fields(options: argparse.Namespace) -> None:
-    train = _samples(options, FieldTask(ENCODING), "fields", [*options.places, *options.drives], 0)
     judges = _samples(options, FieldTask(ENCODING), "fields", options.validation, None)
+    train = _samples(options, FieldTask(ENCODING), "fields", [*options.drives, *options.places], 0)
     schedule = GridSchedule(
         epochs=options.field_epochs,
         batch_size=options.field_batch,
@@ -87,10 +87,9 @@ def _fields(options: argparse.Namespace) -> None:
 
 def _evidence(options: argparse.Namespace) -> None:
     fields = options.out / FIELDS_FILE
-    geometry = GeometryParams(walls=load_object_card(DEFAULT_OBJECTS).encoding.walls)
-    task = EvidenceTask(EVIDENCE, options.detector, fields, geometry)
-    train = _samples(options, task, "evidence", [*options.places, *options.drives], 0)
+    task = EvidenceTask(EVIDENCE, options.detector, fields)
     judges = _samples(options, task, "evidence", options.validation, None)
+    train = _samples(options, task, "evidence", [*options.drives, *options.places], 0)
     schedule = GridSchedule(
         epochs=options.evidence_epochs,
         batch_size=options.evidence_batch,
@@ -104,6 +103,7 @@ def _evidence(options: argparse.Namespace) -> None:
     best = _run("evidence", training)
     said = _said(options, training, best)
     said["data"] |= {
+        "fields": FIELDS_FILE,
         "detector": options.detector.name,
         "detector_sha256": file_sha256(options.detector),
         "fields_sha256": file_sha256(fields),
@@ -121,8 +121,12 @@ def _samples(
     directories: Sequence[Path],
     seed: int | None,
 ) -> list[Path]:
-    started = time.monotonic()
-    files = sorted(make_files(directories, task, options.work / f"{name}-samples", seed, options.workers))
+    started, files = time.monotonic(), []
+    for path in make_files(directories, task, options.work / f"{name}-samples", seed, options.workers):
+        files.append(path)
+        if seed is not None and time.monotonic() - started > 60.0 * (options.sample_minutes or math.inf):
+            break
+    files.sort()
     print(f"{name}: {len(files)} files of samples after {time.monotonic() - started:.0f} s", flush=True)
     return files
 

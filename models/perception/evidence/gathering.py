@@ -193,9 +193,10 @@ def _cuts(ox, oy, ex, ey, table, wall):  # type: ignore[no-untyped-def]
 def _is_free(ox, oy, ex, ey, table, own):  # type: ignore[no-untyped-def]
     """Return whether no long wall but `own` blocks a segment by more than the depth of a rough surface."""
     for wall in range(len(table)):
-        if wall != own and table[wall, _SURE] != 0.0 and _cuts(ox, oy, ex, ey, table, wall):
-            if abs(ex * table[wall, _NX] + ey * table[wall, _NY] + table[wall, _OFFSET]) > CUT_DEPTH_M:
-                return False
+        if wall == own or table[wall, _SURE] == 0.0 or not _cuts(ox, oy, ex, ey, table, wall):
+            continue
+        if abs(ex * table[wall, _NX] + ey * table[wall, _NY] + table[wall, _OFFSET]) > CUT_DEPTH_M:
+            return False
     return True
 
 

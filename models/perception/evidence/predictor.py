@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +12,21 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import card_path, learned_path, read_card
-from models.perception.detection.score_calibration import ScoreTable, check_table
-from models.perception.evidence.scan_evidence import EvidenceEncoding
-from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE
+from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
+from models.perception.evidence.answers import evidence_detections
+from models.perception.evidence.field_predictor import DEFAULT_FIELDS, FieldPredictor
+from models.perception.evidence.scan_evidence import EvidenceEncoding, scan_evidence
+from models.perception.geometry.association import DirectReturns
+from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
+from models.perception.geometry.walls import WallParams
+from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
+from models.perception.objects.predictor import begun, silent_map
+from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import open_session
-from models.perception.trained_radar import TrainedRadar
+from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
+from msgs.values.perception import HiddenObject, Peaks, Wall
+from msgs.values.radar import RangeAzimuthMap
 
 #: The network in use where parameters say `default`.
 DEFAULT_EVIDENCE = learned_path("evidence_unet", ".onnx")
@@ -61,27 +73,80 @@ class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class EvidencePredictor:
-    """An evidence network under ONNX Runtime.
+    """A field and an evidence network under ONNX Runtime: what a scan hides, by its map and the walls in it.
 
-    It looks at the plane or at its mirror image, whichever is louder on the right, so that a mirrored scan gives
-    mirrored answers. Raises `ValueError` when the file, its card and its shapes do not belong together.
+    `threshold`: least probability that is reported; None: the card's. The evidence is looked at as it is or mirrored,
+    by which side is louder, so that a mirrored scan gives mirrored objects.
+
+    Raises `ValueError` when a file, its card and its shapes do not belong together, or the field network is not the one
+    in training.
     """
 
-    def __init__(self, model_path: Path = DEFAULT_EVIDENCE, threads: int = 1) -> None:
+    def __init__(self, model_path: Path = DEFAULT_EVIDENCE, threads: int = 1, threshold: float | None = None) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._path = Path(model_path)
         self.card = read_card(card_path(self._path), EvidenceCard)
+        self.threshold = self.card.threshold if threshold is None else threshold
+        require_within("threshold", 0.0, 1.0, self.threshold)
+        self._fields = FieldPredictor(self._path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name)), threads)
+        wanted = self.card.data.get("fields_sha256", self._fields.card.sha256)
+        if self._fields.card.sha256 != wanted:
+            raise ValueError(
+                f"{self._path}: field network must have the sha256 {wanted} of its card, got {self._fields.card.sha256}"
+            )
         self._session = open_session(self._path, self.card.sha256, threads)
         self._odd_channels = self.card.encoding.odd_channels
         expected = [self.card.input_shape, self.card.output_shape]
         actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
         if actual != expected:
             raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")
+        silent = silent_map(self._fields.card.grid)
+        returns, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
+        self.judge(silent, made_up_peaks(), walls, returns)()
 
-    def answer(self, channels: np.ndarray, turned: bool = False) -> np.ndarray:
-        """Return the answer [answers, x, y] to evidence [channels, x, y]; `turned`: by its mirror image."""
-        if not turned:
+    @property
+    def walls(self) -> WallParams:
+        """How the walls are fitted that its own walls join."""
+        return self.card.encoding.walls
+
+    def suits(self, ra_map: RangeAzimuthMap) -> bool:
+        """Return whether the networks were trained on maps of this kind."""
+        return ra_map.grid == self._fields.card.grid and ra_map.mode != "photons"
+
+    def judge(
+        self,
+        ra_map: RangeAzimuthMap,
+        peaks: Peaks,
+        walls: list[Wall],
+        returns: DirectReturns,
+        moving: bool = False,
+    ) -> Callable[[], tuple[HiddenObject, ...]]:
+        """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
+
+        Scores are probabilities where the card says how, of a vehicle that is `moving` or not. All runs in a thread of
+        its own, beside what the caller does until it waits. Raises `ValueError` for a map that does not suit the
+        networks, and for answers that are not finite.
+        """
+        if not self.suits(ra_map):
+            require_grid(self.card.name, self._fields.card.grid, ra_map.grid)
+            raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
+        return begun(partial(self._objects, ra_map, walls, moving))
+
+    def _objects(self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool) -> tuple[HiddenObject, ...]:
+        seen = scan_evidence(self.card.encoding, ra_map, self._fields.answer(ra_map), walls)
+        table = self.card.calibration_of(moving)
+        answer = self.answer(seen.evidence.channels)
+        least = score_of(table, self.threshold)
+        reports = evidence_detections(answer, seen.evidence.mirror, self.card.encoding.grid, seen.arrays, least)
+        reports = replace(reports, score=calibrated(table, reports.score))
+        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
+
+    def answer(self, channels: np.ndarray) -> np.ndarray:
+        """Return the answer [answers, x, y] to evidence [channels, x, y]."""
+        level = channels[1].astype(np.float64)
+        half = level.shape[1] // 2
+        if not level[:, half:].sum() > level[:, :half].sum():
             return self._look(channels)
         flipped = channels[..., ::-1].copy()
         flipped[self._odd_channels] *= -1.0

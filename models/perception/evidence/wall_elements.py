@@ -283,7 +283,8 @@ def _write(rows, found, table, own, size, px, py, mx, my, first, last):  # type:
         weight += w
         second += w * s * s
         residual += w * across * across
-        # an arc hollow towards the radar lies (length^2 / 12 - t^2) * curvature / 2 beyond its mean, turned by curvature * t
+        # an arc hollow towards the radar lies (length^2 / 12 - t^2) * curvature / 2 beyond its mean line, and its
+        # direction turns by curvature * t
         t = s - middle
         sag = 0.5 * (length * length / 12.0 - t * t)
         curve_information += w * (sag * sag / ELEMENT_STD_M**2 + t * t / ELEMENT_STD_RAD**2)

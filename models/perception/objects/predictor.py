@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from models.perception.detection.score_calibration import ScoreTable, calibrated
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
 from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
+from models.perception.geometry.walls import WallParams
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, detections, hidden_objects
 from models.perception.objects.encoding import BINS, ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
@@ -25,7 +26,9 @@ from models.perception.onnx_session import open_session
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+
+Said = TypeVar("Said")
 
 #: The network in use where parameters say `default`.
 DEFAULT_OBJECTS = learned_path("object_unet", ".onnx")
@@ -105,6 +108,11 @@ class ObjectPredictor:
         self._check_shapes()
         self._warm()
 
+    @property
+    def walls(self) -> WallParams:
+        """How the walls are fitted that it judges by."""
+        return self.card.encoding.walls
+
     def suits(self, ra_map: RangeAzimuthMap) -> bool:
         """Return whether the network was trained on maps of this kind."""
         return ra_map.grid == self.card.encoding.grid and ra_map.mode != "photons"
@@ -112,15 +120,7 @@ class ObjectPredictor:
     def _warm(self) -> None:
         """Judge a synthetic street in a map without echoes: kernels that a scan compiles would make its node hang."""
         grid = self.card.encoding.grid
-        silent = RangeAzimuthMap(
-            stamp_ns=0,
-            scan_id=0,
-            grid=grid,
-            values=np.full(grid.shape, 1e-9, np.complex64),
-            azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
-            noise_power_mw=1e-14,
-            incoherent=np.zeros(grid.range_bins, bool),
-        )
+        silent = silent_map(grid)
         peaks = made_up_peaks()
         returns, walls = direct_structure(peaks, GeometryParams(walls=self.card.encoding.walls))
         self.judge(silent, peaks, walls, returns)()
@@ -144,7 +144,7 @@ class ObjectPredictor:
         if not self.suits(ra_map):
             raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
         cells, hypotheses = encode_objects(self.card.encoding, ra_map, peaks, walls, returns)
-        answer = _begun(partial(self.answer, cells))
+        answer = begun(partial(self.answer, cells))
         table = self.card.calibration_of(moving)
         least = score_of(table, self.threshold)
 
@@ -187,7 +187,20 @@ class ObjectPredictor:
             raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")
 
 
-def _begun(work: Callable[[], np.ndarray]) -> Callable[[], np.ndarray]:
+def silent_map(grid: RangeAzimuthGrid) -> RangeAzimuthMap:
+    """Return a map without echoes."""
+    return RangeAzimuthMap(
+        stamp_ns=0,
+        scan_id=0,
+        grid=grid,
+        values=np.full(grid.shape, 1e-9, np.complex64),
+        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
+        noise_power_mw=1e-14,
+        incoherent=np.zeros(grid.range_bins, bool),
+    )
+
+
+def begun(work: Callable[[], Said]) -> Callable[[], Said]:
     """Begin `work` in a thread of its own; the function returned waits for its answer, or raises its error.
 
     A pool is as short-lived as its thread, which a process that is forked later would lack.

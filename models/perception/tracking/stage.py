@@ -117,4 +117,4 @@ class ViewStage:
 
 def judged_params(params: GeometryParams, predictor: ObjectPredictor | None) -> GeometryParams:
     """Return the parameters of scans that a network judges: with the walls that it was trained on."""
-    return params if predictor is None else msgspec.structs.replace(params, walls=predictor.card.encoding.walls)
+    return params if predictor is None else msgspec.structs.replace(params, walls=predictor.walls)

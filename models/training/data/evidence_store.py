@@ -48,7 +48,11 @@ class EvidenceTask:
     encoding: EvidenceEncoding
     detector: Path
     fields: Path
-    geometry: GeometryParams
+
+    @property
+    def geometry(self) -> GeometryParams:
+        """How walls are fitted."""
+        return GeometryParams(walls=self.encoding.walls)
 
 
 @dataclass(frozen=True)
@@ -86,9 +90,13 @@ def make_files(
                 jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), task, path, seed))
     if not jobs:
         return
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    try:
         for done in as_completed([pool.submit(_make_file, *job) for job in jobs]):
             yield done.result()
+    finally:
+        # a reader who has enough waits for the files under way alone
+        pool.shutdown(cancel_futures=True)
 
 
 def _make_file(
