@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.kernels_ahead import compile_ahead
+from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.training.data.frames import DataSet, fixed_splits
 from models.training.data.map_arrays import ArrayMaker, MapArrays, View
 from models.training.data.samples import DataConfig
@@ -53,6 +54,8 @@ FEWEST_SCENES = 40
 DRAWING_SHARE, COMPACT_SHARE = 0.48, 0.30
 #: Left at the end for scores and packing, and before it for those of a detector.
 CLOSING_SHARE = 0.09
+#: A run of less is a trial of every step.
+SMOKE_MINUTES = 3.0
 DETECTOR = "compact_unet"
 
 
@@ -100,8 +103,17 @@ class Plan:
     ends_s: float
     seed: int
     command: str
+    #: Minutes of each phase.
+    minutes: tuple[float, float, float]
     #: Networks with fewer channels, for tests.
     tiny: bool = False
+    #: Every state is read back before it is scored, as a later run would read it.
+    reads_back: bool = False
+
+    @property
+    def detector(self) -> Path:
+        """File of our detector."""
+        return self.work / f"{DETECTOR}.onnx"
 
     @property
     def arrays(self) -> Path:
@@ -176,18 +188,20 @@ class _Run:
 
     def __init__(self, options: argparse.Namespace, command: str) -> None:
         self.options, start_s = options, time.monotonic()
-        total_s = 60.0 * options.minutes
-        closing_s = CLOSING_SHARE * total_s
-        drawn_s = start_s + DRAWING_SHARE * total_s
-        trained_s = start_s + total_s - closing_s
-        compact_s = trained_s if options.no_curve else drawn_s + COMPACT_SHARE * total_s
+        shares = [DRAWING_SHARE, COMPACT_SHARE, 1.0 - CLOSING_SHARE - DRAWING_SHARE - COMPACT_SHARE]
+        if options.no_curve:
+            shares[1:] = [sum(shares[1:]), 0.0]
+        minutes = [options.minutes * share for share in shares]
+        ends_s = start_s + 60.0 * np.cumsum(minutes)
         self.plan = Plan(
             work=options.work.resolve(),
-            phases_s=(drawn_s, compact_s, trained_s),
-            ends_s=start_s + total_s,
+            phases_s=(float(ends_s[0]), float(ends_s[1]), float(ends_s[2])),
+            ends_s=start_s + 60.0 * options.minutes,
             seed=options.seed,
             command=f"python -m benchmarks.accuracy.full_size {command}",
+            minutes=(minutes[0], minutes[1], minutes[2]),
             tiny=options.tiny,
+            reads_back=options.minutes <= SMOKE_MINUTES,
         )
         self.context = multiprocessing.get_context("spawn")
         self.drawn = self.context.Event()
@@ -206,9 +220,8 @@ class _Run:
             self._train_phase(0)
             self._wait_until(self.plan.phases_s[0], self._watch_drawing)
             self._stop_drawing()
-            self._wait_for(DETECTOR, self.plan.phases_s[1])
-            self._start_further()
             self._train_phase(1)
+            self._start_further()
             self._wait_until(self.plan.phases_s[1])
             self._train_phase(2)
             self._wait_for_all(self.plan.ends_s + 60.0)
@@ -287,11 +300,6 @@ class _Run:
         drawing = any(process.poll() is None for process in self.draws.values())
         return not drawing and not self.draws and not any(process.is_alive() for _, process in self.processes)
 
-    def _wait_for(self, name: str, until_s: float) -> None:
-        for known, process in self.processes:
-            if known == name:
-                process.join(max(until_s - time.monotonic(), 0.1))
-
     def _wait_for_all(self, until_s: float) -> None:
         for name, process in self.processes:
             process.join(max(until_s - time.monotonic(), 0.1))
@@ -310,12 +318,14 @@ class _Run:
                     sys.exit(f"{name} must not fail, its error is above")
 
     def _start_further(self) -> None:
-        detector = self.plan.work / f"{DETECTOR}.onnx"
         if not self.options.then:
             return
+        detector, trains = self.plan.detector, [one for name, one in self.processes if name == DETECTOR]
+        while not detector.exists() and any(process.is_alive() for process in trains):
+            time.sleep(0.1)
         if not detector.exists():
-            say("no detector: --then is not run")
-            return
+            say("no detector was exported: the further command gets the shipped one")
+            detector = DEFAULT_MODEL
         words = {
             "places": self.plan.work / FURTHER,
             "reporting": self.plan.work / REPORTING,
@@ -428,7 +438,7 @@ def _train(plan: Plan, job: Job) -> None:
     if (run_dir / "result.json").exists():
         say(f"{job.name}: done before")
         return
-    config = run_config(plan, job, device.type == "cuda", (plan.phases_s[job.ends] - start_s) / 60.0)
+    config = run_config(plan, job, device.type == "cuda")
     encoding = config.data.encoding
     view = DETECTOR_VIEW if View.of(encoding) == DETECTOR_VIEW else FULL_VIEW
 
@@ -441,9 +451,17 @@ def _train(plan: Plan, job: Job) -> None:
     while len(train) < FEWEST_SCENES and time.monotonic() < ends_s:
         time.sleep(0.2)
         train.refresh()
+    if not len(train):
+        say(f"{job.name}: no scenes in time")
+        return
     say(f"{job.name}: starts on {device.type} with {len(train)} scenes, ready in {ready_s:.1f} s")
     if not training.is_done:
         training.run(ends_s, lambda words: say(f"{job.name}: {words}"))
+    if plan.reads_back:
+        losses = training.losses
+        training.save()
+        training = TimedTraining(config, train, run_dir, device, job.limit)
+        training.losses = losses
     trained_s = training.progress.elapsed_s
     say(f"{job.name}: trained, {training.progress.steps} steps in {trained_s:.1f} s; scoring")
     validation, test = arrays(f"{REPORTING}_validation"), arrays(f"{REPORTING}_test")
@@ -453,7 +471,7 @@ def _train(plan: Plan, job: Job) -> None:
         test.refresh()
     summary, tally = training.finish(validation, np.arange(len(validation)))
     if job.name == DETECTOR:
-        export_scored(run_dir, plan.work / f"{DETECTOR}.onnx", tally)
+        export_scored(run_dir, plan.detector, tally)
         say(f"{job.name}: exported")
     small = packed(training.network.state_dict(), job.bits)  # type: ignore[arg-type]
     save_state(run_dir / PACKED, {"network": small, "epoch": summary.best.epoch})
@@ -495,8 +513,8 @@ def _is_complete(plan: Plan, *splits: MapArrays) -> bool:
     return [len(arrays) for arrays in splits] == [len(named["validation"]), len(named["test"])]
 
 
-def run_config(plan: Plan, job: Job, on_gpu: bool, minutes: float) -> Any:
-    """Return the configuration of a run as its folder and the card state it."""
+def run_config(plan: Plan, job: Job, on_gpu: bool) -> Any:
+    """Return the configuration of a run as its folder and the card state it, alike whenever the command is given."""
     from models.training.families import FAMILIES, choice_of, preset_network
     from models.training.schedules import ScheduleConfig
     from models.training.train_dense import RunConfig, TrainDenseConfig
@@ -511,7 +529,7 @@ def run_config(plan: Plan, job: Job, on_gpu: bool, minutes: float) -> Any:
         # section 3.3 has none
         weight_decay=1e-3 if family == DETECTOR else 0.0,
         epochs=1,
-        minutes=round(max(minutes, 0.01), 2),
+        minutes=round(max(sum(plan.minutes[job.starts : job.ends + 1]), 0.01), 3),
     )
     training = TrainDenseConfig(
         network=choice, objective=FAMILIES[family].objective, schedule=schedule, mixed_precision=on_gpu

@@ -1,8 +1,9 @@
 """Training by the clock on a device that is faster than one process can form maps: arrays made beforehand, batches
 augmented, encoded and given targets on the device, a learning rate that follows the share of the time that has gone.
 
-Run folders are those of `models.training.train_dense`, and exported alike. A checkpoint is written every two minutes; a
-run that was stopped goes on with the time it has left, though not with the same numbers as an uninterrupted one.
+Run folders are those of `models.training.train_dense`, and exported alike. A checkpoint is written every two minutes,
+in short runs four times; a run that was stopped goes on with the time it has left, though not with the same numbers as
+an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -86,6 +87,8 @@ class TimedTraining:
         self.optimiser, _ = optimiser_of(self.network, self.config.schedule, family.head, 1)
         self.rates = [group["lr"] for group in self.optimiser.param_groups]
         self.progress, self.reports = Progress(), list[EpochReport]()
+        #: Of the steps since the last report.
+        self.losses: list[float] = []
         adopt_config(run_dir, config)
         if (run_dir / LAST).exists():
             self._resume()
@@ -101,8 +104,8 @@ class TimedTraining:
         return self.progress.steps * self.config.schedule.batch_size
 
     def run(self, ends_s: float, report: Callable[[str], None] = lambda _: None) -> None:
-        """Train until the minutes of the schedule are used, or until `ends_s` (of `time.monotonic`) where that is
-        earlier: the learning rate has fallen then either way.
+        """Train a step at least, and until the minutes of the schedule are used or until `ends_s` (of
+        `time.monotonic`), whichever is earlier: the learning rate has fallen then either way.
 
         Raises `NonFiniteLossError` when gradients stay without a finite value.
         """
@@ -110,34 +113,33 @@ class TimedTraining:
         minutes = self.config.schedule.minutes or 0.0
         total_s = before_s + max(min(60.0 * minutes - before_s, ends_s - start_s), 0.1)
         stop = threading.Event()
-        losses: list[float] = []
-        lost, saved_s = 0, start_s
+        lost, saved_s, first_step = 0, start_s, self.progress.steps
+        every_s = min(CHECKPOINT_S, 15.0 * minutes)
         self.network.train()
         for batch in _ahead(self._batches(stop), stop):
             elapsed_s = before_s + time.monotonic() - start_s
-            if elapsed_s >= total_s:
+            if elapsed_s >= total_s and self.progress.steps > first_step:
                 stop.set()
                 break
-            loss = self._step(batch, elapsed_s / total_s)
+            loss = self._step(batch, min(elapsed_s / total_s, 1.0))
             lost = 0 if np.isfinite(loss) else lost + 1
             if lost > MOST_LOST:
                 stop.set()
                 raise NonFiniteLossError(f"{self.run_dir}: loss must be finite, was not {lost} times in a row")
-            losses.append(loss)
+            self.losses.append(loss)
             self.progress = Progress(elapsed_s=elapsed_s, steps=self.progress.steps + 1)
-            if time.monotonic() - saved_s > CHECKPOINT_S:
-                saved_s = time.monotonic()
-                self.reports.append(self._report(losses, None))
-                losses = []
+            if time.monotonic() - saved_s > every_s:
+                self.reports.append(self._report(self.losses, None))
+                self.losses = []
                 self.save()
+                saved_s = time.monotonic()
                 rate = self.samples / elapsed_s
                 report(f"{self.samples} samples, {rate:.0f}/s, loss {self.reports[-1].train_loss:.3f}")
-        self.losses = losses
 
     def finish(self, validation: MapArrays, scenes: Sequence[int] | np.ndarray) -> tuple[RunSummary, DetectionTally]:
         """Score the network on the validation scenes, and write the folder's results; returns them."""
         loss, tally = self.score(self.network, validation, scenes)
-        self.reports.append(self._report(self.losses or [float("nan")], (loss, tally)))
+        self.reports.append(self._report(self.losses, (loss, tally)))
         summary = RunSummary(
             family=self.config.network.family,
             parameters=sum(parameter.numel() for parameter in self.network.parameters()),
@@ -260,7 +262,8 @@ class TimedTraining:
 
     def _report(self, losses: Sequence[float], scored: tuple[float, DetectionTally] | None) -> EpochReport:
         """Return a report; without scores those are not numbers, and it is not the best."""
-        train_loss = float(np.nanmean(losses)) if np.isfinite(losses).any() else float("nan")
+        # JSON has no NaN
+        train_loss = float(np.nanmean(losses)) if np.isfinite(losses).any() else 0.0
         if scored is None:
             return EpochReport(
                 epoch=len(self.reports),

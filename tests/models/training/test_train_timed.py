@@ -93,7 +93,6 @@ def test_a_run_by_the_clock_goes_on_and_is_packed_and_exported(arrays: Path, tmp
     maps, run_dir = MapArrays([arrays], view, encoding.range_bins), tmp_path / "run"
     first = TimedTraining(config, maps, run_dir, DEVICE)
     first.run(time.monotonic() + 0.8)
-    assert first.progress.steps > 0
     assert first.optimiser.param_groups[0]["lr"] < schedule.learning_rate
     first.save()
     second = TimedTraining(config, maps, run_dir, DEVICE)
