@@ -57,6 +57,9 @@ CLOSING_SHARE = 0.09
 #: A run of less is a trial of every step.
 SMOKE_MINUTES = 3.0
 DETECTOR = "compact_unet"
+#: Tells the processes of a run when it began.
+STARTED = "MIRRORWAVE_FULL_SIZE_STARTED_S"
+RESULTS = "full_size.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,15 +130,16 @@ class Plan:
 
 def say(words: str) -> None:
     """Print a line with its time."""
-    print(f"[{time.monotonic() - float(os.environ['FULL_SIZE_STARTED_S']):7.1f} s] {words}", flush=True)
+    started_s = float(os.environ.setdefault(STARTED, str(time.monotonic())))
+    print(f"[{time.monotonic() - started_s:7.1f} s] {words}", flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     options = _options(argv)
     if options.unpack is not None:
-        _unpack(options.unpack, options.out)
+        unpack(options.unpack, options.out)
         return
-    os.environ.setdefault("FULL_SIZE_STARTED_S", str(time.monotonic()))
+    os.environ[STARTED] = str(time.monotonic())
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ[name] = "1"
     options.work.mkdir(parents=True, exist_ok=True)
@@ -225,13 +229,13 @@ class _Run:
             self._wait_until(self.plan.phases_s[1])
             self._train_phase(2)
             self._wait_for_all(self.plan.ends_s + 60.0)
-            self._results()
+            write_results(self.plan, self.jobs, self.options.out)
             self._end_further()
         finally:
             self._end()
 
     def _start(self, name: str, target: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-        process = self.context.Process(target=target, args=arguments, name=name)
+        process = self.context.Process(target=_apart, args=(target, arguments), name=name)
         process.start()
         self.processes.append((name, process))
 
@@ -344,32 +348,6 @@ class _Run:
             say("waiting for the further command")
             say(f"further command ended with {self.then.wait()}")
 
-    def _results(self) -> None:
-        """Pack what has been trained, and write the figures."""
-        from models.training.packed_runs import write_parts
-
-        done = [job for job in self.jobs if (self.plan.run_dir(job) / "result.json").exists()]
-        results = {job.name: json.loads((self.plan.run_dir(job) / "result.json").read_bytes()) for job in done}
-        shipped = [self.plan.run_dir(job) for job in done if not job.limit]
-        if shipped:
-            parts = write_parts(shipped, self.options.out)
-            say(f"{len(parts)} parts, {sum(path.stat().st_size for path in parts) / 2**20:.1f} MiB")
-        manifest = self.plan.work / FURTHER / "manifest.jsonl"
-        content = {
-            "command": self.plan.command,
-            "further_places": len(MapArrays([self.plan.arrays / FURTHER], DETECTOR_VIEW)),
-            "reporting": json.loads((self.plan.work / REPORTING / "splits.json").read_bytes())["test_sha256"],
-            "manifest_lines": len(manifest.read_bytes().splitlines()) if manifest.exists() else 0,
-            "runs": results,
-        }
-        write_whole(self.options.out / "full_size.json", json_lines(content))
-        for name, one in results.items():
-            say(
-                f"{name:24s} {one['scenes']:6d} maps {one['samples']:7d} samples {one['samples_a_second']:7.0f}/s  "
-                f"test Macro-F1 {one['test']['macro_f1']:.3f} (LOS {one['test']['los_f1']:.3f}, "
-                f"mirrored {one['test']['mirrored_f1']:.3f}) at {one['threshold']}"
-            )
-
     def _end(self) -> None:
         for process in self.draws.values():
             if process.poll() is None:
@@ -379,9 +357,14 @@ class _Run:
                 process.terminate()
 
 
+def _apart(target: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    """Run a function in a process that leaves the terminal's interrupt to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    target(*arguments)
+
+
 def _make_arrays(plan: Plan, drawn: Any, rank: int) -> None:
     """Make the arrays of every shard as it comes, those of the reporting places by split: one process of `MAKERS`."""
-    _end_with_parent()
     folder, maker, made, spent_s = plan.work / FURTHER, None, 0, 0.0
     while True:
         was_drawn = drawn.is_set()
@@ -421,7 +404,16 @@ def _missing(plan: Plan, maker: ArrayMaker, rank: int) -> list[tuple[Path, Path,
 
 def _train(plan: Plan, job: Job) -> None:
     """Train, score and export one network: a process of its own."""
-    _end_with_parent()
+    import torch
+
+    torch.set_num_threads(1)
+    torch.set_float32_matmul_precision("high")
+    torch.backends.cudnn.benchmark = True
+    train(plan, job)
+
+
+def train(plan: Plan, job: Job) -> None:
+    """Train, score and export one network with the arrays in the plan's folder; what is done is left."""
     import torch
 
     from models.training.export.onnx import export_scored
@@ -431,9 +423,6 @@ def _train(plan: Plan, job: Job) -> None:
 
     start_s = time.monotonic()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    torch.set_num_threads(1)
-    torch.set_float32_matmul_precision("high")
-    torch.backends.cudnn.benchmark = True
     run_dir, ends_s = plan.run_dir(job), plan.phases_s[job.ends]
     if (run_dir / "result.json").exists():
         say(f"{job.name}: done before")
@@ -504,6 +493,31 @@ def _train(plan: Plan, job: Job) -> None:
     say(f"{job.name}: scored, test Macro-F1 {result['test']['macro_f1']}; {time.monotonic() - start_s:.1f} s in all")
 
 
+def write_results(plan: Plan, jobs: Sequence[Job], out: Path) -> None:
+    """Pack what has been trained to `out`, and write and print the figures."""
+    from models.training.packed_runs import write_parts
+
+    done = [job for job in jobs if (plan.run_dir(job) / "result.json").exists()]
+    results = {job.name: json.loads((plan.run_dir(job) / "result.json").read_bytes()) for job in done}
+    shipped = [plan.run_dir(job) for job in done if not job.limit]
+    if shipped:
+        parts = write_parts(shipped, out)
+        say(f"{len(parts)} parts, {sum(path.stat().st_size for path in parts) / 2**20:.1f} MiB")
+    content = {
+        "command": plan.command,
+        "further_places": len(MapArrays([plan.arrays / FURTHER], DETECTOR_VIEW)),
+        "test_sha256": json.loads((plan.work / REPORTING / "splits.json").read_bytes())["test_sha256"],
+        "runs": results,
+    }
+    write_whole(out / RESULTS, json_lines(content))
+    for name, one in results.items():
+        say(
+            f"{name:24s} {one['scenes']:6d} maps {one['samples']:7d} samples {one['samples_a_second']:7.0f}/s  "
+            f"test Macro-F1 {one['test']['macro_f1']:.3f} (LOS {one['test']['los_f1']:.3f}, "
+            f"mirrored {one['test']['mirrored_f1']:.3f}) at {one['threshold']}"
+        )
+
+
 def _is_complete(plan: Plan, *splits: MapArrays) -> bool:
     """Return whether the arrays of validation and test scenes are all there."""
     path = plan.work / REPORTING / "splits.json"
@@ -550,18 +564,13 @@ def tiny(config: Any) -> Any:
     return replace(config, widths=widths["unet"][: len(config.widths)])
 
 
-def _end_with_parent() -> None:
-    """Ignore the terminal's interrupt, which the parent handles."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _unpack(folder: Path, out: Path) -> None:
+def unpack(folder: Path, out: Path) -> None:
+    """Write the run folders that a run packed to `out`, with its figures, and print how they are exported."""
     from models.training.packed_runs import read_parts
 
     for run in read_parts(folder, out):
-        say_run = f"mirrorwave export {run} --out {run.name}.onnx"
-        print(f"{run}: {say_run}")
-    shutil.copyfile(folder / "full_size.json", out / "full_size.json")
+        print(f"mirrorwave export {run} --out {out / run.name}.onnx")
+    shutil.copyfile(folder / RESULTS, out / RESULTS)
 
 
 if __name__ == "__main__":

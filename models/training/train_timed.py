@@ -43,6 +43,8 @@ CHECKPOINT_S = 120.0
 REFRESH_S = 2.0
 #: Batches that wait for the device.
 AHEAD = 4
+#: Points of a map that are scored, the strongest: a fresh network finds thousands, whose matching takes minutes.
+MOST_POINTS = 500
 #: Steps in a row whose gradients were not finite, after which a run is given up; each is left out.
 MOST_LOST = 50
 
@@ -168,7 +170,7 @@ class TimedTraining:
         losses, size = [], self.config.schedule.batch_size
 
         def points(answer: np.ndarray) -> Points:
-            return self.objective.points(answer, THRESHOLDS[0])
+            return _strongest(self.objective.points(answer, THRESHOLDS[0]))
 
         with ThreadPoolExecutor(4) as threads, torch.no_grad():
             found = []
@@ -290,6 +292,11 @@ class TimedTraining:
             best_macro_f1=tally.macro_f1(threshold),
             is_best=True,
         )
+
+
+def _strongest(points: Points) -> Points:
+    kept = np.sort(np.argsort(-points.score, kind="stable")[:MOST_POINTS])
+    return Points(cells=points.cells[kept], score=points.score[kept], path_class=points.path_class[kept])
 
 
 def best_threshold(tally: DetectionTally) -> float:
