@@ -3,7 +3,8 @@
 Trains each row for the same number of samples on the training split, chooses checkpoint and threshold on the
 validation split, and evaluates all of them in one run on the test split. Whatever is there already is kept, so a run
 that was stopped goes on.
-Usage: python -m benchmarks.accuracy.learned_table [--budget cpu|gpu] [--epochs 16] [--rows NAME ...] [--steps STEP ...]
+Full sizes are trained by `benchmarks.accuracy.full_size`.
+Usage: python -m benchmarks.accuracy.learned_table [--epochs 16] [--rows NAME ...] [--steps STEP ...]
 """
 
 from __future__ import annotations
@@ -45,7 +46,6 @@ class Row:
     more: bool = False
     #: Epochs relative to the others, which see fewer scenes an epoch.
     epochs_share: float = 1.0
-    #: Size on the CPU budget.
     size: str = "compact"
 
 
@@ -91,8 +91,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--budget", choices=("cpu", "gpu"), default="cpu")
-    parser.add_argument("--epochs", type=int, default=16, help="over the 1512 training scenes, each row; gpu: 100")
+    parser.add_argument("--epochs", type=int, default=16, help="over the 1512 training scenes, each row")
     parser.add_argument("--rows", nargs="*", default=[], choices=[row.name for row in ROWS], help="in this order")
     parser.add_argument("--steps", nargs="*", default=STEPS, choices=STEPS)
     parser.add_argument("--sweep", type=int, default=8, help="thresholds of the precision-recall curves")
@@ -110,14 +109,10 @@ def _data_set(folder: Path, command: tuple[str, ...]) -> None:
 def _train(row: Row, options: argparse.Namespace) -> None:
     """Train a row to its last epoch and export it."""
     run = options.work / row.name
-    size = row.size if options.budget == "cpu" else "full" if row.network != "compact_unet" else "wide"
-    arguments = ["--network", f"{row.network}:{size}", "--seed", "0", *row.arguments]
+    arguments = ["--network", f"{row.network}:{row.size}", "--seed", "0", *row.arguments]
     if row.more:
         arguments += ["--more", str(MORE)]
-    epochs = 100 if options.budget == "gpu" else options.epochs
-    if options.budget == "gpu":
-        arguments += ["--schedule", "published"] if row.network != "compact_unet" else []
-    arguments += ["--epochs", str(max(round(epochs * row.epochs_share), 1))]
+    arguments += ["--epochs", str(max(round(options.epochs * row.epochs_share), 1))]
     _mirrorwave(
         "train", "dense", "--data", str(DATA), "--out", str(run), *arguments, log=options.work / f"{row.name}.log"
     )

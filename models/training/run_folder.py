@@ -43,7 +43,8 @@ def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
     """Write the resolved configuration, or require that the run's own is the same; only one process `leads`."""
     path, content = run_dir / CONFIG, json_lines(config)
     if path.exists():
-        if path.read_bytes() != content:
+        # read, as files from before a field lack it
+        if path.read_bytes() != content and load_json(path, type(config)) != config:
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
     elif leads:
         run_dir.mkdir(parents=True, exist_ok=True)

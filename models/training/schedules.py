@@ -27,11 +27,15 @@ class ScheduleConfig:
     warm_up: float = 0.15
     #: Epoch after which the learning rate is a tenth, steps.
     step_epoch: int = 40
+    #: Length of a run that ends by the clock; None: `epochs`.
+    minutes: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("epochs", "batch_size", "learning_rate", "clip_norm", "step_epoch"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"schedule.{name} must be positive, got {getattr(self, name)}")
+        if self.minutes is not None and not self.minutes > 0.0:
+            raise ValueError(f"schedule.minutes must be positive, got {self.minutes}")
         if not 0.0 < self.warm_up < 1.0:
             raise ValueError(f"schedule.warm_up must be in (0, 1), got {self.warm_up}")
 
@@ -46,6 +50,11 @@ class ScheduleConfig:
         if step < rise:
             return 0.04 + 0.96 * 0.5 * (1.0 - math.cos(math.pi * step / rise))
         return max(0.5 * (1.0 + math.cos(math.pi * (step - rise) / max(total - rise, 1.0))), 1e-4)
+
+    def factor_at(self, share: float) -> float:
+        """Return the learning rate at a share of the run, relative to the largest."""
+        steps = 1_000_000
+        return self.factor(round(share * self.epochs * steps), steps)
 
 
 #: Section 3.3.

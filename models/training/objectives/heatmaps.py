@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 #: Beyond this many sigma a Gaussian is left out (5e-7 of its peak).
-_REACH_SIGMA = 5.4
+REACH_SIGMA = 5.4
 
 
 def gaussian_heatmap(shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0) -> np.ndarray:
@@ -15,7 +15,7 @@ def gaussian_heatmap(shape: tuple[int, int], row: np.ndarray, column: np.ndarray
     cell, points off the map are left out.
     """
     heatmap = np.zeros(shape, np.float32)
-    reach = int(np.ceil(_REACH_SIGMA * sigma_px))
+    reach = int(np.ceil(REACH_SIGMA * sigma_px))
     offset = np.arange(-reach, reach + 1)
     kernel = np.exp(-np.add.outer(offset**2, offset**2) / (2.0 * sigma_px**2)).astype(np.float32)
     cells = np.stack([np.rint(row), np.rint(column)], axis=-1).astype(np.int64)
