@@ -181,8 +181,12 @@ def _compile(folder: Path) -> None:
         ("--count", "1", "--seed", "1", *RECIPE, "--out", str(folder / "all")),
         ("--count", "1", "--seed", "1", "--out", str(folder / "auto")),
     ]
-    for command in commands:
-        subprocess.run((*MIRRORWAVE, "sim", "dataset", *command), check=True, stdout=subprocess.DEVNULL)
+    running = [
+        subprocess.Popen((*MIRRORWAVE, "sim", "dataset", *command), stdout=subprocess.DEVNULL) for command in commands
+    ]
+    for process in running:
+        if process.wait() != 0:
+            sys.exit("the first place must be simulated without an error, which is above")
     views, data = (FULL_VIEW, DETECTOR_VIEW), DataSet(folder / "all")
     ArrayMaker(DataConfig(), views, VARIANTS, data.setup).make(folder / "all" / "shard-00000.npz", folder / "arrays")
 
@@ -417,9 +421,9 @@ def train(plan: Plan, job: Job) -> None:
     import torch
 
     from models.training.export.onnx import export_scored
-    from models.training.packed_runs import PACKED, packed, unpacked
     from models.training.run_folder import save_state
-    from models.training.train_timed import TimedTraining, best_threshold
+    from models.training.timed.packed_runs import PACKED, packed, unpacked
+    from models.training.timed.training import TimedTraining, best_threshold
 
     start_s = time.monotonic()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -495,7 +499,7 @@ def train(plan: Plan, job: Job) -> None:
 
 def write_results(plan: Plan, jobs: Sequence[Job], out: Path) -> None:
     """Pack what has been trained to `out`, and write and print the figures."""
-    from models.training.packed_runs import write_parts
+    from models.training.timed.packed_runs import write_parts
 
     done = [job for job in jobs if (plan.run_dir(job) / "result.json").exists()]
     results = {job.name: json.loads((plan.run_dir(job) / "result.json").read_bytes()) for job in done}
@@ -566,7 +570,7 @@ def tiny(config: Any) -> Any:
 
 def unpack(folder: Path, out: Path) -> None:
     """Write the run folders that a run packed to `out`, with its figures, and print how they are exported."""
-    from models.training.packed_runs import read_parts
+    from models.training.timed.packed_runs import read_parts
 
     for run in read_parts(folder, out):
         print(f"mirrorwave export {run} --out {out / run.name}.onnx")

@@ -101,15 +101,15 @@ class ArrayMaker:
 
 def _save_truth(path: Path, scans: Sequence[Scan], config: DataConfig, noise: np.ndarray) -> None:
     labels = [point_labels(scan.labels, config.grid) for scan in scans]
-    offset = np.cumsum([0, *(len(one.row) for one in labels)])
+    offset = np.cumsum([0, *(len(points.row) for points in labels)])
     with whole(path, ".npz") as part:
         np.savez(
             part,
             noise=noise,
             offset=offset,
-            row=np.concatenate([one.row for one in labels]).astype(np.float32),
-            column=np.concatenate([one.column for one in labels]).astype(np.float32),
-            path_class=np.concatenate([one.path_class for one in labels]).astype(np.int64),
+            row=np.concatenate([points.row for points in labels]).astype(np.float32),
+            column=np.concatenate([points.column for points in labels]).astype(np.float32),
+            path_class=np.concatenate([points.path_class for points in labels]).astype(np.int64),
         )
 
 
@@ -170,12 +170,14 @@ class MapArrays:
 
     def take(self, scenes: Sequence[int] | np.ndarray, rng: np.random.Generator | None = None) -> Maps:
         """Return maps of scenes by their numbers: as recorded, or with a generator one of their variants each."""
-        found = [self._scenes[int(scene)] for scene in scenes]
-        which = [0 if rng is None else int(rng.integers(shard.values.shape[0])) for shard, _ in found]
+        places = [self._scenes[int(scene)] for scene in scenes]
+        which = [0 if rng is None else int(rng.integers(shard.values.shape[0])) for shard, _ in places]
         return Maps(
             values=np.stack(
-                [shard.values[v, scene, : self.range_bins] for (shard, scene), v in zip(found, which, strict=True)]
+                [shard.values[v, scene, : self.range_bins] for (shard, scene), v in zip(places, which, strict=True)]
             ),
-            noise=np.array([shard.noise[v, scene] for (shard, scene), v in zip(found, which, strict=True)], np.float32),
-            labels=[shard.labels[scene] for shard, scene in found],
+            noise=np.array(
+                [shard.noise[v, scene] for (shard, scene), v in zip(places, which, strict=True)], np.float32
+            ),
+            labels=[shard.labels[scene] for shard, scene in places],
         )

@@ -24,7 +24,6 @@ from models.evaluation.metrics import Counts
 from models.perception.detection.peaks import Points
 from models.training.data.map_arrays import MapArrays, Maps
 from models.training.data.samples import PointLabels
-from models.training.device_batches import augmented, encode, flipped_labels, heatmaps, masks, point_table
 from models.training.families import FAMILIES
 from models.training.files import json_lines
 from models.training.objectives.anchors import anchor_loss, anchor_targets
@@ -34,6 +33,7 @@ from models.training.objectives.objectives import objective_of
 from models.training.run_folder import BEST, CURVES, LAST, SUMMARY, adopt_config, load_state, save_state
 from models.training.schedules import optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, THRESHOLDS, DetectionTally
+from models.training.timed.batches import augmented, encode, flipped_labels, heatmaps, masks, point_table
 from models.training.train_dense import EpochReport, NonFiniteLossError, RunConfig, RunSummary
 from msgs.files.whole_files import write_whole
 from msgs.values.perception import PathClass
@@ -44,9 +44,9 @@ REFRESH_S = 2.0
 #: Batches that wait for the device.
 AHEAD = 4
 #: Points of a map that are scored, the strongest: a fresh network finds thousands, whose matching takes minutes.
-MOST_POINTS = 500
+MAX_SCORED_POINTS = 500
 #: Steps in a row whose gradients were not finite, after which a run is given up; each is left out.
-MOST_LOST = 50
+MAX_LOST_STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class TimedTraining:
                 break
             loss = self._step(batch, min(elapsed_s / total_s, 1.0))
             lost = 0 if np.isfinite(loss) else lost + 1
-            if lost > MOST_LOST:
+            if lost > MAX_LOST_STEPS:
                 stop.set()
                 raise NonFiniteLossError(f"{self.run_dir}: loss must be finite, was not {lost} times in a row")
             self.losses.append(loss)
@@ -173,15 +173,15 @@ class TimedTraining:
             return _strongest(self.objective.points(answer, THRESHOLDS[0]))
 
         with ThreadPoolExecutor(4) as threads, torch.no_grad():
-            found = []
+            waiting = []
             for start in range(0, len(scenes), size):
                 maps = arrays.take(scenes[start : start + size])
                 values, noise = self._to_device(maps.values).float(), self._to_device(maps.noise)
                 answer = self._answer(network, encode(self.run_config.data.encoding, values, noise))
                 batch = Batch(maps, np.zeros(len(maps.labels), np.bool_), maps.labels, self._anchors(maps.labels))
                 losses.append(float(self._loss(answer, batch)))
-                found.append((threads.map(points, answer.cpu().numpy()), maps.labels))
-            for answers, labels in found:
+                waiting.append((threads.map(points, answer.cpu().numpy()), maps.labels))
+            for answers, labels in waiting:
                 for detected, truth in zip(answers, labels, strict=True):
                     tally.add(detected, truth)
         return float(np.mean(losses)), tally
@@ -295,7 +295,7 @@ class TimedTraining:
 
 
 def _strongest(points: Points) -> Points:
-    kept = np.sort(np.argsort(-points.score, kind="stable")[:MOST_POINTS])
+    kept = np.sort(np.argsort(-points.score, kind="stable")[:MAX_SCORED_POINTS])
     return Points(cells=points.cells[kept], score=points.score[kept], path_class=points.path_class[kept])
 
 

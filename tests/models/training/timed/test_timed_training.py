@@ -15,15 +15,15 @@ from models.perception.detection.encoding import Encoding, encode_columns, sampl
 from models.perception.detection.onnx_model import DensePredictor
 from models.training.data.map_arrays import ArrayMaker, MapArrays, View
 from models.training.data.samples import DataConfig
-from models.training.device_batches import encode, heatmaps, masks, point_table
 from models.training.export.onnx import export_scored
 from models.training.families import FAMILIES, INPUTS, choice_of, preset_network
 from models.training.objectives.heatmaps import class_heatmaps, class_masks
-from models.training.packed_runs import PACKED, packed, read_parts, unpacked, write_parts
 from models.training.run_folder import save_state
 from models.training.schedules import ScheduleConfig
+from models.training.timed.batches import encode, heatmaps, masks, point_table
+from models.training.timed.packed_runs import PACKED, packed, read_parts, unpacked, write_parts
+from models.training.timed.training import TimedTraining
 from models.training.train_dense import RunConfig, TrainDenseConfig, load_best, load_summary
-from models.training.train_timed import TimedTraining
 from msgs.values.radar import RadarSetup
 
 FULL, NARROW = View(512, 256), View(320, 32)

@@ -23,13 +23,13 @@ NOISE_STD_DB = 1.0
 
 def flipped_labels(labels: Sequence[PointLabels], flips: np.ndarray, azimuth_bins: int) -> list[PointLabels]:
     """Return the truth of maps of which some are mirrored, left for right."""
-    return [one.flipped(azimuth_bins) if flip else one for one, flip in zip(labels, flips, strict=True)]
+    return [points.flipped(azimuth_bins) if flip else points for points, flip in zip(labels, flips, strict=True)]
 
 
 def point_table(labels: Sequence[PointLabels]) -> np.ndarray:
     """Return the points of a batch, float32 [points, 4]: sample, class, row, column."""
-    sample = np.repeat(np.arange(len(labels)), [len(one.row) for one in labels])
-    columns = [np.concatenate([getattr(one, name) for one in labels]) for name in ("path_class", "row", "column")]
+    sample = np.repeat(np.arange(len(labels)), [len(points.row) for points in labels])
+    columns = [np.concatenate([getattr(points, name) for points in labels]) for name in ("path_class", "row", "column")]
     return np.stack([sample, *columns], axis=-1).astype(np.float32)
 
 
