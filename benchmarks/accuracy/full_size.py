@@ -148,7 +148,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     say(f"{compile_ahead(options.workers)} kernels compiled")
     _compile(options.work / "first_places")
     say("first places simulated")
-    _Run(options, " ".join(sys.argv[1:] if argv is None else argv)).run()
+    _Run(options).run()
 
 
 def _options(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -194,7 +194,7 @@ def _compile(folder: Path) -> None:
 class _Run:
     """The parts of a run: drawing, arrays, trainings, the further command, results."""
 
-    def __init__(self, options: argparse.Namespace, command: str) -> None:
+    def __init__(self, options: argparse.Namespace) -> None:
         self.options, start_s = options, time.monotonic()
         shares = [DRAWING_SHARE, COMPACT_SHARE, 1.0 - CLOSING_SHARE - DRAWING_SHARE - COMPACT_SHARE]
         if options.no_curve:
@@ -206,7 +206,9 @@ class _Run:
             phases_s=(float(ends_s[0]), float(ends_s[1]), float(ends_s[2])),
             ends_s=start_s + 60.0 * options.minutes,
             seed=options.seed,
-            command=f"python -m benchmarks.accuracy.full_size {command}",
+            # without the folders of one machine
+            command=f"python -m benchmarks.accuracy.full_size --minutes {options.minutes:g} --places {options.places} "
+            f"--seed {options.seed}",
             minutes=(minutes[0], minutes[1], minutes[2]),
             tiny=options.tiny,
             reads_back=options.minutes <= SMOKE_MINUTES,
