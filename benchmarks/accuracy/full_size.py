@@ -82,7 +82,7 @@ JOBS = (
         bits="fp32"),
     Job(name="swin_unet_full", network="swin_unet:full", batch_size=8, learning_rate=3e-4, starts=0, ends=2,
         bits="int8"),
-    Job(name="swin_unet", network="swin_unet:compact", batch_size=32, learning_rate=2e-3, starts=1, ends=1),
+    Job(name="swin_unet", network="swin_unet:compact", batch_size=32, learning_rate=1.5e-3, starts=1, ends=1),
     Job(name="unet", network="unet:compact", batch_size=32, learning_rate=3e-3, starts=1, ends=1),
     Job(name="further_than_cfar", network="further_than_cfar:compact", batch_size=32, learning_rate=3e-3, starts=1,
         ends=1),
