@@ -52,7 +52,7 @@ def evaluate(
     profile: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME",
+            metavar="NAME|FILE",
             help="With --objects; default `default`. May be given again.",
             autocompletion=complete_profiles,
             show_default=False,
@@ -92,7 +92,7 @@ def evaluate(
         typer.Option(
             metavar="[NAME=]SPEC",
             help="cfar, cfar-nlos, truth or FILE.onnx, then with commas: refine[=WAY], residual=FILE, "
-            "geometry=ours|published, threshold=T, GROUP.KEY=VALUE. May be given again.",
+            "geometry=ours|specification, threshold=T, GROUP.KEY=VALUE. May be given again.",
             show_default=False,
         ),
     ] = None,
