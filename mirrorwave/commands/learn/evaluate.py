@@ -136,7 +136,7 @@ def evaluate(
 ) -> None:
     """Score methods on a data set, or profiles on random places object by object; no frame is skipped."""
     if published_table is not None:
-        given = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
+        given: dict[str, object] = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
         given |= {"--moving": moving or None, "--method": method, "--limit": limit, "--reference": reference}
         _refuse("--table", given)
         from mirrorwave.commands.learn.evaluate_table import evaluate_table

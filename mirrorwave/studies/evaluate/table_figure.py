@@ -42,8 +42,9 @@ def shown_places(results: Sequence[FrameResult]) -> list[int]:
     """Places evenly over those where a mirror shows something hidden, chosen by nothing else."""
     objects = [next(iter(result.objects.values()), None) for result in results]
     places = [scan.place for scan in objects if scan is not None and any(item.image.mirrored for item in scan.hidden)]
-    even = np.unique(np.linspace(0, len(places) - 1, COLUMNS * PICTURES).astype(int)) if places else []
-    return [places[index] for index in even]
+    if not places:
+        return []
+    return [places[index] for index in np.unique(np.linspace(0, len(places) - 1, COLUMNS * PICTURES).astype(int))]
 
 
 def _draw_picture(plan: TablePlan, rows: Sequence[Row], places: Sequence[int], path: Path) -> None:
