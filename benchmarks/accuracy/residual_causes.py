@@ -1,10 +1,10 @@
-"""Residuals that the mirror law leaves behind the specification's walls, by cause, and what a network takes off them.
+"""Residuals that the mirror law leaves behind fitted walls, by cause and place, and what a network takes off them.
 
 Each image of the test scenes that has a true counterpart gets the first cause that holds: two mirrors; no wall (eta of
 1); another wall than the one that mirrored it; a curved, a rough, a thinly sampled wall; none of these. The mirror that
 truly made it bisects image and object: its wall is that of the scene nearest to where its ray meets the bisector.
 Usage: python -m benchmarks.accuracy.residual_causes --data DIR [--model FILE] [--residual FILE ...]
-       [--source peaks|truth] [--limit N] [--out DIR]
+       [--source peaks|truth] [--back-end specification|ours] [--limit N] [--out DIR]
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import NO_WALL
-from models.perception.geometry.published import BUDDY, PublishedParams, published_structure
-from models.perception.geometry.recovery import recover, reflection_state
+from models.perception.geometry.recovery import reflection_state
 from models.perception.geometry.residual_model import LearnedResidual
+from models.perception.geometry.stage import BackEnd, GeometryParams, fold_scan
 from models.physics.curved_mirror import arc_points
 from models.training.data.frames import DataSet, Frame, fixed_splits
 from models.training.data.residual_samples import truth_peaks
@@ -87,9 +87,9 @@ class Residuals:
     after_m: list[np.ndarray]
 
 
-def residuals_of(frame: Frame, peaks: Peaks, networks: list[LearnedResidual]) -> Residuals:
-    returns, walls = published_structure(peaks, PublishedParams())
-    recovered = recover(peaks, walls, returns, BUDDY)
+def residuals_of(frame: Frame, peaks: Peaks, back_end: BackEnd, networks: list[LearnedResidual]) -> Residuals:
+    scan = fold_scan(peaks, GeometryParams(back_end=back_end))
+    returns, walls, recovered = scan.returns, scan.walls, scan.recovered
     labels = frame.labels
     truth = labels.take((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
     images_m = xy_from_polar(truth.range_m.astype(np.float64), truth.azimuth_rad.astype(np.float64))
@@ -154,6 +154,7 @@ def main() -> None:
     parser.add_argument("--model", type=Path, default=DEFAULT_MODEL)
     parser.add_argument("--residual", type=Path, nargs="*", default=[])
     parser.add_argument("--source", choices=("peaks", "truth"), default="peaks")
+    parser.add_argument("--back-end", choices=("specification", "ours"), default="specification")
     parser.add_argument("--limit", type=int)
     parser.add_argument("--out", type=Path, default=Path("runs/residual_causes"))
     options = parser.parse_args()
@@ -161,17 +162,23 @@ def main() -> None:
     networks = [LearnedResidual(path) for path in options.residual]
     detector = NetworkDetector(data.setup, options.model, refine=False)
     indices = fixed_splits(options.data).test[: options.limit]
+    for network in networks:
+        network.require_trained_for(options.back_end)
     rows: dict[str, list[np.ndarray]] = defaultdict(list)
+    places: dict[str, list[np.ndarray]] = defaultdict(list)
     for frame in track(data.frames(indices), "scenes", len(indices), console=Console(stderr=True)):
         peaks = truth_peaks(frame.labels) if options.source == "truth" else detector.detect(frame.ra_map)
-        found = residuals_of(frame, peaks, networks)
+        found = residuals_of(frame, peaks, options.back_end, networks)
         for cause, *values in zip(found.cause, found.before_m, found.peak_m, *found.after_m, strict=True):
             rows[cause].append(np.array(values))
+            places[frame.place].append(np.array(values))
     options.out.mkdir(parents=True, exist_ok=True)
     by_cause = {cause: np.array(rows[cause]) for cause in CAUSES if rows[cause]}
     by_cause["all"] = np.concatenate(list(by_cause.values()))
     names = [path.parent.name for path in options.residual]
     print("\n".join(table(*_table(by_cause, names))))
+    by_place = {place: np.array(values) for place, values in sorted(places.items())}
+    print("\n".join(table(*_table({**by_place, "all": by_cause["all"]}, names))))
     _draw(by_cause, names, options.out / f"residual_causes_{options.source}.png")
 
 
@@ -214,7 +221,7 @@ def _draw(by_cause: dict[str, np.ndarray], names: list[str], path: Path) -> None
     axes.set_yticks(range(len(by_cause)), [f"{cause} ({len(values)})" for cause, values in by_cause.items()])
     axes.set(xscale="log", xlim=(0.03, 60.0), xlabel="distance from the true position [m]; box: half, line: 90 %")
     axes.invert_yaxis()
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper left")
     save(figure, path)
 
 

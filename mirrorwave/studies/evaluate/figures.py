@@ -166,12 +166,12 @@ def _draw_column(panels: np.ndarray, column: _Column, shown: Sequence[int]) -> N
     for axes, index in zip(panels[2:-1], shown, strict=True):
         draw_peaks(axes, column.truth, column.answers[index])
     _draw_places(panels[-1], column.truth, column.answers[shown[-1]])
-    panels[0].set_title(f"{column.frame.index}: {column.frame.place or column.frame.sequence}", fontsize=9)
+    panels[0].set_title(f"{column.frame.index}: {column.frame.place or column.frame.sequence}", fontsize=11)
     forward, side = column.limits_m
     for axes in panels:
         axes.set(xlim=(side, -side), ylim=(-2.0, forward), aspect="equal")
         axes.plot(0.0, 0.0, marker="^", color="black", markersize=6)
-        axes.tick_params(labelsize=6)
+        axes.tick_params(labelsize=9)
 
 
 def _draw_scene(axes: Axes, column: _Column) -> None:
