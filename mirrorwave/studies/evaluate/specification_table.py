@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -140,8 +141,7 @@ def table_rows() -> list[Row]:
         geometry = {"geometry": (profile if system.residual else plain)["geometry"]}
         if not system.family:
             rows.append(Row(name=f"{system.label} (told truth)", label=system.label, params=geometry, privileged=True))
-        for path in _weights(system.family) if system.family else ():
-            card = _card(path)
+        for path, card in _weights(system.family) if system.family else ():
             network = {"dense_predictor": {**profile["dense_predictor"], "model": path.stem}}
             size = "" if card is None else f", {card.parameters / 1e6:.3g} M {card.precision}"
             rows.append(
@@ -155,18 +155,15 @@ def table_rows() -> list[Row]:
     return [*rows, Row(name=DEFAULT, label=DEFAULT, params=read_profile(DEFAULT))]
 
 
-def _weights(family: str) -> list[Path]:
-    """Shipped files of a family, the largest network last; the compact one's name where there is none."""
-    paths = [path for path in WEIGHTS.glob("*.onnx") if path.name.partition(".")[0] == family]
-    return sorted(paths, key=lambda path: (path.stat().st_size, path.name)) or [WEIGHTS / f"{family}.compact.onnx"]
-
-
-def _card(path: Path) -> ModelCard | None:
-    """The card of a network; None where it cannot be read, which its row says when it runs."""
-    try:
-        return load_card(path)
-    except ValueError:
-        return None
+def _weights(family: str) -> list[tuple[Path, ModelCard | None]]:
+    """Shipped networks of a family with their cards, the smallest first; the compact one's name where there is none."""
+    found: list[tuple[Path, ModelCard | None]] = []
+    for path in sorted(WEIGHTS.glob("*.onnx"), key=lambda path: (path.stat().st_size, path.name)):
+        # cards of other kinds are none of dense networks
+        with suppress(ValueError):
+            card = load_card(path)
+            found += [(path, card)] if card.network == family else []
+    return found or [(WEIGHTS / f"{family}.compact.onnx", None)]
 
 
 def run_table(
