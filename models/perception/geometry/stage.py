@@ -48,6 +48,7 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     `recovery` and walls of earlier scans.
     """
 
+    #: Walls, association and rejection: ours, or those of the specification.
     back_end: BackEnd = "ours"
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
