@@ -66,6 +66,9 @@ def _draw_column(panels: np.ndarray, place: LabelledPlace, rows: Sequence[Row]) 
     draw_peaks(panels[2], truth.points, answer_of(looks[0].peaks, nothing, np.zeros(0, bool)))
     for axes, look in zip(panels[3:], looks, strict=True):
         draw_view(axes, look.frame, truth.scene, limits, LIMIT_RAD)
+        for text in axes.texts:
+            # names of objects may leave their panel: it keeps its size
+            text.set_in_layout(False)
     for axes in panels:
         label = axes.get_ylabel()
         finish(axes, limits)
