@@ -157,13 +157,13 @@ def table_rows() -> list[Row]:
 
 def _weights(family: str) -> list[tuple[Path, ModelCard | None]]:
     """Shipped networks of a family with their cards, the smallest first; the compact one's name where there is none."""
-    found: list[tuple[Path, ModelCard | None]] = []
+    shipped: list[tuple[Path, ModelCard | None]] = []
     for path in sorted(WEIGHTS.glob("*.onnx"), key=lambda path: (path.stat().st_size, path.name)):
         # cards of other kinds are none of dense networks
         with suppress(ValueError):
             card = load_card(path)
-            found += [(path, card)] if card.network == family else []
-    return found or [(WEIGHTS / f"{family}.compact.onnx", None)]
+            shipped += [(path, card)] if card.network == family else []
+    return shipped or [(WEIGHTS / f"{family}.compact.onnx", None)]
 
 
 def run_table(
