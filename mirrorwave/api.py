@@ -21,7 +21,7 @@ import numpy as np
 
 from mirrorwave.pipeline import Pipeline, played
 from mirrorwave.plots.notebook import show_values_as_pictures
-from mirrorwave.profiles import with_profile
+from mirrorwave.profiles import checked_profile, with_profile
 from mirrorwave.raw_data import require_raw
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
@@ -71,8 +71,8 @@ class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 class Perception:
     """Beams in, views out.
 
-    `setup`: the radar; the specification's where None. `profile`: a name in `launch/profiles`. `overrides`: parameters
-    as "dense_predictor.method=cfar". Raises `ValueError` naming what is unknown or does not fit.
+    `setup`: the radar; the specification's where None. `profile`: a name in `launch/profiles`, or a file. `overrides`:
+    parameters as "dense_predictor.method=cfar". Raises `ValueError` naming what is unknown or does not fit.
     """
 
     def __init__(
@@ -165,6 +165,7 @@ def scan_beams(
 
 
 def _pipeline(profile: str, overrides: Sequence[str]) -> Pipeline:
+    checked_profile(profile)
     launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
     return Pipeline(with_overrides(launch, overrides))
 

@@ -36,10 +36,10 @@ def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def complete_profiles(incomplete: str) -> list[str]:
-    """Names of profiles."""
+    """Names of profiles, and YAML files and folders where the word leads."""
     from mirrorwave.profiles import profile_names
 
-    return _beginning(profile_names(), incomplete)
+    return [*_beginning(profile_names(), incomplete), *_files(incomplete, "launch/profiles")]
 
 
 def complete_object_sets(incomplete: str) -> list[str]:

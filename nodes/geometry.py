@@ -12,7 +12,7 @@ from models.perception.cards import learned_path
 from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry.recovery import Residual
-from models.perception.geometry.stage import GeometryParams
+from models.perception.geometry.stage import BackEnd, GeometryParams
 from models.perception.timing import Timed
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
@@ -45,7 +45,8 @@ BIAS_OVERDUE_S = 30.0
 class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage."""
 
-    #: An exported residual network with its card beside it; `none`: the mirror law alone.
+    #: An exported residual network with its card beside it, or the name of a committed one, trained on walls of the
+    #: same back end; `none`: the mirror law alone.
     residual: str = "none"
     #: A fitted `PositionConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones
     #: the one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed
@@ -66,6 +67,12 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         super().__post_init__()
         if self.object_threshold is not None:
             require_within("object_threshold", 0.0, 1.0, self.object_threshold)
+        for name in ("confidence", "object_network"):
+            if self.back_end == "specification" and getattr(self, name) != "none":
+                raise ValueError(
+                    f"{name} must be none with back_end specification, which has no such part, "
+                    f"got {getattr(self, name)!r}"
+                )
 
 
 class GeometryNode(Node):
@@ -184,7 +191,7 @@ def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
     """Return the parts of the stage beside the peaks; raises `ValueError` naming a file that is missing or broken."""
-    residual = None if params.residual == "none" else _learned_residual(Path(params.residual))
+    residual = None if params.residual == "none" else _learned_residual(params.residual, params.back_end)
     fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
     if params.confidence == "auto":
         return params, residual, FittedConfidences(fitted)
@@ -206,11 +213,13 @@ def predictor_of(params: Params) -> ObjectPredictor | EvidencePredictor | None:
     return ObjectPredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
 
 
-def _learned_residual(path: Path) -> Residual:
+def _learned_residual(name: str, back_end: BackEnd) -> Residual:
     # here: without a network this node starts again faster by what bringing its runtime along takes
     from models.perception.geometry.residual_model import LearnedResidual
 
-    return LearnedResidual(path)
+    residual = LearnedResidual(learned_path(name, ".onnx"))
+    residual.require_trained_for(back_end)
+    return residual
 
 
 def confidence_paths(confidence: str) -> list[Path]:

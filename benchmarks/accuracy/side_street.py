@@ -50,7 +50,7 @@ from benchmarks.accuracy.side_street_drives import (
 )
 from benchmarks.perception.geometry_switches import machine
 from mirrorwave.node_chain import SharedParts
-from mirrorwave.profiles import DEFAULT, profile_names, read_profile
+from mirrorwave.profiles import DEFAULT, read_profile
 from models.evaluation.frame_scores import bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import as_object, object_distances
@@ -499,7 +499,7 @@ def about(stretch: Stretch) -> str:
 def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--profile", choices=profile_names(), default=DEFAULT)
+    parser.add_argument("--profile", default=DEFAULT, help="a name or a file")
     parser.add_argument("--chirps", type=int, default=128)
     parser.add_argument("--figure", type=Path, help="draws the first seed")
     parser.add_argument("--json", action="store_true")

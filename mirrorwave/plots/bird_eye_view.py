@@ -76,18 +76,18 @@ def draw_bev(
 
 def bev_figure(frame: BevFrame, truth: SceneTruth | None = None, ra_map: RangeAzimuthMap | None = None) -> Figure:
     """Return the picture of a scan as a figure."""
-    limits = _limits(frame, truth)
+    limits = limits_of(frame, truth)
     least, most = HEIGHTS_INCH
     height = float(np.clip(VIEW_INCH * limits.shape + 1.0, least if ra_map is not None else LEAST_VIEW_INCH, most))
     figure = new_figure(VIEW_INCH + SIDE_INCH, height)
     names = [["view", "map"], ["view", "signs"]] if ra_map is not None else [["view", "signs"]]
     panels: dict[str, Axes] = figure.subplot_mosaic(names, width_ratios=(VIEW_INCH, SIDE_INCH))
     limit_deg = (ra_map.grid if ra_map is not None else RangeAzimuthGrid()).azimuth_limit_deg
-    _draw_view(panels["view"], frame, truth, limits, math.radians(limit_deg))
-    _finish(panels["view"], limits)
+    draw_view(panels["view"], frame, truth, limits, math.radians(limit_deg))
+    finish(panels["view"], limits)
     if ra_map is not None:
         _draw_map(panels["map"], frame, ra_map)
-        _finish(panels["map"], limits)
+        finish(panels["map"], limits)
     panels["signs"].set_axis_off()
     panels["signs"].legend(
         *panels["view"].get_legend_handles_labels(),
@@ -109,7 +109,7 @@ def map_figure(ra_map: RangeAzimuthMap) -> Figure:
     figure = new_figure(VIEW_INCH, 0.78 * VIEW_INCH)
     axes = figure.subplots()
     _draw_levels(axes, ra_map)
-    _finish(axes, limits)
+    finish(axes, limits)
     axes.set_title(f"Scan {ra_map.scan_id} at {ra_map.stamp_ns * 1e-9:.3f} s, {ra_map.mode}", fontsize=11)
     return figure
 
@@ -124,8 +124,8 @@ def _title(frame: BevFrame, truth: SceneTruth | None) -> str:
     return "\n".join([line, ". ".join(conditions)]) if conditions else line
 
 
-def _limits(frame: BevFrame, truth: SceneTruth | None) -> Limits:
-    """Ends that hold radar, objects and nearly all echoes, images and walls."""
+def limits_of(frame: BevFrame, truth: SceneTruth | None) -> Limits:
+    """Return ends that hold radar, objects and nearly all echoes, images and walls."""
     objects: list[HiddenObject | TruthObject] = list(frame.objects)
     if truth is not None:
         objects += [item for item in truth.objects if item.hidden]
@@ -141,8 +141,8 @@ def _limits(frame: BevFrame, truth: SceneTruth | None) -> Limits:
     return Limits(back, front, min(float(low[1]), -LEAST_SIDE_M), max(float(high[1]), LEAST_SIDE_M))
 
 
-def _finish(axes: Axes, limits: Limits) -> None:
-    """Forward up, left to the left: the horizontal axis is y and runs backwards."""
+def finish(axes: Axes, limits: Limits) -> None:
+    """Turn forward up, left to the left: the horizontal axis is y and runs backwards."""
     axes.set(
         xlim=(limits.left, limits.right),
         ylim=(limits.back, limits.front),
@@ -187,8 +187,8 @@ def _edges(centres: np.ndarray) -> np.ndarray:
     return np.append(centres - half, centres[-1] + half)
 
 
-def _draw_view(axes: Axes, frame: BevFrame, truth: SceneTruth | None, limits: Limits, limit_rad: float) -> None:
-    """Areas, walls, echoes, images and objects, from below to above; the truth's outlines over what was found."""
+def draw_view(axes: Axes, frame: BevFrame, truth: SceneTruth | None, limits: Limits, limit_rad: float) -> None:
+    """Draw areas, walls, echoes, images and objects, from below to above; the truth's outlines over what was found."""
     axes.set_title("bird's-eye view", fontsize=11)
     segments = None if truth is None else true_segments(truth)
     _draw_areas(axes, frame, segments, limits.reach_m, limit_rad)

@@ -26,7 +26,10 @@ def process(
         Path | None, typer.Option(help="Folder for objects.jsonl, tracks.jsonl, timing.jsonl and bev.png.")
     ] = None,
     profile: Annotated[
-        str, typer.Option(help="Named parameters: fast, balanced, ...", autocompletion=complete_profiles)
+        str,
+        typer.Option(
+            metavar="NAME|FILE", help="Parameters: fast, balanced, ..., or a file.", autocompletion=complete_profiles
+        ),
     ] = "default",
     param: Annotated[
         list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")

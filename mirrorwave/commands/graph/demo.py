@@ -31,26 +31,31 @@ def demo(
     ] = None,
     profile: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Named parameters: fast, balanced, ...", autocompletion=complete_profiles),
+        typer.Option(
+            metavar="NAME|FILE", help="Parameters: fast, balanced, ..., or a file.", autocompletion=complete_profiles
+        ),
     ] = "default",
     out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path("out/demo"),
 ) -> None:
     """Run the demo scene live in the browser, print what it sees beside the truth, and draw the last view."""
     from mirrorwave.commands.graph.launch import run_graph
-    from mirrorwave.profiles import with_profile
+    from mirrorwave.control.launch_params import require_params
+    from mirrorwave.profiles import nodes_of_file, with_profile
     from msgs.bus.zmq import run_dir
     from nodes.process.launch_file import read_launch_file
 
     if duration is None:
         duration = UNWATCHED_S if headless else WATCHED_S
     graph = with_profile(read_launch_file(DEMO_LAUNCH), profile)
+    server = early_start.take()
+    require_params(graph, nodes_of_file(profile), server)
     # a domain of its own: the demo neither disturbs a running graph nor hears it
     domain = "demo"
     watcher = Watcher(run_dir(domain))
     watcher.start()
     start_s = time.monotonic()
     try:
-        code = run_graph(graph, domain, duration, headless=headless, server=early_start.take())
+        code = run_graph(graph, domain, duration, headless=headless, server=server)
     finally:
         watcher.stop()
     if code != ExitCode.DONE:

@@ -45,7 +45,7 @@ def launch(
     profile: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="Named parameters: fast, balanced, accurate, ...", autocompletion=complete_profiles
+            metavar="NAME|FILE", help="Parameters: fast, balanced, ..., or a file.", autocompletion=complete_profiles
         ),
     ] = None,
     latency_budget_ms: Annotated[
@@ -79,7 +79,7 @@ def launch(
     At a terminal, a graph with a page keeps its last view until Ctrl-C, unless --duration or --record is given.
     """
     from mirrorwave.control.launch_params import require_params
-    from mirrorwave.profiles import over_default, with_profile
+    from mirrorwave.profiles import nodes_of_file, over_default, with_profile
     from nodes.process.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params, with_process
 
     graph = read_launch_file(file)
@@ -92,9 +92,10 @@ def launch(
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
     graph = with_overrides(graph, param or ())
     server = early_start.take()
+    in_profile = [] if profile is None else nodes_of_file(profile)
     in_file = [] if params_file is None else [(name, str(params_file)) for name in read_yaml_mapping(params_file)]
     overrides = [(override.partition(".")[0].strip(), f"-p {override}") for override in param or ()]
-    require_params(graph, [*in_file, *overrides], server)
+    require_params(graph, [*in_profile, *in_file, *overrides], server)
     for nodes in group or ():
         graph = with_process(graph, nodes)
     options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)

@@ -1,6 +1,7 @@
 """`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals.
 
-With `--objects`: every profile on the same random places, object by object.
+With `--objects`: every profile on the same random places, object by object. With `--table 5`: the systems of the
+specification from shipped weights, and ours, on random places, beside the published figures.
 """
 
 from __future__ import annotations
@@ -49,10 +50,21 @@ def evaluate(
     objects: Annotated[
         bool, typer.Option("--objects", help="Profiles on random places, object by object, in place of --data.")
     ] = False,
+    published_table: Annotated[
+        int | None,
+        typer.Option(
+            "--table",
+            metavar="5",
+            min=5,
+            max=5,
+            help="The specification's systems and ours, from shipped weights.",
+            show_default=False,
+        ),
+    ] = None,
     profile: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME",
+            metavar="NAME|FILE",
             help="With --objects; default `default`. May be given again.",
             autocompletion=complete_profiles,
             show_default=False,
@@ -69,16 +81,16 @@ def evaluate(
         ),
     ] = None,
     count: Annotated[
-        int | None, typer.Option(min=1, help="With --objects and no --set: places of the series --seed [100].")
+        int | None, typer.Option(min=1, help="With --table, or --objects and no --set: places of --seed [100].")
     ] = None,
     places: Annotated[int | None, former_name("places")] = None,
     moving: Annotated[
         bool, typer.Option("--moving", help="With --objects and no --set: radar and road users move.")
     ] = False,
     effects: Annotated[
-        str, typer.Option(metavar="all|auto|basic|LIST", help="With --objects and no --set: simulated effects.")
+        str, typer.Option(metavar="all|auto|basic|LIST", help="With --table, or --objects and no --set: effects.")
     ] = "all",
-    workers: Annotated[int, typer.Option(min=1, help="With --objects: places measured at a time.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="With --objects, --table: places measured at a time.")] = 1,
     false_cost: Annotated[
         float | None,
         typer.Option(
@@ -92,7 +104,7 @@ def evaluate(
         typer.Option(
             metavar="[NAME=]SPEC",
             help="cfar, cfar-nlos, truth or FILE.onnx, then with commas: refine[=WAY], residual=FILE, "
-            "geometry=ours|published, threshold=T, GROUP.KEY=VALUE. May be given again.",
+            "geometry=ours|specification, threshold=T, GROUP.KEY=VALUE. May be given again.",
             show_default=False,
         ),
     ] = None,
@@ -111,8 +123,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="results.json, results.md, pr.png, scenes.png, qualitative.png; "
-            "with --objects also a file a place: the same command goes on where it stopped.",
+            help="results.json, results.md, pr.png, scenes.png, qualitative.png; with --objects and --table "
+            "[runs/table5-SEED] also a file a place: the same command goes on where it stopped.",
         ),
     ] = None,
     sweep: Annotated[int, typer.Option(min=0, help="Thresholds of the precision-recall curves; 0: none.")] = 8,
@@ -123,6 +135,14 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Score methods on a data set, or profiles on random places object by object; no frame is skipped."""
+    if published_table is not None:
+        given: dict[str, object] = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
+        given |= {"--moving": moving or None, "--method": method, "--limit": limit, "--reference": reference}
+        _refuse("--table", given)
+        from mirrorwave.commands.learn.evaluate_table import evaluate_table
+
+        evaluate_table(count or places or 100, seed, effects, workers, out, as_json)
+        return
     if objects:
         _refuse("--objects", {"--data": data, "--method": method, "--limit": limit, "--reference": reference})
         from mirrorwave.commands.learn.evaluate_objects import evaluate_objects

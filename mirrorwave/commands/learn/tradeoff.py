@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mirrorwave.completion import complete_profiles
 from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 
 if TYPE_CHECKING:
@@ -35,6 +36,15 @@ def tradeoff(
         list[str] | None,
         typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles."),
     ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Only this profile, beside rows of --row. May be given again.",
+            autocompletion=complete_profiles,
+            show_default=False,
+        ),
+    ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
     places: Annotated[int | None, former_name("frames")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
@@ -47,13 +57,16 @@ def tradeoff(
     if simulator:
         _simulator(out, full, seed, as_json)
         return
+    from mirrorwave.profiles import profile_names
     from mirrorwave.studies.report import busy_reason, load_per_core, write_report
     from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
     from mirrorwave.studies.tradeoff.report import make_report, markdown
     from mirrorwave.studies.tradeoff.runner import Plan, peak_memory_mib, run_plan
     from mirrorwave.studies.tradeoff.settings import DEFAULT_SETTINGS, read_settings
 
-    rows = _selected_rows(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
+    asked = [*(row or []), *(profile or [])]
+    by_file = [name for name in dict.fromkeys(profile or []) if name not in profile_names()]
+    rows = _selected_rows(read_settings(settings or DEFAULT_SETTINGS, networks, by_file), asked)
     usual, often = FULL if full else QUICK
     plan = Plan(rows=rows, frames=count or places or usual, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
@@ -64,7 +77,7 @@ def tradeoff(
     running = [setting for setting in plan.rows if setting.name not in failed] if memory else []
     with progress_bar("memory", len(running)) as tick:
         memory_mib = peak_memory_mib(running, tick)
-    report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or []))
+    report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or [], profile or []))
     write_report(out, "tradeoff", report, markdown(report))
     draw_front(report, out / "front.png")
     draw_stages(report, out / "stages.png")
@@ -105,12 +118,13 @@ def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
     return [row for row in rows if row in asked or row.name in bases]
 
 
-def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:
+def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str], profiles: list[str]) -> str:
     """Return the command that repeats the run."""
     words = ["mirrorwave", "tradeoff", "--count", str(plan.frames), "--repeats", str(plan.repeats)]
     words += ["--seed", str(plan.seed)]
     words += ["--networks", str(networks)] if networks else []
     words += ["--settings", str(settings)] if settings else []
+    words += [word for name in profiles for word in ("--profile", name)]
     return shlex.join([*words, *(word for name in names for word in ("--row", name))])
 
 

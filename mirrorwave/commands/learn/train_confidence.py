@@ -52,6 +52,8 @@ def confidence(
     card = load_card(path)
     at = card.threshold_for(refine) if threshold is None else threshold
     correction = None if residual is None else LearnedResidual(residual)
+    if correction is not None:
+        correction.require_trained_for(GeometryParams().back_end)
     scenes, splits = DataSet(data), fixed_splits(data)
     detector = NetworkDetector(scenes.setup, path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     places = {}

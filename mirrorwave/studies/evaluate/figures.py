@@ -32,6 +32,7 @@ from models.evaluation.frame_scores import FrameAnswer, FrameTruth
 from models.training.data.frames import Frame
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthMap
 
 #: Okabe-Ito, with a mark of its own for each when colours come round again.
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, SKY, "#CC79A7", "#000000")
@@ -49,8 +50,9 @@ TITLES = {
 TRUE_PLACE = "true position of a mirror image"
 #: Width of a figure that is read at the width of a page, and columns of its legend.
 PAGE_FIGURE_INCH, LEGEND_COLUMNS = 10.0, 3
-#: Scenes of the qualitative figure.
-SHOWN = 8
+#: Scenes of the qualitative figure, and those of a picture, wide enough to be read.
+SHOWN, COLUMNS = 9, 3
+SCENE_INCH = 4.2
 
 
 def draw_curves(report: dict[str, Any], out: Path) -> None:
@@ -123,22 +125,34 @@ class _Column:
 
 
 def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], reference: str, out: Path) -> None:
-    """Scenes as columns; rows: from above, the map, each method's peaks, the places the reference recovers."""
-    columns = []
-    for frame, position in zip(frames, positions, strict=True):
-        truth, answers = run.truth[position], [method_run.answers[position] for method_run in run.runs]
-        columns.append(_Column(frame, truth, answers, _limits_m(truth)))
+    """Write pictures of three scenes, a column each: `out`, and with -2, -3 behind its name those that do not fit.
+
+    Rows: from above, the map, the peaks of the first method and of the reference, the places the reference recovers.
+    """
+    columns = [
+        _Column(
+            frame, run.truth[position], [item.answers[position] for item in run.runs], _limits_m(run.truth[position])
+        )
+        for frame, position in zip(frames, positions, strict=True)
+    ]
     names = [method_run.method.name for method_run in run.runs]
-    labels = ["scene", "map", *names, f"{reference}: recovered"]
-    figure, panels = _figure((3.1 * len(columns) + 0.6, 3.1 * len(labels)), len(labels), len(columns))
-    for index, column in enumerate(columns):
-        _draw_column(panels[:, index], column, names.index(reference))
+    shown = list(dict.fromkeys((0, names.index(reference))))
+    labels = ["scene", "map", *(f"{names[index]}: peaks" for index in shown), f"{reference}: recovered"]
+    for start in range(0, len(columns), COLUMNS):
+        part = columns[start : start + COLUMNS]
+        figure, panels = scene_panels(labels, len(part))
+        for index, column in enumerate(part):
+            _draw_column(panels[:, index], column, shown)
+        legend_of_figure(figure, _signs(panels), columns=len(part), fontsize=10)
+        _save(figure, out if not start else out.with_stem(f"{out.stem}-{start // COLUMNS + 1}"))
+
+
+def scene_panels(labels: Sequence[str], columns: int) -> tuple[Figure, np.ndarray]:
+    """Return a figure of a column a scene, with its rows named."""
+    figure, panels = _figure((SCENE_INCH * columns + 0.6, SCENE_INCH * len(labels)), len(labels), columns)
     for axes, label in zip(panels[:, 0], labels, strict=True):
-        axes.set_ylabel(label, fontsize=11)
-    # letters grow with the figure: it may be three times as wide as a page
-    width = figure.get_figwidth()
-    legend_of_figure(figure, _signs(panels), columns=4 if width > 15.0 else 2, fontsize=max(8.0, 0.75 * width))
-    _save(figure, out)
+        axes.set_ylabel(label, fontsize=12)
+    return figure, panels
 
 
 def _signs(panels: np.ndarray) -> list[Artist]:
@@ -146,18 +160,18 @@ def _signs(panels: np.ndarray) -> list[Artist]:
     return handles_of(*panels[2:].ravel(), *panels[0])
 
 
-def _draw_column(panels: np.ndarray, column: _Column, reference: int) -> None:
+def _draw_column(panels: np.ndarray, column: _Column, shown: Sequence[int]) -> None:
     _draw_scene(panels[0], column)
-    _draw_map(panels[1], column)
-    for axes, answer in zip(panels[2:-1], column.answers, strict=True):
-        _draw_peaks(axes, column.truth, answer)
-    _draw_places(panels[-1], column.truth, column.answers[reference])
-    panels[0].set_title(f"{column.frame.index}: {column.frame.place or column.frame.sequence}", fontsize=9)
+    draw_map(panels[1], column.frame.ra_map, column.limits_m)
+    for axes, index in zip(panels[2:-1], shown, strict=True):
+        draw_peaks(axes, column.truth, column.answers[index])
+    _draw_places(panels[-1], column.truth, column.answers[shown[-1]])
+    panels[0].set_title(f"{column.frame.index}: {column.frame.place or column.frame.sequence}", fontsize=11)
     forward, side = column.limits_m
     for axes in panels:
         axes.set(xlim=(side, -side), ylim=(-2.0, forward), aspect="equal")
         axes.plot(0.0, 0.0, marker="^", color="black", markersize=6)
-        axes.tick_params(labelsize=6)
+        axes.tick_params(labelsize=9)
 
 
 def _draw_scene(axes: Axes, column: _Column) -> None:
@@ -192,10 +206,10 @@ def _draw_truth(axes: Axes, truth: FrameTruth) -> None:
         )
 
 
-def _draw_map(axes: Axes, column: _Column) -> None:
-    ra_map = column.frame.ra_map
+def draw_map(axes: Axes, ra_map: RangeAzimuthMap, limits_m: tuple[float, float]) -> None:
+    """Draw a map in the plane, as far forward and sideways as the limits."""
     grid = ra_map.grid
-    forward, side = column.limits_m
+    forward, side = limits_m
     bins = min(int(np.hypot(forward, side) / grid.range_bin_m) + 2, grid.range_bins)
     power = np.square(np.abs(ra_map.values[:bins, ::2])).astype(np.float64)
     level_db = 10.0 * np.log10(np.maximum(power, 1e-30))
@@ -214,7 +228,8 @@ def _draw_map(axes: Axes, column: _Column) -> None:
     )
 
 
-def _draw_peaks(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
+def draw_peaks(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
+    """Draw peaks by class over the truth."""
     _draw_truth(axes, truth)
     for path_class, colour, mark, label in (
         (PathClass.LOS, BLUE, "o", "peak taken as direct"),

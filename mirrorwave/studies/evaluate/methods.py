@@ -10,7 +10,7 @@ A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with comma
 - `residual=FILE.onnx`: learned correction of folded places, Eq. (18);
 - `confidence=FILE.json`: probability of each place (`mirrorwave train confidence`), improbable ones dropped; with
   `geometry=ours`;
-- `geometry=ours` (default) or `geometry=published`;
+- `geometry=ours` (default) or `geometry=specification` (formerly `published`);
 - `threshold=T`: score a peak must have; default: the network's card, none for CFAR;
 - `peaks.KEY=`, `named.KEY=`, `refinement.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of
   that stage.
@@ -47,7 +47,7 @@ from nodes.process.launch_file import parse_yaml
 
 #: Lowest score that a precision-recall curve looks at.
 FLOOR = 0.05
-GEOMETRIES = ("ours", "published")
+GEOMETRIES = ("ours", "specification")
 #: Parameter groups that a source can take beside `geometry`.
 GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx": ("peaks", "named", "refinement")}
 WORDS = (
@@ -141,8 +141,8 @@ def _take(parts: dict[str, Any], text: str, word: str) -> None:
         parts["parameters"].setdefault(group, {})[path] = parse_yaml(value, f"--method {text!r}: {key}")
     elif key in ("residual", "confidence") and value:
         parts[key] = Path(value)
-    elif key == "geometry" and value in GEOMETRIES:
-        parts["geometry"] = value
+    elif key == "geometry" and value in (*GEOMETRIES, "published"):
+        parts["geometry"] = value.replace("published", "specification")
     elif key == "threshold" and _is_share(value):
         parts["threshold"] = float(value)
     else:
@@ -183,7 +183,7 @@ def build_method(
 
 
 def _built(spec: MethodSpec, threshold: float | None, threads: int, setup: RadarSetup) -> Method:
-    residual, weights = _residual(spec.residual, threads)
+    residual, weights = _residual(spec, threads)
     grid, detect_all = None, None
     if spec.kind == ".onnx":
         card = load_card(Path(spec.source))
@@ -258,7 +258,7 @@ def peaks_above(peaks: Peaks, threshold: float) -> Peaks:
 
 
 def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:
-    if spec.geometry == "published":
+    if spec.geometry == "specification":
         published = overridden(PublishedParams(), "geometry", spec.parameters)
         return lambda peaks: _published_places(peaks, published, residual)
     params = overridden(GeometryParams(), "geometry", spec.parameters)
@@ -282,11 +282,12 @@ def _our_places(
     return scan.recovered.points_m, scan.hidden
 
 
-def _residual(path: Path | None, threads: int) -> tuple[Residual | None, int]:
+def _residual(spec: MethodSpec, threads: int) -> tuple[Residual | None, int]:
     """The learned correction in a file, and its number of weights."""
-    if path is None:
+    if spec.residual is None:
         return None, 0
-    residual = LearnedResidual(path, threads)
+    residual = LearnedResidual(spec.residual, threads)
+    residual.require_trained_for(spec.geometry)
     return residual, residual.card.parameters
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from mirrorwave.profiles import profile_names, read_profile
+from mirrorwave.profiles import checked_profile, profile_names, profile_path
 from msgs.files.shipped import LAUNCH
 from nodes.process.launch_file import read_yaml_mapping
 from nodes.process.validation import convert_at, merged
@@ -53,13 +53,15 @@ class _SettingsFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rows: list[Setting]
 
 
-def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -> list[Setting]:
+def read_settings(
+    path: Path = DEFAULT_SETTINGS, networks: Path | None = None, profile_files: Sequence[str] = ()
+) -> list[Setting]:
     """All rows: the profiles, the default first, then those of a file; without `networks` none that asks for them.
 
-    Raises `ValueError` naming the file and the row where two rows share a name, one sets what no node has, or is laid
-    over no profile.
+    `profile_files`: further profiles. Raises `ValueError` naming the file and the row where two rows share a name, one
+    sets what no node has, or is laid over no profile.
     """
-    bases = {row.value: row for row in profiles()}
+    bases = {row.value: row for row in (*profiles(), *map(profile_setting, profile_files))}
     own = convert_at(read_yaml_mapping(path), _SettingsFile, f"{path}: ").rows
     names = [row.name for row in (*bases.values(), *own)]
     for name in names:
@@ -74,16 +76,13 @@ def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -
 
 def profiles() -> list[Setting]:
     """The named profiles, the default first, the others by name."""
-    rows = ({"switch": PROFILE, "value": name, "params": read_profile(name)} for name in profile_names())
-    return [convert_at(row, Setting, f"profile {row['value']}") for row in rows]
+    return [profile_setting(name) for name in profile_names()]
 
 
 def profile_setting(name: str) -> Setting:
-    """Return a named profile; `ValueError` names those there are."""
-    by_name = {setting.value: setting for setting in profiles()}
-    if name not in by_name:
-        raise ValueError(f"--profile must be one of {', '.join(by_name)}, got {name!r}")
-    return by_name[name]
+    """Return a profile by its name or file; `ValueError` names what is wrong."""
+    row = {"switch": PROFILE, "value": name, "params": checked_profile(name)}
+    return convert_at(row, Setting, str(profile_path(name)))
 
 
 def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:

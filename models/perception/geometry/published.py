@@ -1,6 +1,6 @@
-"""The published back end: plain clusters and lines, buddy association, every image folded back, none rejected.
+"""The specification's back end: plain clusters and lines, buddy association, every image folded back, none rejected.
 
-It exists beside `models.perception.geometry.stage` so that each detector can be evaluated with both.
+`models.perception.geometry.stage` runs it for `back_end: specification`.
 """
 
 from __future__ import annotations
@@ -37,20 +37,29 @@ class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError(f"published.min_inliers must be at least 2, got {self.min_inliers!r}")
 
 
+#: An image belongs to the wall of the direct return nearest in angle; one mirror each.
+BUDDY = RecoveryParams(association="buddy", second_order=False)
+
+
 def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual | None = None) -> Recovered:
     """Return every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
 
     Without direct returns nothing is recovered.
     """
+    returns, walls = published_structure(peaks, params)
+    recovered = recover(peaks, walls, returns, BUDDY)
+    if residual is None or len(recovered) == 0:
+        return recovered
+    return corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+
+
+def published_structure(peaks: Peaks, params: PublishedParams) -> tuple[DirectReturns, list[Wall]]:
+    """Return the direct returns with their clusters, and the lines through them."""
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
     direct = _not_too_near(points_m, peaks.path_class, params.nearest_share)
     labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
     walls, wall_of_point = published_walls(points_m[direct], labels, params)
-    returns = DirectReturns(points_m[direct], peaks.snr_db[direct], labels, wall_of_point)
-    recovered = recover(peaks, walls, returns, RecoveryParams(association="buddy", second_order=False))
-    if residual is None or len(recovered) == 0:
-        return recovered
-    return corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+    return DirectReturns(points_m[direct], peaks.snr_db[direct], labels, wall_of_point), walls
 
 
 def _not_too_near(points_m: np.ndarray, path_class: np.ndarray, share: float) -> np.ndarray:

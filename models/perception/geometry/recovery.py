@@ -84,6 +84,8 @@ class ReflectionState:
     state: np.ndarray
 
 
+#: Direct returns in a patch (section 3.3).
+NEIGHBOURS = 16
 #: Learned correction of folded positions: offsets [N, 2] in metres, Eq. (18).
 Residual = Callable[[ReflectionState], np.ndarray]
 
@@ -199,7 +201,7 @@ def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wal
 
 
 def reflection_state(
-    recovered: Recovered, walls: list[Wall], returns: DirectReturns, neighbours: int = 16
+    recovered: Recovered, walls: list[Wall], returns: DirectReturns, neighbours: int = NEIGHBOURS
 ) -> ReflectionState:
     """Return the inputs of ResidualReflectNet: the nearest direct returns in the cluster of each image's buddy, and
     its state.

@@ -10,12 +10,14 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import card_path, read_card
-from models.perception.geometry.recovery import ReflectionState
+from models.perception.geometry.recovery import NEIGHBOURS, ReflectionState
 from models.perception.onnx_session import open_session
 
 #: Coordinates the network sees: the radar's, those of each image's own wall, or the radar's with the axes of the
 #: published checkpoints (x to the right, y ahead).
 ResidualFrame = Literal["radar", "wall", "published"]
+#: Walls that a card names, by back end.
+CARD_GEOMETRY = {"ours": "ours", "specification": "published"}
 #: Inputs of the file, in order, with their shapes after the batch.
 INPUTS = ("images", "patch", "state")
 #: Longest correction in use unless another is named.
@@ -141,6 +143,16 @@ class LearnedResidual:
             return np.zeros((0, 2))
         frames = image_frames(reflection, self.card.frame)
         return bounded(frames.to_radar(self._infer(in_frames(reflection, frames))), self._max_shift_m)
+
+    def require_trained_for(self, back_end: str) -> None:
+        """Raise `ValueError` unless the network was trained on the walls, and takes the patches, of a back end."""
+        wanted = {"geometry": CARD_GEOMETRY[back_end], "neighbours": NEIGHBOURS}
+        for name, value in wanted.items():
+            if getattr(self.card, name) != value:
+                raise ValueError(
+                    f"{card_path(self._path)}: card.{name} must be {value!r} for back_end {back_end}, "
+                    f"got {getattr(self.card, name)!r}"
+                )
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         return dict(zip(INPUTS, ((2,), (self.card.neighbours, 2), (6,)), strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -16,6 +17,7 @@ from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.mirrors import NO_WALL
 from models.perception.geometry.objects import ObjectParams, form_objects
 from models.perception.geometry.observability import VisibilityParams, observability
+from models.perception.geometry.published import BUDDY, PublishedParams, published_structure
 from models.perception.geometry.recovery import (
     Recovered,
     Residual,
@@ -35,11 +37,19 @@ from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, P
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
 #: Walls and direct returns of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
 ObjectJudge = Callable[[list[Wall], DirectReturns], Callable[[], tuple[HiddenObject, ...]]]
+#: Walls, association and rejection: ours, or those of the specification (section 3.1.2).
+BackEnd = Literal["ours", "specification"]
 
 
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of the geometry stage; defaults are the released settings where those exist."""
+    """Parameters of the geometry stage; defaults are the released settings where those exist.
 
+    Of `specification` the back end takes the clusters and `objects`; it has no use for `walls`, `wall_points`,
+    `recovery` and walls of earlier scans.
+    """
+
+    #: Walls, association and rejection: ours, or those of the specification.
+    back_end: BackEnd = "ours"
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
     walls: WallParams = WallParams()
@@ -92,9 +102,13 @@ def _folded(
     confidence: Confidence | None,
 ) -> FoldedScan:
     """Fold the images of a scan whose walls are known."""
-    recovered = recover(peaks, walls, returns, params.recovery)
+    of_specification = params.back_end == "specification"
+    recovered = recover(peaks, walls, returns, BUDDY if of_specification else params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+    if of_specification:
+        # it rejects nothing
+        return FoldedScan(returns, walls, recovered, np.ones(len(recovered), bool))
     fitted = None if confidence is None else confidence.of(peaks.detector)
     if fitted is not None:
         recovered = fitted.probable(recovered, walls, returns, params.recovery)
@@ -158,6 +172,9 @@ def direct_structure(
     """
     if len(peaks) > MAX_PEAKS:
         raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
+    if params.back_end == "specification":
+        published = PublishedParams(cluster_eps_m=params.cluster_eps_m, cluster_min_points=params.cluster_min_points)
+        return published_structure(peaks, published)
     direct = peaks.path_class == PathClass.LOS
     range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
     points_m = xy_from_polar(range_m, azimuth_rad)

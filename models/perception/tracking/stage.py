@@ -95,7 +95,9 @@ class ViewStage:
             earlier_walls = self._memory.walls_at(peaks)
             judge = self._judge(peaks, ra_map, ego)
             params = self._detections if peaks.sensor else self._judged if judge else self._params
-            frame = recover_bev(peaks, params, self._residual, self._confidence, earlier_walls, judge)
+            # a residual corrects the walls that it was trained on
+            residual = self._residual if params.back_end == self._params.back_end else None
+            frame = recover_bev(peaks, params, residual, self._confidence, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar, peaks.ego_compensated)
         self.doubt = self._check.doubt(ra_map.unused_beams) if self._check and judge and ra_map else ""

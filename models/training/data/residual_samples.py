@@ -17,8 +17,8 @@ import numpy as np
 
 from models.evaluation.metrics import Counts, chamfer, match_points, recovered_counts
 from models.perception.detection.detectors import Detector
-from models.perception.geometry.published import PublishedParams, recover_published
-from models.perception.geometry.recovery import Recovered, ReflectionState, reflection_state
+from models.perception.geometry.published import BUDDY, PublishedParams, published_structure
+from models.perception.geometry.recovery import NEIGHBOURS, Recovered, ReflectionState, recover, reflection_state
 from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.training.data.frames import DataSet, Frame, FrameLabels
 from msgs.files.array_files import load_arrays
@@ -32,8 +32,6 @@ Geometry = Literal["ours", "published"]
 
 #: Walls of the released training, which fits them to truth with other settings than its inference.
 TRAINING_WALLS = PublishedParams(cluster_eps_m=10.0, cluster_min_points=3, rounds=100, inlier_m=0.5, nearest_share=0.0)
-#: Direct returns in a patch (section 3.3).
-NEIGHBOURS = 16
 
 
 class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -122,14 +120,9 @@ def fold_ours(peaks: Peaks) -> Folded:
 
 def fold_published(peaks: Peaks, params: PublishedParams | None = None) -> Folded:
     """Return the images of a scene as folded by the published back end."""
-    states = [_none().reflection]
-
-    def listen(reflection: ReflectionState) -> np.ndarray:
-        states.append(reflection)
-        return np.zeros((len(reflection.images_m), 2))
-
-    recovered = recover_published(peaks, params or PublishedParams(), listen)
-    return recovered, states[-1]
+    returns, walls = published_structure(peaks, params or PublishedParams())
+    recovered = recover(peaks, walls, returns, BUDDY)
+    return recovered, reflection_state(recovered, walls, returns)
 
 
 GEOMETRIES: dict[Geometry, Callable[[Peaks], Folded]] = {"ours": fold_ours, "published": fold_published}

@@ -34,7 +34,7 @@ def test_text_of_a_method() -> None:
         "ours",
         "net.onnx",
         True,
-        "published",
+        "specification",
         0.4,
     )
     assert spec.residual == Path("r.onnx")

@@ -174,7 +174,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
         (["--objects", "--set", "nowhere"], "--set must be one of report, report_moving, validation"),
         (["--objects", "--set", "report", "--places", "3"], "leave out --count, --moving and --effects"),
         (["--objects", "--set", "report", "--set", "report"], "must each name a thing once"),
-        (["--objects", "--profile", "magic"], "--profile must be one of default, accurate"),
+        (["--objects", "--profile", "magic"], "unknown profile 'magic'; known are default, accurate"),
         (["--objects", "--places", "1", "--effects", "wind"], "wind"),
         (["--data", "x", "--profile", "cfar"], "--profile must not be given with --data"),
         ([], "--data must name a data set, or --objects ask for random places"),

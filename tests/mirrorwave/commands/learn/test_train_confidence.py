@@ -58,5 +58,5 @@ def test_a_fitted_file_drops_places_of_a_method(data: Path, tmp_path: Path) -> N
 def test_a_missing_model_and_the_published_geometry_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"--method truth: .*nowhere\.json"):
         build_method(parse_method(f"truth,confidence={tmp_path / 'nowhere.json'}"))
-    with pytest.raises(ValueError, match="confidence must go with geometry=ours, got published"):
+    with pytest.raises(ValueError, match="confidence must go with geometry=ours, got specification"):
         parse_method("truth,confidence=file.json,geometry=published")
