@@ -507,7 +507,7 @@ def _manifest(parts: Parts, box: Box) -> None:
 
 
 def _cloud(parts: Parts, box: Box) -> None:
-    from mirrorwave.annotate.clouds import SUFFIXES, read_cloud
+    from models.annotation.clouds import SUFFIXES, read_cloud
 
     points_m, _ = read_cloud(box.put(f"a{SUFFIXES[number(parts, 0, len(SUFFIXES))]}", part(parts, 1)))
     assert points_m.shape[1] == 3

@@ -21,7 +21,7 @@ import zstandard
 from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from mirrorwave.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
+from models.annotation.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from mirrorwave.annotate.manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
@@ -340,7 +340,7 @@ def _size(count: int) -> str:
 
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
-    from mirrorwave.annotate import clouds as annotate_clouds
+    from models.annotation import clouds as annotate_clouds
     from mirrorwave.convert import detection_tables
     from mirrorwave.diagnose import foreign_topic
     from models.perception import cards, onnx_session

@@ -12,9 +12,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mirrorwave.annotate.clouds import read_cloud
 from mirrorwave.annotate.manifest import Cloud, Manifest, Pose
 from models.annotation.annotated_capture import frame_points, mean_map, write_frame
+from models.annotation.clouds import read_cloud
 from models.annotation.registration import PosedCloud, Registration, register
 from models.annotation.slice_labels import PointLabel, SliceLabels, label_slice
 from models.perception.forming.ra_former import RaFormer

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from benchmarks.perception.annotation import pose_error
-from mirrorwave.annotate.clouds import read_cloud
+from models.annotation.clouds import read_cloud
 from mirrorwave.annotate.manifest import Pose, load_manifest
 from mirrorwave.cli import main
 from models.training.data.frames import DataSet

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from msgs.files.text_files import without_mark
 from msgs.values.wording import counted
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
+#: What a directory of clouds may hold.
+RECORDED_SUFFIXES = (*SUFFIXES, ".bin")
+_COLUMNS = ("x", "y", "z", "intensity")
 MAX_POINTS = 20_000_000
 #: A file of as many points, each with a hundred bytes of numbers or words.
 MAX_CLOUD_BYTES = 1 << 31
@@ -84,6 +88,44 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
     return kept_m, len(points) - len(kept_m)
 
 
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Return all fields of a cloud as the file has them, [points] each, x, y, z first.
+
+    NumPy arrays and `.bin` (as KITTI writes them: float32) have x, y, z and, with four columns, intensity. Raises
+    ValueError that names file, rule and value for what `read_cloud` refuses of its format.
+    """
+    suffix = path.suffix.lower()
+    if path.stat().st_size > MAX_CLOUD_BYTES:
+        raise ValueError(f"{path}: at most {MAX_CLOUD_BYTES} bytes are read, got {path.stat().st_size}")
+    if suffix in (".npy", ".bin"):
+        table = _npy_points(path) if suffix == ".npy" else _bin_points(path)
+        if table.ndim != 2 or not 3 <= table.shape[1] <= len(_COLUMNS) or table.dtype.kind != "f":
+            shapes = "(N, 3) or (N, 4)"
+            raise ValueError(f"{path}: points must be floats of shape {shapes}, got {table.dtype} {table.shape}")
+        return {name: table[:, at] for at, name in enumerate(_COLUMNS[: table.shape[1]])}
+    with without_mark(path) as plain:
+        _refuse_promises(plain)
+        o3d = import_open3d()
+        cloud = _read_by_open3d(path, lambda: o3d.t.io.read_point_cloud(
+            str(plain), remove_nan_points=False, remove_infinite_points=False
+        ))  # fmt: skip
+    positions = cloud.point.positions.numpy() if "positions" in cloud.point else np.zeros((0, 3))
+    columns = {name: positions[:, at] for at, name in enumerate("xyz")}
+    for name, value in cloud.point.items():
+        column = value.numpy()
+        if name != "positions" and column.ndim == 2:
+            parts = [name] if column.shape[1] == 1 else [f"{name}_{at}" for at in range(column.shape[1])]
+            columns |= {part: column[:, at] for at, part in enumerate(parts)}
+    return columns
+
+
+def _bin_points(path: Path) -> np.ndarray:
+    content = path.read_bytes()
+    if len(content) % 16:
+        raise ValueError(f"{path}: points must have 16 bytes each (x, y, z, intensity), got {len(content)} bytes")
+    return np.frombuffer(content, "<f4").reshape(-1, 4)
+
+
 def _require_tractable(path: Path, count: int) -> None:
     if count > MAX_POINTS:
         raise ValueError(f"{path}: points must be at most {MAX_POINTS}, got {count}")
@@ -104,18 +146,27 @@ def _open3d_points(path: Path) -> np.ndarray:
     """
     _refuse_promises(path)
     o3d = import_open3d()
+    cloud = _read_by_open3d(path, lambda: o3d.io.read_point_cloud(
+        str(path), remove_nan_points=False, remove_infinite_points=False
+    ))  # fmt: skip
+    return np.asarray(cloud.points)
+
+
+def _read_by_open3d(path: Path, read: Callable[[], Any]) -> Any:
+    """Return what a reader of open3d gives; ValueError where it raises, or prints that it failed."""
+    o3d = import_open3d()
     printed = io.StringIO()
     with (
         contextlib.redirect_stdout(printed),
         o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Warning),
     ):
         try:
-            cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+            cloud = read()
         except (MemoryError, RuntimeError) as error:
             raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     if said := " ".join(_COLOUR.sub("", printed.getvalue()).split()):
         raise ValueError(f"{path}: cannot be read: {said}")
-    return np.asarray(cloud.points)
+    return cloud
 
 
 def _refuse_promises(path: Path) -> None:
