@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import queue
 import time
+from collections.abc import Iterator
 from typing import NoReturn
 
 from mirrorwave.replay.view_log import overview_json, read_log
-from msgs.bus.topics import RAW_TOPICS
+from msgs.bus.topics import RAW_TOPICS, SIDE_TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.viewer.assembly import ScanAssembly, post_sensor, post_warnings
@@ -19,6 +20,8 @@ VIEW_TOPIC = "perception/hidden_objects"
 TOPICS_OF_A_SCAN = (VIEW_TOPIC, "radar/ra_map", "perception/peaks", "sim/truth", "vehicle/state")
 #: Truth that was sent a little after its view still belongs to it.
 LATE_NS = NANOSECONDS_PER_SECOND // 10
+#: Of these the page shows what is nearest to the view; they are looked for so long before it.
+SIDE_RUN_UP_NS = NANOSECONDS_PER_SECOND
 #: Map, peaks and truth of a view were sent this much before it at most.
 RUN_UP_NS = 3 * NANOSECONDS_PER_SECOND
 MAX_SPEED = 100.0
@@ -118,6 +121,9 @@ class Playback:
         scan = self._scans[self._index]
         self._read(before)
         assembly = ScanAssembly(self._board)
+        # before the view, which chooses among them
+        for recorded in self._side_messages():
+            assembly.take(recorded.message, recorded.log_time_ns)
         for recorded in self._recent:
             # of other scans in the run-up nothing is shown, but the vehicle's motion counts
             if getattr(recorded.message, "scan_id", scan.scan_id) == scan.scan_id:
@@ -133,6 +139,13 @@ class Playback:
         kept = [recorded for recorded in self._recent if recorded.log_time_ns >= start_ns] if follows else []
         read_ns = max(start_ns, self._end_ns(before)) if follows else start_ns
         self._recent = [*kept, *self._reader.messages(TOPICS_OF_A_SCAN, read_ns, self._end_ns(self._index))]
+
+    def _side_messages(self) -> Iterator[Recorded]:
+        """Yield what the sensors beside the radar sent up to the shown scan."""
+        if not any(topic in self._reader.types for topic in SIDE_TOPICS):
+            return
+        end_ns = self._end_ns(self._index)
+        yield from self._reader.messages(SIDE_TOPICS, max(end_ns - SIDE_RUN_UP_NS, 0), end_ns)
 
     def _end_ns(self, index: int) -> int:
         """Return the end of scan `index`, exclusive."""

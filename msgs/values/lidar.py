@@ -280,9 +280,9 @@ class LidarPoints(Checked, frozen=True, kw_only=True, eq=False):
         """Return the points as a structured array [points], a view."""
         layout: dict[str, Any] = {"names": [], "formats": [], "offsets": [], "itemsize": self.data.shape[1]}
         for field in self.fields:
-            one = POINT_TYPES[field.datatype]
+            kind = POINT_TYPES[field.datatype]
             layout["names"].append(field.name)
-            layout["formats"].append(one if field.count == 1 else (one, (field.count,)))
+            layout["formats"].append(kind if field.count == 1 else (kind, (field.count,)))
             layout["offsets"].append(field.offset)
         return np.ascontiguousarray(self.data).reshape(-1).view(np.dtype(layout))
 
@@ -309,5 +309,5 @@ def _require_layout(fields: tuple[PointField, ...], step: int) -> None:
             )
     for name in "xyz":
         if kinds.get(name) not in ("float32", "float64"):
-            found = f"is {kinds[name]}" if name in kinds else f"there are {', '.join(kinds) or 'none'}"
-            raise ValueError(f"points.fields must hold {name} as float32 or float64, {found}")
+            instead = f"is {kinds[name]}" if name in kinds else f"there are {', '.join(kinds) or 'none'}"
+            raise ValueError(f"points.fields must hold {name} as float32 or float64, {instead}")

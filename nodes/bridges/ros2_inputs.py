@@ -13,7 +13,7 @@ from msgs.values.lidar import MAX_NAME_LENGTH
 from msgs.values.units import NANOSECONDS_PER_SECOND
 from msgs.values.vehicle import VehicleState
 from nodes.bridges.detection_mapping import READERS
-from nodes.bridges.ros2_types import CLOUD, COMPRESSED_IMAGE, IMAGE
+from nodes.bridges.ros2_types import CLOUD
 from nodes.node import ShedTally
 
 _REASON_LIMIT = 200
@@ -86,8 +86,6 @@ def side_input(kind: str, mounting: LidarMounting) -> CloudInput | ImageInput:
 
 
 Input = DetectionInput | OdometryInput | CloudInput | ImageInput
-#: Types of ROS that become messages of sensors beside the radar.
-SIDE_KINDS = (CLOUD, COMPRESSED_IMAGE, IMAGE)
 
 
 def reason_of(error: Exception) -> str:

@@ -147,13 +147,12 @@ class SideSources:
         if not path.is_dir():
             raise FileNotFoundError(2, "must be a ROS bag or a directory", str(path))
         held = sorted(file for file in path.iterdir() if file.is_file())
-        found = False
+        before = len(self._files)
         for topic, suffixes in zip(SIDE_TOPICS, (RECORDED_SUFFIXES, IMAGE_SUFFIXES), strict=True):
             files = [file for file in held if file.suffix.lower() in suffixes]
             if files:
                 self._files.append((topic, _in_time(files)))
-                found = True
-        if not found:
+        if len(self._files) == before:
             ends = ", ".join((*RECORDED_SUFFIXES, *IMAGE_SUFFIXES))
             raise ValueError(f"{path}: must hold clouds or images, by the ends of their names: {ends}")
 
@@ -221,10 +220,10 @@ def _wanted(bag: RosBag, topics: tuple[str, ...]) -> tuple[str, ...]:
     if strange := [topic for topic in topics if topic not in known]:
         raise ValueError(f"{bag.path}: topics must be of {', '.join(SIDE_KINDS)} ({listed}), got {strange[0]!r}")
     # raw images beside their compressed form
-    chosen = topics or tuple(topic for topic in known if f"{topic}/compressed" not in known)
-    clouds = [topic for topic in chosen if known[topic] == CLOUD]
-    images = [topic for topic in chosen if known[topic] != CLOUD]
-    if max(len(clouds), len(images)) > 1 or not chosen:
+    wanted = topics or tuple(topic for topic in known if f"{topic}/compressed" not in known)
+    clouds = [topic for topic in wanted if known[topic] == CLOUD]
+    images = [topic for topic in wanted if known[topic] != CLOUD]
+    if max(len(clouds), len(images)) > 1 or not wanted:
         raise ValueError(f"{bag.path}: topics must name one with clouds, one with images, or both: {listed}")
     return (*clouds, *images)
 
