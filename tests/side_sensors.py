@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -60,3 +62,37 @@ def point_cloud2(points: np.ndarray | None = None, rows: int = 4, **changes: Any
 
 def cloud(points: np.ndarray | None = None, stamp_ns: int = 1, scan_id: int = 0, rows: int = 4) -> LidarPoints:
     return lidar_points(point_cloud2(points, rows), stamp_ns, scan_id, LidarMounting())
+
+
+def write_bag(path: Path, messages: Sequence[tuple[str, str, int, Any]], storage: str = "mcap") -> Path:
+    """A ROS 2 bag folder of (topic, type, time, fields), written by rosbags with its own types."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+
+    def typed(kind: str, value: Any) -> Any:
+        if not isinstance(value, SimpleNamespace):
+            return value
+        inner = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
+        fields = {name: typed(inner.get(name, ""), field) for name, field in vars(value).items()}
+        if "fields" in fields:
+            fields["fields"] = [store.types["sensor_msgs/msg/PointField"](**vars(field)) for field in fields["fields"]]
+        return store.types[kind](**fields)
+
+    with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as bag:
+        connections: dict[str, Any] = {}
+        for topic, kind, time_ns, fields in messages:
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=store)
+            bag.write(connections[topic], time_ns, store.serialize_cdr(typed(kind, fields), kind))
+    return path
+
+
+def header(stamp_ns: int, frame_id: str) -> SimpleNamespace:
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
+
+
+def compressed_image(data: bytes, stamp_ns: int = 1, kind: str = "jpeg") -> SimpleNamespace:
+    return SimpleNamespace(header=header(stamp_ns, "front"), format=kind, data=np.frombuffer(data, np.uint8))

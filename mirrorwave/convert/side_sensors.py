@@ -11,6 +11,7 @@ from models.training.files import file_sha256
 from msgs.bus.topics import SIDE_TOPICS
 from msgs.recording.mcap import whole_recording
 from msgs.values.lidar import LidarPoints
+from msgs.values.wording import counted
 from nodes.drivers.recorded_sensors import SideParams, SideSources, without_position
 
 
@@ -40,7 +41,8 @@ def import_sensors(params: SideParams, out: Path, bar: Bar) -> dict[str, Any]:
         loss = sources.loss
     finally:
         sources.close()
-    notes = [f"{missing} points in {clouds_with_missing} clouds have no position"] if missing else []
+    where = counted(clouds_with_missing, "cloud")
+    notes = [f"{counted(missing, 'point')} of {where} have no position and are kept"] if missing else []
     clouds, images = (counts[topic] for topic in SIDE_TOPICS)
     return {"clouds": clouds, "images": images, "refused": refused, "notes": notes, "loss": loss or None}
 

@@ -10,18 +10,18 @@ from typing import NoReturn
 from mirrorwave.replay.view_log import overview_json, read_log
 from msgs.bus.topics import RAW_TOPICS, SIDE_TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
+from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.viewer.assembly import ScanAssembly, post_sensor, post_warnings
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import Command, Play, Seek, Step
+from nodes.viewer.side_sensors import NEAR_NS
 
 VIEW_TOPIC = "perception/hidden_objects"
 #: Of these the messages of the shown scan are read; the rest follows from the whole recording (`view_log`).
 TOPICS_OF_A_SCAN = (VIEW_TOPIC, "radar/ra_map", "perception/peaks", "sim/truth", "vehicle/state")
 #: Truth that was sent a little after its view still belongs to it.
 LATE_NS = NANOSECONDS_PER_SECOND // 10
-#: Of these the page shows what is nearest to the view; they are looked for so long before it.
-SIDE_RUN_UP_NS = NANOSECONDS_PER_SECOND
 #: Map, peaks and truth of a view were sent this much before it at most.
 RUN_UP_NS = 3 * NANOSECONDS_PER_SECOND
 MAX_SPEED = 100.0
@@ -141,11 +141,19 @@ class Playback:
         self._recent = [*kept, *self._reader.messages(TOPICS_OF_A_SCAN, read_ns, self._end_ns(self._index))]
 
     def _side_messages(self) -> Iterator[Recorded]:
-        """Yield what the sensors beside the radar sent up to the shown scan."""
+        """Yield what the sensors beside the radar measured about the time of the shown view."""
         if not any(topic in self._reader.types for topic in SIDE_TOPICS):
             return
-        end_ns = self._end_ns(self._index)
-        yield from self._reader.messages(SIDE_TOPICS, max(end_ns - SIDE_RUN_UP_NS, 0), end_ns)
+        scan = self._scans[self._index]
+        stamps_ns = [
+            recorded.message.stamp_ns
+            for recorded in self._recent
+            if isinstance(recorded.message, BevFrame) and recorded.message.scan_id == scan.scan_id
+        ]
+        # a stamp of another clock says nothing
+        is_known = bool(stamps_ns) and 0 <= scan.sent_ns - stamps_ns[-1] <= RUN_UP_NS
+        at_ns = stamps_ns[-1] if is_known else scan.sent_ns
+        yield from self._reader.messages(SIDE_TOPICS, max(at_ns - NEAR_NS, 0), at_ns + NEAR_NS)
 
     def _end_ns(self, index: int) -> int:
         """Return the end of scan `index`, exclusive."""

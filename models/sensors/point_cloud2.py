@@ -106,6 +106,8 @@ def lidar_points(cloud: Any, stamp_ns: int, scan_id: int, mounting: LidarMountin
 
 def columns_cloud(columns: Mapping[str, np.ndarray]) -> tuple[tuple[PointField, ...], np.ndarray]:
     """Return fields and data [points, bytes] of a cloud of columns of numbers [points], in their order and types."""
+    if not columns:
+        raise ValueError("cloud must have fields x, y and z, has none")
     kinds = {name: column.dtype.newbyteorder("<") for name, column in columns.items()}
     known = {np.dtype(kind): name for name, kind in POINT_TYPES.items()}
     for name, kind in kinds.items():

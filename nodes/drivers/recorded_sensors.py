@@ -257,7 +257,8 @@ class RecordedSensors(Node):
         super().__init__()
         self._params = params
         self._refusals = Refusals(_LOG, self.shed)
-        self._sources = SideSources(params, self._refusals.refuse)
+        self._is_again = False
+        self._sources = SideSources(params, self._refuse)
         self._events = self._sources.events()
         self._next = next(self._events, None)
         self._has_positions = True
@@ -313,15 +314,23 @@ class RecordedSensors(Node):
         """Begin again, a period of the files after the last message."""
         self._start_ns = self._due_ns(self._sent_ns + ns_from_s(1.0 / self._params.file_rate_hz))
         self._sources.close()
-        self._sources = SideSources(self._params, self._refusals.refuse)
+        self._is_again = True
+        self._sources = SideSources(self._params, self._refuse)
         self._events = self._sources.events()
         self._next = next(self._events, None)
+
+    def _refuse(self, kind: str, error: ValueError) -> None:
+        """Count what cannot be read; it is said once, not at each repetition."""
+        if self._is_again:
+            self.shed.add(kind, "refused")
+        else:
+            self._refusals.refuse(kind, error)
 
     def _note_positions(self, message: msgspec.Struct) -> None:
         """Say once of a cloud that some of its points have no position."""
         if self._has_positions and isinstance(message, LidarPoints) and (missing := without_position(message)):
             self._has_positions = False
-            _LOG.info("%s of %s have no position", counted(missing, "point"), counted(len(message), "point"))
+            _LOG.info("%d of %s have no position", missing, counted(len(message), "point"))
 
 
 def create(params: Params) -> RecordedSensors:

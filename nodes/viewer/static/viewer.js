@@ -846,7 +846,7 @@ function paintBev(c) {
 
 function drawLidar(c, { cells, step }) {
   c.fillStyle = colours.lidar;
-  const side = Math.max(1.5, step * camera.scale);
+  const side = Math.max(2.5, step * camera.scale);
   for (let i = 0; i < cells.length; i += 2) {
     const [px, py] = toCanvas(cells[i] * step, cells[i + 1] * step);
     c.fillRect(px - side / 2, py - side / 2, side, side);

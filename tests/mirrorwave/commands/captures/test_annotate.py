@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from benchmarks.perception.annotation import pose_error
-from models.annotation.clouds import read_cloud
 from mirrorwave.annotate.manifest import Pose, load_manifest
 from mirrorwave.cli import main
+from models.annotation.clouds import read_cloud
 from models.training.data.frames import DataSet
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
