@@ -64,6 +64,17 @@ def cloud(points: np.ndarray | None = None, stamp_ns: int = 1, scan_id: int = 0,
     return lidar_points(point_cloud2(points, rows), stamp_ns, scan_id, LidarMounting())
 
 
+def as_ros(store: Any, kind: str, value: Any) -> Any:
+    """Plain fields as a message of a type store of rosbags."""
+    if not isinstance(value, SimpleNamespace):
+        return value
+    inner = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
+    fields = {name: as_ros(store, inner.get(name, ""), field) for name, field in vars(value).items()}
+    if "fields" in fields:
+        fields["fields"] = [store.types["sensor_msgs/msg/PointField"](**vars(field)) for field in fields["fields"]]
+    return store.types[kind](**fields)
+
+
 def write_bag(path: Path, messages: Sequence[tuple[str, str, int, Any]], storage: str = "mcap") -> Path:
     """A ROS 2 bag folder of (topic, type, time, fields), written by rosbags with its own types."""
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -71,21 +82,12 @@ def write_bag(path: Path, messages: Sequence[tuple[str, str, int, Any]], storage
 
     store = get_typestore(Stores.ROS2_JAZZY)
 
-    def typed(kind: str, value: Any) -> Any:
-        if not isinstance(value, SimpleNamespace):
-            return value
-        inner = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
-        fields = {name: typed(inner.get(name, ""), field) for name, field in vars(value).items()}
-        if "fields" in fields:
-            fields["fields"] = [store.types["sensor_msgs/msg/PointField"](**vars(field)) for field in fields["fields"]]
-        return store.types[kind](**fields)
-
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as bag:
         connections: dict[str, Any] = {}
         for topic, kind, time_ns, fields in messages:
             if topic not in connections:
                 connections[topic] = bag.add_connection(topic, kind, typestore=store)
-            bag.write(connections[topic], time_ns, store.serialize_cdr(typed(kind, fields), kind))
+            bag.write(connections[topic], time_ns, store.serialize_cdr(as_ros(store, kind, fields), kind))
     return path
 
 

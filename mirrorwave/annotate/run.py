@@ -27,6 +27,7 @@ from msgs.recording.mcap import RecordingReader
 from msgs.values.camera import CameraImage
 from msgs.values.frames import Pose2
 from msgs.values.lidar import LidarPoints
+from msgs.values.perception import Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 #: The camera's image beside the labels, where the capture holds one.
@@ -151,13 +152,16 @@ def recorded_points(path: Path, scan: int) -> LidarPoints:
 
 
 def mounted_pose(points: LidarPoints, radar: Path, radar_height_m: float) -> np.ndarray:
-    """Return `radar_from_lidar` [4, 4] of the mountings on the vehicle that cloud and capture name."""
+    """Return `radar_from_lidar` [4, 4] of the mountings on the vehicle.
+
+    That of the radar is known of a recording with maps or peaks; else it is the vehicle's origin.
+    """
     vehicle_from_radar = Pose2()
     if radar.suffix == ".mcap":
         with RecordingReader(radar) as reader:
-            setup = next(reader.messages(("radar/setup",)), None)
-            if setup is not None and isinstance(setup.message, RadarSetup):
-                vehicle_from_radar = setup.message.vehicle_from_radar
+            mounted = next(reader.messages(("radar/ra_map", "perception/peaks")), None)
+        if mounted is not None and isinstance(mounted.message, RangeAzimuthMap | Peaks):
+            vehicle_from_radar = mounted.message.vehicle_from_radar
     at = vehicle_from_radar.inverse() @ points.vehicle_from_lidar
     height_m, yaw_deg = points.lidar_height_m - radar_height_m, math.degrees(at.yaw_rad)
     return Pose(x_m=at.x_m, y_m=at.y_m, z_m=height_m, yaw_deg=yaw_deg).transform()
