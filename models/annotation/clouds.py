@@ -152,8 +152,8 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
     for name, values in named.items():
         if name.startswith("\0"):
             continue
-        parts = [name] if values.shape[1] == 1 else [f"{name}_{at}" for at in range(values.shape[1])]
-        columns |= {part: values[:, at] for at, part in enumerate(parts)}
+        width = values.shape[1]
+        columns |= {name if width == 1 else f"{name}_{at}": values[:, at] for at in range(width)}
     return columns
 
 

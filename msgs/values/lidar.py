@@ -220,9 +220,8 @@ class PointField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     name: str
     #: From the start of the point, in bytes.
     offset: int
-    datatype: Literal[
-        "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"
-    ]  # fmt: skip
+    #: One of `POINT_TYPES`.
+    datatype: str
     #: Values of one point.
     count: int = 1
 
@@ -278,7 +277,7 @@ class LidarPoints(Checked, frozen=True, kw_only=True, eq=False):
 
     def table(self) -> np.ndarray:
         """Return the points as a structured array [points], a view."""
-        layout: dict[str, Any] = {"names": [], "formats": [], "offsets": [], "itemsize": self.data.shape[1]}
+        layout: Any = {"names": [], "formats": [], "offsets": [], "itemsize": self.data.shape[1]}
         for field in self.fields:
             kind = POINT_TYPES[field.datatype]
             layout["names"].append(field.name)
