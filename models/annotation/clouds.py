@@ -137,24 +137,31 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
     if form == "binary_compressed":
         return dict(zip("xyz", _open3d_points(path).T, strict=True))
     if form == "ascii":
-        values = np.loadtxt(io.BytesIO(content[start:]), np.float64, max_rows=count, ndmin=2)
-        widths = [math.prod(layout[name].shape) for name in layout.names or ()]
-        if values.shape != (count, sum(widths)):
-            raise ValueError(f"points must be {count} lines of {sum(widths)} numbers, got {values.shape}")
-        parts = np.split(values, np.cumsum(widths)[:-1], axis=1)
-        kinds = [layout[name].base for name in layout.names or ()]
-        with np.errstate(invalid="ignore", over="ignore"):
-            named = {name: part.astype(kind) for name, part, kind in zip(layout.names or (), parts, kinds, strict=True)}
+        table = _text_table(content[start:], layout, count)
     else:
         table = np.frombuffer(content, layout, count, start)
-        named = {name: table[name].reshape(count, -1) for name in layout.names or ()}
     columns: dict[str, np.ndarray] = {}
-    for name, values in named.items():
+    for name in layout.names or ():
+        values = table[name].reshape(count, -1)
         if name.startswith("\0"):
             continue
         width = values.shape[1]
         columns |= {name if width == 1 else f"{name}_{at}": values[:, at] for at in range(width)}
     return columns
+
+
+def _text_table(text: bytes, layout: np.dtype, count: int) -> np.ndarray:
+    """Return points written as lines of numbers, in the layout of a header."""
+    names = layout.names or ()
+    widths = [math.prod(layout[name].shape) for name in names]
+    values = np.loadtxt(io.BytesIO(text), np.float64, max_rows=count, ndmin=2)
+    if values.shape != (count, sum(widths)):
+        raise ValueError(f"points must be {count} lines of {sum(widths)} numbers, got {values.shape}")
+    table = np.empty(count, layout)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for name, part in zip(names, np.split(values, np.cumsum(widths)[:-1], axis=1), strict=True):
+            table[name] = part.reshape(table[name].shape)
+    return table
 
 
 def _ply_layout(rows: list[list[str]]) -> tuple[np.dtype, int, str]:
