@@ -162,6 +162,41 @@ def test_directories_play_on_the_bus_clock_and_again(tmp_path: Path) -> None:
     graph.close()
 
 
+PLY = (
+    "ply\nformat {} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    "property uchar i\nend_header\n"
+)
+PCD = (
+    "VERSION 0.7\nFIELDS x y z _ i\nSIZE 4 4 4 1 1\nTYPE F F F U U\nCOUNT 1 1 1 3 1\nWIDTH 2\nHEIGHT 1\n"
+    "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA {}\n"
+)
+
+
+@pytest.mark.parametrize("name", ["text.ply", "little.ply", "big.ply", "text.pcd", "binary.pcd"])
+def test_files_of_clouds_keep_their_fields_and_cut_ones_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    kind = {"text": "ascii", "little": "binary_little_endian", "big": "binary_big_endian", "binary": "binary"}
+    stem, suffix = name.split(".")
+    order = ">" if stem == "big" else "<"
+    gap = [("gap", "3u1")] if suffix == "pcd" else []
+    table = np.zeros(2, [*((axis, f"{order}f4") for axis in "xyz"), *gap, ("i", "u1")])
+    table["x"], table["i"] = (1.5, np.nan), (7, 200)
+    lines = [f"{x} 0 0 {'0 0 0 ' if gap else ''}{i}" for x, i in zip(table["x"], table["i"], strict=True)]
+    body = "\n".join(lines).encode() if stem == "text" else table.tobytes()
+    content = (PLY if suffix == "ply" else PCD).format(kind[stem]).encode() + body
+    (tmp_path / f"0.{suffix}").write_bytes(content)
+    # of text the cut takes the last line
+    (tmp_path / f"1.{suffix}").write_bytes(content[: -len(lines[1]) - 1 if stem == "text" else -1])
+    code, counts, err = imported(capsys, tmp_path / "a.mcap", str(tmp_path))
+    assert (code, counts["clouds"], len(counts["refused"])) == (3, 1, 1)
+    assert f"1.{suffix}: header promises 2 points, the file ends before: it is cut off" in err
+    (points,) = held(tmp_path / "a.mcap")[0]
+    assert [field.name for field in points.fields] == ["x", "y", "z", "i"]
+    assert (points.table()["x"][0], points.table()["i"].tolist()) == (1.5, [7, 200])
+    assert len(points.positions_m()) == 1
+
+
 def test_names_that_are_stamps_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = ("1700000000.5", "1700000000_250000000", "1700000000750", "1700000001000000000")
     for at, name in enumerate(names):
