@@ -73,7 +73,7 @@ _ALL = (
         type=LidarPoints,
         rate_hz=10.0,
         max_bytes=16 * MIB,
-        history_bytes=64 * MIB,
+        history_bytes=128 * MIB,
         newest_only=True,
     ),
     Topic(
@@ -81,7 +81,7 @@ _ALL = (
         type=CameraImage,
         rate_hz=10.0,
         max_bytes=8 * MIB,
-        history_bytes=32 * MIB,
+        history_bytes=64 * MIB,
         newest_only=True,
     ),
     Topic(

@@ -76,8 +76,8 @@ class ScanAssembly:
         self._truths: dict[int, SceneTruth] = {}
         self._vehicle: VehicleState | None = None
         self._vehicle_from_radar = Pose2()
-        self._clouds: Recent[LidarPoints] = Recent("lidar/points")
-        self._images: Recent[CameraImage] = Recent("camera/image")
+        self._clouds: Recent[LidarPoints] = Recent()
+        self._images: Recent[CameraImage] = Recent()
 
     def take(
         self,

@@ -7,7 +7,6 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from msgs.bus.topics import topic_facts
 from msgs.values.camera import CameraImage
 from msgs.values.frames import Pose2
 from msgs.values.lidar import LidarPoints
@@ -19,6 +18,8 @@ NEAR_NS = NANOSECONDS_PER_SECOND
 SLICE_M = (0.3, 2.5)
 #: One point in a square of this size, and at most so many of them.
 CELL_M, MAX_SHOWN = 0.1, 20_000
+#: Of the clouds and of the images that are kept: half a second of the largest clouds.
+MAX_BYTES = 64 << 20
 #: Coordinates of a tile are 16 bits wide.
 _REACH_M = 3000.0
 
@@ -26,11 +27,11 @@ Message = TypeVar("Message", LidarPoints, CameraImage)
 
 
 class Recent(Generic[Message]):
-    """The last messages of a topic, in as many bytes as its queue may hold."""
+    """The last messages of a topic, in at most `MAX_BYTES`."""
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self) -> None:
         self._messages: deque[Message] = deque()
-        self._bytes, self._max_bytes = 0, topic_facts(topic).history_bytes
+        self._bytes = 0
         #: The one that the page was given last, and where the radar was mounted then.
         self.posted: tuple[Message, Pose2] | None = None
 
@@ -38,7 +39,7 @@ class Recent(Generic[Message]):
         """Take in a message; the oldest are let go."""
         self._messages.append(message)
         self._bytes += _size(message)
-        while self._bytes > self._max_bytes and len(self._messages) > 1:
+        while self._bytes > MAX_BYTES and len(self._messages) > 1:
             self._bytes -= _size(self._messages.popleft())
 
     def nearest(self, stamp_ns: int | None) -> Message | None:
