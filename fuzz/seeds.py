@@ -19,6 +19,7 @@ from msgs.bus import codec
 from msgs.bus.interface import Envelope
 from msgs.recording.mcap import Losses, RecordingWriter, TopicLoss
 from msgs.recording.sigmf import write_capture
+from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
@@ -39,6 +40,7 @@ from msgs.values.perception import (
 )
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
+from tests.side_sensors import cloud, jpeg
 
 ROOT = Path(__file__).resolve().parents[1]
 GRID = RangeAzimuthGrid(range_bins=4, azimuth_bins=4)
@@ -161,6 +163,8 @@ def messages(scan_id: int = 0) -> list[tuple[str, msgspec.Struct]]:
         ("vehicle/state", VehicleState(stamp_ns=3, speed_mps=4.5, valid=False, reason="stale")),
         *(("radar/beam", beam) for beam in beams(3)),
         ("lidar/histograms", histograms),
+        ("lidar/points", cloud(scan_id=scan_id)),
+        ("camera/image", CameraImage.of(jpeg(), stamp_ns=1, image_id=scan_id, sensor="front")),
         ("radar/detections", _detections(scan_id)),
         ("radar/ra_map", _map(scan_id)),
         ("perception/peaks", _peaks(scan_id)),

@@ -507,10 +507,24 @@ def _manifest(parts: Parts, box: Box) -> None:
 
 
 def _cloud(parts: Parts, box: Box) -> None:
-    from mirrorwave.annotate.clouds import SUFFIXES, read_cloud
+    from models.annotation.clouds import SUFFIXES, read_cloud, read_columns
+    from models.sensors.point_cloud2 import columns_cloud
+    from msgs.values.lidar import LidarPoints
 
-    points_m, _ = read_cloud(box.put(f"a{SUFFIXES[number(parts, 0, len(SUFFIXES))]}", part(parts, 1)))
+    path = box.put(f"a{SUFFIXES[number(parts, 0, len(SUFFIXES))]}", part(parts, 1))
+    with contextlib.suppress(ValueError):
+        fields, data = columns_cloud(read_columns(path))
+        LidarPoints(stamp_ns=0, fields=fields, data=data).positions_m()
+    points_m, _ = read_cloud(path)
     assert points_m.shape[1] == 3
+
+
+def _image(parts: Parts, box: Box) -> None:
+    from models.sensors.jpeg import jpeg_of_file
+    from msgs.values.camera import CameraImage
+
+    image = CameraImage.of(jpeg_of_file(part(parts, 0)), stamp_ns=0)
+    assert image.width_px * image.height_px > 0
 
 
 def _shard(parts: Parts, box: Box) -> None:
@@ -819,6 +833,22 @@ def _cloud_seeds() -> list[Parts]:
     ]  # fmt: skip
 
 
+def _image_seeds() -> list[Parts]:
+    import io
+
+    from PIL import Image
+
+    from tests.side_sensors import jpeg
+
+    pixels = Image.new("RGB", (6, 4), (200, 10, 10))
+    seeds: list[Parts] = [[jpeg()]]
+    for kind in ("PNG", "BMP", "TIFF", "PPM", "WEBP"):
+        out = io.BytesIO()
+        pixels.save(out, kind)
+        seeds.append([out.getvalue()])
+    return seeds
+
+
 def _mesh_seeds() -> list[Parts]:
     from fuzz import seeds
 
@@ -941,6 +971,7 @@ TARGETS: dict[str, Target] = {
     "onnx": Target(_onnx, ("json", "bytes"), _network_seeds),
     "manifest": Target(_manifest, ("yaml",), _each("MANIFEST"), modules=("yaml",)),
     "cloud": Target(_cloud, ("bytes", "text"), _cloud_seeds),
+    "image": Target(_image, ("bytes",), _image_seeds, modules=("PIL",)),
     "shard": Target(_shard, ("npz", "json"), _shard_seeds),
     "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy"), _xradarnlos_seeds),
     "dca1000": Target(_dca1000, ("bytes", "text", "bytes"), _dca_seeds),

@@ -15,7 +15,7 @@ import msgspec
 
 from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.topics import DETECTIONS_TOPIC, RAW_TOPICS, SENSOR_TOPICS
+from msgs.bus.topics import DETECTIONS_TOPIC, RAW_TOPICS, SENSOR_TOPICS, SIDE_TOPICS
 from msgs.recording.clock_steps import Bridged
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarSetup, PhotonHistograms
@@ -40,6 +40,8 @@ WALLS_TOPIC = "environment/walls"
 #: What the sensors say, walls known from elsewhere, and the truth. All else in a recording is the graph's own work and
 #: is done again.
 SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), DETECTIONS_TOPIC, "vehicle/state", WALLS_TOPIC, "sim/truth")
+#: What is played of a recording: a scene has no sensors beside the radar.
+PLAYED_TOPICS = (*SENSED_TOPICS, *SIDE_TOPICS)
 #: What is said once, before all else.
 SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
 #: What must be known before a beam.
@@ -447,7 +449,7 @@ def _recording_events(path: Path) -> Iterator[Event]:
     with RecordingReader(path) as reader:
         start_ns: int | None = None
         setup = next(reader.messages(SETUP_TOPICS), None)
-        for recorded, time_ns in in_time(setup_first(setup, reader.messages(topics=SENSED_TOPICS)), path):
+        for recorded, time_ns in in_time(setup_first(setup, reader.messages(topics=PLAYED_TOPICS)), path):
             start_ns = time_ns if start_ns is None else start_ns
             offset_ns = 0 if time_ns is None or start_ns is None else time_ns - start_ns
             if setup is not None:
@@ -510,7 +512,7 @@ def _with_offset(events: Iterator[Event], offset_ns: int) -> Iterator[Event]:
 def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
     first = next(events, None)
     if first is None:
-        raise ValueError(f"{capture}: holds none of {', '.join(SENSED_TOPICS)}")
+        raise ValueError(f"{capture}: holds none of {', '.join(PLAYED_TOPICS)}")
     return itertools.chain([first], events)
 
 
@@ -595,4 +597,16 @@ def events_of(params: Params, backlog: Backlog | None = None) -> Iterator[Event]
 def create(params: Params) -> Player:
     """Return the node with its parameters; the first message is made here: compiling ends before it is ready."""
     backlog = Backlog(params.rate)
-    return Player(events_of(params, backlog), params.rate, params.settle_s, params.scene is not None, backlog)
+    player = Player(events_of(params, backlog), params.rate, params.settle_s, params.scene is not None, backlog)
+    player.outputs += _side_topics(Path(params.capture or ""))
+    return player
+
+
+def _side_topics(capture: Path) -> tuple[str, ...]:
+    """Return which sensors beside the radar a capture holds; only those are announced."""
+    from msgs.recording.mcap import RecordingReader
+
+    if capture.suffix != ".mcap":
+        return ()
+    with RecordingReader(capture) as reader:
+        return tuple(topic for topic in SIDE_TOPICS if topic in reader.types)

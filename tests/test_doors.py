@@ -21,10 +21,10 @@ import zstandard
 from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from mirrorwave.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from mirrorwave.annotate.manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
+from models.annotation.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from models.sensors.config_file import read_config
 from msgs.files import array_files, yaml_loader
 from msgs.files.array_files import load_arrays
@@ -340,9 +340,9 @@ def _size(count: int) -> str:
 
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
-    from mirrorwave.annotate import clouds as annotate_clouds
     from mirrorwave.convert import detection_tables
     from mirrorwave.diagnose import foreign_topic
+    from models.annotation import clouds as annotate_clouds
     from models.perception import cards, onnx_session
     from models.perception.transients import scan
     from models.sensors import config_file, confocal
@@ -355,10 +355,11 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from msgs.link import keys as curve_keys
     from msgs.link import peer_messages
     from msgs.recording import sigmf as sigmf_capture
-    from msgs.values import arrays
+    from msgs.values import arrays, camera
     from nodes import bev_viewer
     from nodes.bridges import ros2_link, ros2_topics
     from nodes.can import log_file as can_log_file
+    from nodes.drivers import recorded_sensors
     from nodes.process import launch_file, logs
     from nodes.viewer import connection_limiter as limiter
     from nodes.viewer import series, server
@@ -402,6 +403,9 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
             f"{_size(unpacking.Budget.FREE_BYTES)} and {unpacking.Budget.RATIO} times what was read"
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
+        "image file; its sides and pixels": (
+            f"{_size(recorded_sensors.MAX_IMAGE_FILE_BYTES)}; {camera.MAX_SIDE_PX}, {camera.MAX_PIXELS:,}"
+        ),
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
         "confocal transients, packed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
         "metadata of a SigMF capture; its captures and annotations": (

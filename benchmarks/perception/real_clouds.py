@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.captures import add_data_option, capture_folder
 from benchmarks.perception.annotation import pose_error
-from mirrorwave.annotate.clouds import read_cloud
+from models.annotation.clouds import read_cloud
 from models.annotation.registration import PosedCloud, Registration, RegistrationParams, import_open3d, moved, register
 
 PARAMS = RegistrationParams()

@@ -48,13 +48,24 @@ class Pose(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Cloud(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One LiDAR cloud: its file, relative to the manifest's, and where it was taken.
 
-    `calibrated`: the pose stands as it is; else it is a first guess, or None to be searched for.
+    `calibrated`: the pose stands as it is; else it is a first guess, or None to be searched for. A recording (.mcap)
+    gives the cloud `scan` of its `lidar/points`, calibrated by its mounting where no pose is given.
     """
 
     file: str
+    scan: int = 0
     unit: Literal["m", "mm"] = "m"
     radar_from_lidar: Pose | None = None
     calibrated: bool = False
+
+    def __post_init__(self) -> None:
+        if self.scan < 0:
+            raise ValueError(f"scan must not be negative, got {self.scan!r}")
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether the cloud is a message of a recording."""
+        return Path(self.file).suffix.lower() == ".mcap"
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -79,7 +90,9 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         if not self.clouds:
             raise ValueError("clouds must hold at least one cloud, holds none")
         fixed = [cloud for cloud in self.clouds if cloud.calibrated]
-        if not fixed or any(cloud.radar_from_lidar is None for cloud in fixed):
+        if any(cloud.scan and not cloud.is_recorded for cloud in self.clouds):
+            raise ValueError("clouds: scan is for recordings (.mcap)")
+        if not fixed or any(cloud.radar_from_lidar is None and not cloud.is_recorded for cloud in fixed):
             raise ValueError(
                 "clouds: one must have calibrated: true and its radar_from_lidar, to tie the others to the radar"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,9 +13,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mirrorwave.annotate.clouds import read_cloud
 from mirrorwave.annotate.manifest import Cloud, Manifest, Pose
 from models.annotation.annotated_capture import frame_points, mean_map, write_frame
+from models.annotation.clouds import checked_points, read_cloud
 from models.annotation.registration import PosedCloud, Registration, register
 from models.annotation.slice_labels import PointLabel, SliceLabels, label_slice
 from models.perception.forming.ra_former import RaFormer
@@ -22,8 +23,15 @@ from models.perception.forming.ra_forming import FormingParams
 from models.training.data.xradarnlos import Kind
 from models.training.files import file_sha256, json_lines
 from msgs.files.whole_files import write_whole
+from msgs.recording.mcap import RecordingReader
+from msgs.values.camera import CameraImage
+from msgs.values.frames import Pose2
+from msgs.values.lidar import LidarPoints
+from msgs.values.perception import Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
+#: The camera's image beside the labels, where the capture holds one.
+CAMERA = "camera.jpg"
 #: How far the ground in the merged cloud may lie from where `radar_height_m` says.
 GROUND_TOLERANCE_M = 0.3
 
@@ -63,9 +71,10 @@ def annotate_scene(
     target = out / manifest.name
     if any((target / name).exists() for name in (frame, f"{frame}.npy", f"{frame}.npz")):
         raise FileExistsError(17, "exists already; choose another --frame", str(target / frame))
-    read = _read_all(manifest, folder, advance)
+    read = _read_all(manifest, folder, radar, advance)
     try:
-        values = mean_map(capture_maps(radar, "welch" if kind == "real" else "coherent", advance), kind)
+        maps = capture_maps(radar, "welch" if kind == "real" else "coherent", advance)
+        values = mean_map(maps, kind)
     except ValueError as error:
         raise ValueError(f"{radar}: {error}" if str(radar) not in str(error) else str(error)) from None
     clouds = _place_all(manifest, read, skip_refused, advance)
@@ -74,7 +83,10 @@ def annotate_scene(
     labels = label_slice(merged_m, ground_z_m, manifest.slice, manifest.walls, manifest.seed)
     report: dict[str, Any] = {"name": manifest.name, "frame": frame, "kind": kind, "ground_z_m": ground_z_m}
     report |= _results(labels, kind, clouds) | _provenance(manifest, folder, radar)
-    _write(target, frame, kind, values, labels, report)
+    image = nearest_image(radar, maps[0].stamp_ns)
+    if image is not None:
+        report["camera"] = {"file": CAMERA, "sensor": image.sensor, "stamp_ns": image.stamp_ns}
+    _write(target, frame, kind, values, labels, report, image)
     advance()
     return Annotated(labels, values, report, clouds.refused)
 
@@ -110,15 +122,59 @@ def stages(manifest: Manifest) -> int:
 
 
 def _read_all(
-    manifest: Manifest, folder: Path, advance: Callable[[], None]
+    manifest: Manifest, folder: Path, radar: Path, advance: Callable[[], None]
 ) -> dict[str, tuple[Cloud, np.ndarray, int]]:
     """Points of all clouds by their name in the manifest."""
     read = {}
     for index, cloud in enumerate(manifest.clouds):
-        points_m, dropped = read_cloud(folder / cloud.file, cloud.unit)
+        if cloud.is_recorded:
+            points = recorded_points(folder / cloud.file, cloud.scan)
+            if cloud.calibrated and cloud.radar_from_lidar is None:
+                pose = mounted_pose(points, radar, manifest.radar_height_m)
+                cloud = msgspec.structs.replace(cloud, radar_from_lidar=Pose.of(pose))
+            points_m, dropped = checked_points(folder / cloud.file, points.positions_m(), cloud.unit)
+            dropped += len(points) - len(points.positions_m())
+        else:
+            points_m, dropped = read_cloud(folder / cloud.file, cloud.unit)
         read[f"clouds[{index}]"] = (cloud, points_m, dropped)
         advance()
     return read
+
+
+def recorded_points(path: Path, scan: int) -> LidarPoints:
+    """Return cloud `scan` of a recording, from 0; ValueError that names how many it holds."""
+    count = 0
+    with RecordingReader(path) as reader:
+        for count, recorded in enumerate(reader.messages(("lidar/points",)), start=1):
+            if count == scan + 1 and isinstance(recorded.message, LidarPoints):
+                return recorded.message
+    raise ValueError(f"{path}: scan must be one of its {count} messages on lidar/points, counted from 0, got {scan}")
+
+
+def mounted_pose(points: LidarPoints, radar: Path, radar_height_m: float) -> np.ndarray:
+    """Return `radar_from_lidar` [4, 4] of the mountings on the vehicle.
+
+    That of the radar is known of a recording with maps or peaks; else it is the vehicle's origin.
+    """
+    vehicle_from_radar = Pose2()
+    if radar.suffix == ".mcap":
+        with RecordingReader(radar) as reader:
+            mounted = next(reader.messages(("radar/ra_map", "perception/peaks")), None)
+        if mounted is not None and isinstance(mounted.message, RangeAzimuthMap | Peaks):
+            vehicle_from_radar = mounted.message.vehicle_from_radar
+    at = vehicle_from_radar.inverse() @ points.vehicle_from_lidar
+    height_m, yaw_deg = points.lidar_height_m - radar_height_m, math.degrees(at.yaw_rad)
+    return Pose(x_m=at.x_m, y_m=at.y_m, z_m=height_m, yaw_deg=yaw_deg).transform()
+
+
+def nearest_image(radar: Path, stamp_ns: int) -> CameraImage | None:
+    """Return the image of a recording that was taken nearest to a time; None where it holds none."""
+    if radar.suffix != ".mcap":
+        return None
+    with RecordingReader(radar) as reader:
+        images = (each.message for each in reader.messages(("camera/image",)))
+        held = (image for image in images if isinstance(image, CameraImage))
+        return min(held, key=lambda image: abs(image.stamp_ns - stamp_ns), default=None)
 
 
 def _place_all(
@@ -231,8 +287,9 @@ def _versions() -> dict[str, str]:
 
 
 def _write(
-    target: Path, frame: str, kind: Kind, values: np.ndarray, labels: SliceLabels, report: dict[str, Any]
-) -> None:
+    target: Path, frame: str, kind: Kind, values: np.ndarray, labels: SliceLabels, report: dict[str, Any],
+    image: CameraImage | None,
+) -> None:  # fmt: skip
     """The frame in the published layout, the labelled slice and the report; the frame's folder appears whole."""
     target.mkdir(parents=True, exist_ok=True)
     part = target / f".{frame}.part"
@@ -243,6 +300,8 @@ def _write(
         notes.mkdir(exist_ok=True)
         write_whole(notes / "points.csv", csv_of(labels).encode())
         write_whole(notes / "annotation.json", json_lines(report))
+        if image is not None:
+            write_whole(notes / CAMERA, image.jpeg.tobytes())
         for made in sorted(part.iterdir()):
             made.rename(target / made.name)
     finally:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mirrorwave.convert.detection_bags import SUFFIXES, open_bag
+from mirrorwave.convert.detection_bags import open_bag
 from mirrorwave.convert.detection_tables import ScanRows, count_lines, table_scans
 from mirrorwave.convert.formats import Bar
 from models.sensors.detection_columns import DetectionMapping, detections_of
@@ -17,6 +17,7 @@ from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingWriter, whole_recording
 from msgs.values.arrays import MAX_STAMP_NS
 from nodes.bridges.detection_mapping import mapping_path, read_mapping
+from nodes.bridges.ros_bag import SUFFIXES
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
 

@@ -6,8 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+from msgs.bus.topics import SIDE_TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
+from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import NodeStatus
+from msgs.values.lidar import LidarPoints
 from msgs.values.perception import BevFrame
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -15,7 +18,7 @@ from nodes.bridges.ros2_messages import Ros2Messages
 from nodes.bridges.ros2_types import type_store
 from nodes.bridges.shapes import Account, Odometry, counted
 
-TOPICS = ("perception/hidden_objects", "vehicle/state", "radar/ra_map", "diagnostics/node")
+TOPICS = ("perception/hidden_objects", "vehicle/state", "radar/ra_map", "diagnostics/node", *SIDE_TOPICS)
 #: Of the metadata file: ROS 2 Jazzy's.
 BAG_VERSION: Literal[9] = 9
 
@@ -64,6 +67,10 @@ class _Sink:
             self._put("/ra_map", self._build.map_image(message), time_ns)
         elif isinstance(message, NodeStatus):
             self._put("/diagnostics", self._build.diagnostics(message), time_ns)
+        elif isinstance(message, LidarPoints):
+            self._put("/lidar/points", self._build.lidar_cloud(message), time_ns)
+        elif isinstance(message, CameraImage):
+            self._put("/camera/image/compressed", self._build.compressed_image(message), time_ns)
         elif isinstance(message, VehicleState):
             self._take_state(message, recorded)
 

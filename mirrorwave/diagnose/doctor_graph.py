@@ -19,7 +19,7 @@ import msgspec
 from mirrorwave.commands.graph.nodes import Heartbeats, node_row, shed_text, topic_rows
 from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
 from mirrorwave.diagnose.findings import Finding, Status
-from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, TOPICS
+from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SIDE_TOPICS, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
@@ -34,7 +34,7 @@ _SLOW = 0.7
 #: Topics that a graph does without: their absence is said, and is no failure.
 _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
-_OPTIONAL_TOPICS = frozenset({"environment/walls"})
+_OPTIONAL_TOPICS = frozenset({"environment/walls", *SIDE_TOPICS})
 _LOG_BYTES = 1 << 18
 _ROOM_WARNING_BYTES, _ROOM_FAILED_BYTES = 5 * _GIB, 200 * _MIB
 _LOST = ("lost", "rejected")

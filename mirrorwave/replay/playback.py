@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import queue
 import time
+from collections.abc import Iterator
 from typing import NoReturn
 
 from mirrorwave.replay.view_log import overview_json, read_log
-from msgs.bus.topics import RAW_TOPICS
+from msgs.bus.topics import RAW_TOPICS, SIDE_TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
+from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.viewer.assembly import ScanAssembly, post_sensor, post_warnings
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import Command, Play, Seek, Step
+from nodes.viewer.side_sensors import NEAR_NS
 
 VIEW_TOPIC = "perception/hidden_objects"
 #: Of these the messages of the shown scan are read; the rest follows from the whole recording (`view_log`).
@@ -118,6 +121,9 @@ class Playback:
         scan = self._scans[self._index]
         self._read(before)
         assembly = ScanAssembly(self._board)
+        # before the view, which chooses among them
+        for recorded in self._side_messages():
+            assembly.take(recorded.message, recorded.log_time_ns)
         for recorded in self._recent:
             # of other scans in the run-up nothing is shown, but the vehicle's motion counts
             if getattr(recorded.message, "scan_id", scan.scan_id) == scan.scan_id:
@@ -133,6 +139,21 @@ class Playback:
         kept = [recorded for recorded in self._recent if recorded.log_time_ns >= start_ns] if follows else []
         read_ns = max(start_ns, self._end_ns(before)) if follows else start_ns
         self._recent = [*kept, *self._reader.messages(TOPICS_OF_A_SCAN, read_ns, self._end_ns(self._index))]
+
+    def _side_messages(self) -> Iterator[Recorded]:
+        """Yield what the sensors beside the radar measured about the time of the shown view."""
+        if not any(topic in self._reader.types for topic in SIDE_TOPICS):
+            return
+        scan = self._scans[self._index]
+        stamps_ns = [
+            recorded.message.stamp_ns
+            for recorded in self._recent
+            if isinstance(recorded.message, BevFrame) and recorded.message.scan_id == scan.scan_id
+        ]
+        # a stamp of another clock says nothing
+        is_known = bool(stamps_ns) and 0 <= scan.sent_ns - stamps_ns[-1] <= RUN_UP_NS
+        at_ns = stamps_ns[-1] if is_known else scan.sent_ns
+        yield from self._reader.messages(SIDE_TOPICS, max(at_ns - NEAR_NS, 0), at_ns + NEAR_NS)
 
     def _end_ns(self, index: int) -> int:
         """Return the end of scan `index`, exclusive."""

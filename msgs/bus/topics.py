@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import msgspec
 
+from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeStatus
 from msgs.values.environment import WallPriors
-from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.lidar import LidarPoints, LidarSetup, PhotonHistograms
 from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
@@ -66,6 +67,22 @@ _ALL = (
         rate_hz=1 / 0.3,
         max_bytes=16 * MIB,
         history_bytes=64 * MIB,
+    ),
+    Topic(
+        name="lidar/points",
+        type=LidarPoints,
+        rate_hz=10.0,
+        max_bytes=16 * MIB,
+        history_bytes=128 * MIB,
+        newest_only=True,
+    ),
+    Topic(
+        name="camera/image",
+        type=CameraImage,
+        rate_hz=10.0,
+        max_bytes=8 * MIB,
+        history_bytes=64 * MIB,
+        newest_only=True,
     ),
     Topic(
         name="perception/peaks",
@@ -131,6 +148,8 @@ SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histogram
 
 #: Of a radar that gives no beats; it needs no set-up.
 DETECTIONS_TOPIC = "radar/detections"
+#: Sensors beside the radar: recorded and shown with it, taken by no perception.
+SIDE_TOPICS = ("lidar/points", "camera/image")
 #: What the graph starts from.
 RAW_TOPICS = (*(raw for _, raw in SENSOR_TOPICS), DETECTIONS_TOPIC)
 

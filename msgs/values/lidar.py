@@ -1,14 +1,14 @@
-"""Values of a single-photon LiDAR: parameters (Table 2), its set-up, and the photon histograms of one scan."""
+"""Values of LiDARs: a single-photon one (parameters of Table 2, set-up, photon histograms), and clouds of any other."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
 
-from msgs.values.arrays import MAX_STAMP_NS, Array, Checked, Count, StampNs
+from msgs.values.arrays import MAX_STAMP_NS, Array, Checked, Count, LengthM, StampNs
 from msgs.values.frames import Pose2
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import PLANCK_J_S, SPEED_OF_LIGHT_MPS
@@ -201,3 +201,112 @@ class PhotonHistograms(Checked, frozen=True, kw_only=True, eq=False):
     counts: Annotated[np.ndarray, Array("<u4", (None, None))]
     #: Start of the measurement of each azimuth, int64 [azimuth].
     azimuth_stamp_ns: Annotated[np.ndarray, Array("<i8", ("counts",), -MAX_STAMP_NS, MAX_STAMP_NS)]
+
+
+#: Types of a point's fields, by name, as numpy writes them.
+POINT_TYPES: dict[str, str] = {
+    "int8": "|i1", "uint8": "|u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4", "uint32": "<u4",
+    "int64": "<i8", "uint64": "<u8", "float32": "<f4", "float64": "<f8",
+}  # fmt: skip
+#: The largest cloud: 131,072 points of 120 bytes, or 262,144 of 60.
+MAX_CLOUD_BYTES = 15 << 20
+MAX_POINT_FIELDS, MAX_NAME_LENGTH = 64, 64
+MAX_POSITION_M = 1e6
+
+
+class PointField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A field of every point of a cloud: where it lies in the point's bytes, little-endian."""
+
+    name: str
+    #: From the start of the point, in bytes.
+    offset: int
+    #: One of `POINT_TYPES`.
+    datatype: str
+    #: Values of one point.
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.name) <= MAX_NAME_LENGTH:
+            raise ValueError(f"field.name must have 1..{MAX_NAME_LENGTH} characters, got {len(self.name)}")
+        if self.datatype not in POINT_TYPES:
+            raise ValueError(f"field {self.name!r} must be of type {', '.join(POINT_TYPES)}, got {self.datatype!r}")
+        if self.offset < 0 or not 1 <= self.count <= MAX_CLOUD_BYTES:
+            raise ValueError(
+                f"field {self.name!r} must have offset >= 0 and count >= 1, got {self.offset} and {self.count}"
+            )
+
+    @property
+    def end(self) -> int:
+        """First byte of the point after the field."""
+        return self.offset + self.count * np.dtype(POINT_TYPES[self.datatype]).itemsize
+
+
+class LidarPoints(Checked, frozen=True, kw_only=True, eq=False):
+    """Cloud of one turn of a LiDAR as the sensor gives it, with all fields of its points (topic `lidar/points`)."""
+
+    label: ClassVar[str] = "points"
+
+    stamp_ns: StampNs
+    #: Counts the clouds of a source.
+    scan_id: Count = 0
+    #: Name of the sensor, or of its frame.
+    sensor: str = ""
+    #: x, y and z in metres, float32 or float64, are among them; the LiDAR's frame is REP-103.
+    fields: tuple[PointField, ...]
+    #: Points in the order of the sensor, row after row, [points, bytes of a point].
+    data: Annotated[np.ndarray, Array("|u1", (None, None))]
+    #: Rows of an organised cloud (its channels); 1 where the points have no order.
+    rows: Annotated[int, msgspec.Meta(ge=1, le=1 << 24)] = 1
+    vehicle_from_lidar: Pose2 = Pose2()
+    #: Over the ground.
+    lidar_height_m: LengthM = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count, step = self.data.shape
+        if count == 0:
+            raise ValueError("points.data must hold a point, holds none")
+        if self.data.nbytes > MAX_CLOUD_BYTES:
+            raise ValueError(f"points.data must have at most {MAX_CLOUD_BYTES} bytes, got {count} points of {step}")
+        if count % self.rows:
+            raise ValueError(f"points.rows must divide the {count} points, got {self.rows}")
+        _require_layout(self.fields, step)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def table(self) -> np.ndarray:
+        """Return the points as a structured array [points], a view."""
+        layout: Any = {"names": [], "formats": [], "offsets": [], "itemsize": self.data.shape[1]}
+        for field in self.fields:
+            kind = POINT_TYPES[field.datatype]
+            layout["names"].append(field.name)
+            layout["formats"].append(kind if field.count == 1 else (kind, (field.count,)))
+            layout["offsets"].append(field.offset)
+        return np.ascontiguousarray(self.data).reshape(-1).view(np.dtype(layout))
+
+    def positions_m(self) -> np.ndarray:
+        """Return the positions in the LiDAR's frame [points, 3], float64, of those points that have one."""
+        table = self.table()
+        positions_m = np.stack([table[name].astype(np.float64) for name in "xyz"], axis=-1)
+        positions_m = positions_m[np.isfinite(positions_m).all(axis=1)]
+        # what is further than any sensor sees is no position: its square may be no double
+        return positions_m[(np.abs(positions_m) <= MAX_POSITION_M).all(axis=1)]
+
+
+def _require_layout(fields: tuple[PointField, ...], step: int) -> None:
+    """Raise `ValueError` unless fields have names of their own, fit into a point, and hold a position."""
+    if len(fields) > MAX_POINT_FIELDS:
+        raise ValueError(f"points.fields must be at most {MAX_POINT_FIELDS}, got {len(fields)}")
+    kinds = {field.name: field.datatype for field in fields}
+    if len(kinds) < len(fields):
+        raise ValueError(f"points.fields must have different names, got {', '.join(field.name for field in fields)}")
+    for field in fields:
+        if field.end > step:
+            raise ValueError(
+                f"points.fields: {field.name!r} must end within the point's {step} bytes, ends at {field.end}"
+            )
+    for name in "xyz":
+        if kinds.get(name) not in ("float32", "float64"):
+            instead = f"is {kinds[name]}" if name in kinds else f"there are {', '.join(kinds) or 'none'}"
+            raise ValueError(f"points.fields must hold {name} as float32 or float64, {instead}")

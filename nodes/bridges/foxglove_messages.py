@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import LogRecord, NodeStatus, StageTime
 from msgs.values.frames import Pose2, xy_from_polar
-from msgs.values.lidar import LidarSetup
+from msgs.values.lidar import LidarPoints, LidarSetup
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Peaks, SceneTruth, Track, TruthObject
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -51,8 +52,10 @@ TOPICS = (
     "log",
     "radar/setup",
     "lidar/setup",
+    "lidar/points",
+    "camera/image",
 )
-RADAR, VEHICLE, ODOM = "radar", "vehicle", "odom"
+RADAR, VEHICLE, ODOM, CAMERA = "radar", "vehicle", "odom", "camera"
 #: Grey levels of a map: four a dB over the noise, or over `GREY_SPAN_DB` below the peak where no noise is known.
 GREY_PER_DB = 4.0
 GREY_SPAN_DB = 255.0 / GREY_PER_DB
@@ -65,6 +68,17 @@ MAX_NODES = 64
 
 _LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "critical": 5, "fatal": 5}
 _UINT8, _FLOAT32 = 1, 7
+#: Types of a point's fields by their numbers; Foxglove has no whole numbers of 64 bits.
+_NUMERIC = {
+    "uint8": _UINT8,
+    "int8": 2,
+    "uint16": 3,
+    "int16": 4,
+    "uint32": 5,
+    "int32": 6,
+    "float32": _FLOAT32,
+    "float64": 8,
+}
 _LINE_STRIP = 0
 _TRACK_SHOWN_S = 1.0
 _LABEL_M = 0.8
@@ -113,6 +127,10 @@ class FoxgloveStream:
                 return [Draft("/sim/truth", partial(_truth_scene, message))]
             case VehicleState():
                 return self._state_drafts(message)
+            case LidarPoints():
+                return [Draft("/lidar/points", partial(_lidar_cloud, message))]
+            case CameraImage():
+                return [Draft("/camera/image", partial(_camera_image, message))]
             case NodeStatus():
                 self._graph.hear(message, at_ns)
                 return [Draft("/nodes", partial(_node, message, self._last_heartbeat(message)))]
@@ -345,6 +363,28 @@ def _cloud(peaks: Peaks) -> Body:
         "fields": [*fields, {"name": "path_class", "offset": 4 * len(names), "type": _UINT8}],
         "data": points.tobytes(),
     }
+
+
+def _lidar_cloud(points: LidarPoints) -> Body:
+    """The sensor's own bytes, at the place of the LiDAR on the vehicle; Foxglove's points have single values alone."""
+    at = points.vehicle_from_lidar
+    fields = [
+        {"name": field.name, "offset": field.offset, "type": _NUMERIC[field.datatype]}
+        for field in points.fields
+        if field.count == 1 and field.datatype in _NUMERIC
+    ]
+    return {
+        "timestamp": _time(points.stamp_ns),
+        "frame_id": VEHICLE,
+        "pose": _pose(at.x_m, at.y_m, at.yaw_rad, points.lidar_height_m),
+        "point_stride": points.data.shape[1],
+        "fields": fields,
+        "data": points.data.tobytes(),
+    }
+
+
+def _camera_image(image: CameraImage) -> Body:
+    return {"timestamp": _time(image.stamp_ns), "frame_id": CAMERA, "data": image.jpeg.tobytes(), "format": "jpeg"}
 
 
 # transforms, log, numbers

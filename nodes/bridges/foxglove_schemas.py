@@ -24,6 +24,8 @@ CHANNELS = {
     "/nodes": "mirrorwave.Node",
     "/vehicle/state": "mirrorwave.Vehicle",
     "/log": "foxglove.Log",
+    "/lidar/points": "foxglove.PointCloud",
+    "/camera/image": "foxglove.CompressedImage",
 }
 
 
@@ -134,6 +136,7 @@ def _schemas() -> dict[str, dict[str, Any]]:
         "foxglove.SceneUpdate": _scene(),
         "foxglove.Grid": _grid(),
         "foxglove.RawImage": _object(**_STAMPED, width=_WHOLE, height=_WHOLE, encoding=_TEXT, step=_WHOLE, data=_BYTES),
+        "foxglove.CompressedImage": _object(**_STAMPED, data=_BYTES, format=_TEXT),
         "foxglove.PointCloud": _object(**_STAMPED, pose=_POSE, point_stride=_WHOLE, fields=_FIELDS, data=_BYTES),
         "foxglove.FrameTransform": _object(
             timestamp=_TIME, parent_frame_id=_TEXT, child_frame_id=_TEXT, translation=_VECTOR, rotation=_TURN

@@ -30,7 +30,7 @@ _LOG = logging.getLogger(__name__)
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 #: Messages that wait for one client; the oldest are dropped.
-MAX_QUEUE_BYTES = 8 << 20
+MAX_QUEUE_BYTES = 32 << 20
 #: Messages on their way to the server's thread; more are not taken.
 MAX_HANDED = 1024
 MAX_CLIENT_MESSAGE_BYTES = 8192

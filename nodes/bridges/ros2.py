@@ -1,4 +1,4 @@
-"""Node `ros2`: the graph's answer on topics of ROS 2, and detections and odometry of ROS 2 in the graph.
+"""Node `ros2`: the graph's answer on topics of ROS 2; detections, odometry, clouds and images of ROS 2 in the graph.
 
 It speaks DDS as ROS 2 does and needs no ROS 2 on this machine. Without a reader nothing is built; a reader that takes
 nothing loses messages, and the graph never waits for it.
@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from models.sensors.point_cloud2 import LidarMounting
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.frames import Pose2
@@ -23,11 +24,19 @@ from msgs.values.radar import RangeAzimuthMap
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.vehicle import VehicleState
 from nodes.bridges.detection_mapping import mapping_path, read_mapping
-from nodes.bridges.ros2_inputs import DetectionInput, OdometryInput, reason_of, stamp_ns_of
+from nodes.bridges.ros2_inputs import (
+    CloudInput,
+    DetectionInput,
+    ImageInput,
+    Input,
+    OdometryInput,
+    reason_of,
+    stamp_ns_of,
+)
 from nodes.bridges.ros2_link import LOOPBACK, MAX_DOMAIN, Reader, Ros2Link, Writer, require_interface, require_library
 from nodes.bridges.ros2_messages import Frames, Ros2Messages
 from nodes.bridges.ros2_topics import INPUT_DEPTH, OF_VEHICLE, Ros2Topic, published_topics, require_topic_name
-from nodes.bridges.ros2_types import CLOUD, SCAN, type_store
+from nodes.bridges.ros2_types import CLOUD, COMPRESSED_IMAGE, IMAGE, SCAN, type_store
 from nodes.bridges.shapes import Odometry
 from nodes.inputs.refusals import Refusals
 from nodes.node import Node
@@ -40,7 +49,7 @@ _WATCH_NS = NANOSECONDS_PER_SECOND
 _CLOCK_STEP_NS = NANOSECONDS_PER_SECOND
 #: Stamps of messages from ROS 2 are within this of now, or of another clock.
 _MAX_STAMP_AGE_S = 60.0
-_KINDS = {"cloud": CLOUD, "scan": SCAN}
+_KINDS = {"cloud": CLOUD, "scan": SCAN, "compressed": COMPRESSED_IMAGE, "raw": IMAGE}
 
 
 class InputParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -75,6 +84,21 @@ class OdometryParams(InputParams, frozen=True, kw_only=True, forbid_unknown_fiel
     topic: str = "/odom"
 
 
+class LidarParams(InputParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Clouds of a LiDAR in ROS 2 (sensor_msgs/PointCloud2)."""
+
+    topic: str = "/ouster/points"
+    mounting: LidarMounting = LidarMounting()
+
+
+class CameraParams(InputParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Images of a camera in ROS 2."""
+
+    topic: str = "/camera/image_raw/compressed"
+    #: sensor_msgs/CompressedImage or sensor_msgs/Image.
+    type: Literal["compressed", "raw"] = "compressed"
+
+
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Domain, interface, names, and what is heard."""
 
@@ -87,6 +111,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     topics: dict[str, str] = {}
     detections: DetectionParams | None = None
     odometry: OdometryParams | None = None
+    lidar: LidarParams | None = None
+    camera: CameraParams | None = None
     #: Time of messages on the other side: that of acquisition, or of arrival where stamps are of another clock (a
     #: recording, a simulation).
     stamps: Literal["acquisition", "arrival"] = "acquisition"
@@ -177,8 +203,8 @@ class Ros2Bridge(Node):
         """Leave the domain."""
         self._link.close()
 
-    def _open_inputs(self) -> list[tuple[Reader, str, str, DetectionInput | OdometryInput]]:
-        readers: list[tuple[Reader, str, str, DetectionInput | OdometryInput]] = []
+    def _open_inputs(self) -> list[tuple[Reader, str, str, Input]]:
+        readers: list[tuple[Reader, str, str, Input]] = []
         if (given := self._params.detections) is not None:
             kind = _KINDS[given.type]
             mapping = read_mapping(mapping_path(kind, Path(given.mapping) if given.mapping else None))
@@ -187,6 +213,12 @@ class Ros2Bridge(Node):
         if self._params.odometry is not None:
             topic = self._params.odometry.topic_of("nav_msgs/msg/Odometry", "vehicle/state")
             readers.append((self._link.reader(topic), topic.source, topic.kind, OdometryInput()))
+        if (lidar := self._params.lidar) is not None:
+            topic = lidar.topic_of(CLOUD, "lidar/points")
+            readers.append((self._link.reader(topic), topic.source, topic.kind, CloudInput(lidar.mounting)))
+        if (camera := self._params.camera) is not None:
+            topic = camera.topic_of(_KINDS[camera.type], "camera/image")
+            readers.append((self._link.reader(topic), topic.source, topic.kind, ImageInput()))
         return readers
 
     def _publish(self, message: Any, now_ns: int) -> None:

@@ -1,14 +1,19 @@
-"""Messages of ROS 2 as messages of the graph: detections and odometry."""
+"""Messages of ROS as messages of the graph: detections, odometry, clouds of a LiDAR, images of a camera."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from models.sensors.detection_columns import DetectionMapping, detections_of
+from models.sensors.jpeg import jpeg_of_file, jpeg_of_pixels
+from models.sensors.point_cloud2 import LidarMounting, lidar_points
 from msgs.bus.interface import Outgoing
+from msgs.values.camera import CameraImage
+from msgs.values.lidar import MAX_NAME_LENGTH
 from msgs.values.units import NANOSECONDS_PER_SECOND
 from msgs.values.vehicle import VehicleState
 from nodes.bridges.detection_mapping import READERS
+from nodes.bridges.ros2_types import CLOUD
 from nodes.node import ShedTally
 
 _REASON_LIMIT = 200
@@ -45,6 +50,42 @@ class OdometryInput:
         twist = message.twist.twist
         state = VehicleState(stamp_ns=stamp_ns, speed_mps=twist.linear.x, yaw_rate_rps=twist.angular.z)
         return Outgoing("vehicle/state", state)
+
+
+class CloudInput:
+    """`PointCloud2` -> lidar/points, all its fields byte for byte."""
+
+    def __init__(self, mounting: LidarMounting) -> None:
+        self._mounting, self._count = mounting, 0
+
+    def convert(self, message: Any, stamp_ns: int) -> Outgoing:
+        """Return the cloud; `ValueError` for fields or data that do not fit."""
+        points = lidar_points(message, stamp_ns, self._count, self._mounting)
+        self._count += 1
+        return Outgoing("lidar/points", points)
+
+
+class ImageInput:
+    """`CompressedImage` or `Image` -> camera/image: a JPEG as it is, all else compressed."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def convert(self, message: Any, stamp_ns: int) -> Outgoing:
+        """Return the image; `ValueError` where it is none, or has an encoding that is not known."""
+        is_raw = hasattr(message, "encoding")
+        jpeg = jpeg_of_pixels(message) if is_raw else jpeg_of_file(message.data.tobytes())
+        image = CameraImage.of(jpeg, stamp_ns, self._count, message.header.frame_id[:MAX_NAME_LENGTH])
+        self._count += 1
+        return Outgoing("camera/image", image)
+
+
+def side_input(kind: str, mounting: LidarMounting) -> CloudInput | ImageInput:
+    """Return what converts messages of a type of `SIDE_KINDS`."""
+    return CloudInput(mounting) if kind == CLOUD else ImageInput()
+
+
+Input = DetectionInput | OdometryInput | CloudInput | ImageInput
 
 
 def reason_of(error: Exception) -> str:

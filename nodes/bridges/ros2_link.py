@@ -69,6 +69,8 @@ def domain_config(interface: str) -> str:
         _LOCAL_DISCOVERY if is_local else "",
         f"<Compatibility><IgnoreTypeInformation>{_FAST_DDS}</IgnoreTypeInformation></Compatibility>",
         f"<Internal><Watermarks><WhcHigh>{MAX_WAITING}</WhcHigh></Watermarks>",
+        # of a cloud in hundreds of pieces most would be lost; the kernel's limit, net.core.rmem_max, holds
+        f'<SocketReceiveBufferSize max="{MAX_INPUT_BYTES}B"/>',
         f"<MaxSampleSize>{MAX_INPUT_BYTES}B</MaxSampleSize></Internal>",
     )
     return f'<CycloneDDS><Domain Id="any">{"".join(parts)}</Domain></CycloneDDS>'

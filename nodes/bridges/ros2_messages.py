@@ -8,9 +8,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from models.sensors.point_cloud2 import NUMBERS
 from msgs.values.arrays import Covariance
+from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.frames import Pose2
+from msgs.values.lidar import LidarPoints
 from msgs.values.perception import BevFrame, HiddenObject, Track, Visibility, Wall
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -85,6 +88,34 @@ class Ros2Messages:
             data=np.frombuffer(points.tobytes(), np.uint8),
             is_dense=True,
         )
+
+    def lidar_cloud(self, points: LidarPoints) -> Any:
+        """A LiDAR's cloud with all its fields, byte for byte, in the sensor's own frame."""
+        fields = [
+            self._make(
+                "sensor_msgs/msg/PointField",
+                name=field.name, offset=field.offset, datatype=NUMBERS[field.datatype], count=field.count,
+            )
+            for field in points.fields
+        ]  # fmt: skip
+        count, step = points.data.shape
+        return self._make(
+            "sensor_msgs/msg/PointCloud2",
+            header=self._header(points.stamp_ns, points.sensor or "lidar"),
+            height=points.rows,
+            width=count // points.rows,
+            fields=fields,
+            is_bigendian=False,
+            point_step=step,
+            row_step=step * (count // points.rows),
+            data=np.ascontiguousarray(points.data).reshape(-1),
+            is_dense=len(points.positions_m()) == count,
+        )
+
+    def compressed_image(self, image: CameraImage) -> Any:
+        """A camera's JPEG as it is."""
+        header = self._header(image.stamp_ns, image.sensor or "camera")
+        return self._make("sensor_msgs/msg/CompressedImage", header=header, format="jpeg", data=image.jpeg)
 
     def markers(self, frame: BevFrame) -> Any:
         """All markers of a scan (walls, objects, tracks), after one that clears those of the scan before."""

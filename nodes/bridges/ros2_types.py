@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CLOUD, SCAN = "sensor_msgs/msg/PointCloud2", "radar_msgs/msg/RadarScan"
+#: Types that become messages of sensors beside the radar.
+SIDE_KINDS = (CLOUD, COMPRESSED_IMAGE, IMAGE)
 #: Fields of a return in `radar_msgs`, all float32: m, rad, rad, m/s, dB.
 RETURN_FIELDS = ("range", "azimuth", "elevation", "doppler_velocity", "amplitude")
 

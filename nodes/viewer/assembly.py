@@ -7,6 +7,9 @@ from typing import Any
 
 import msgspec
 
+from msgs.values.camera import CameraImage
+from msgs.values.frames import Pose2
+from msgs.values.lidar import LidarPoints
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.units import NANOSECONDS_PER_SECOND
@@ -14,8 +17,18 @@ from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import Setup, on_one_clock
 from nodes.viewer.driver_warnings import DriverWarning, warnings_json
 from nodes.viewer.newest import Board, WireMessage, json_text
+from nodes.viewer.side_sensors import NEAR_NS, Recent, image_json, lidar_json
 from nodes.viewer.trails import Past
-from nodes.viewer.view_model import age_limits_ms, age_ms, map_json, map_tile, mask_tile, sensor_json, view_json
+from nodes.viewer.view_model import (
+    age_limits_ms,
+    age_ms,
+    map_json,
+    map_tile,
+    mask_tile,
+    points_tile,
+    sensor_json,
+    view_json,
+)
 from nodes.viewer.watch import Watch
 
 #: Message types that the assembly accepts.
@@ -28,6 +41,8 @@ TOPICS_SHOWN = (
     "diagnostics/node",
     "radar/setup",
     "lidar/setup",
+    "lidar/points",
+    "camera/image",
 )
 #: Interval between posts of the node table, and maximum interval between those of the warnings.
 TABLE_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
@@ -60,6 +75,9 @@ class ScanAssembly:
         self._peaks: Peaks | None = None
         self._truths: dict[int, SceneTruth] = {}
         self._vehicle: VehicleState | None = None
+        self._vehicle_from_radar = Pose2()
+        self._clouds: Recent[LidarPoints] = Recent()
+        self._images: Recent[CameraImage] = Recent()
 
     def take(
         self,
@@ -85,12 +103,19 @@ class ScanAssembly:
                 self._facts = {"latency_ms": latency_ms, **age_limits_ms(sensor, self._is_late)}
                 self._post_view(now_ns)
                 self._post_map(now_ns)
+                self._post_side_sensors(now_ns)
             case RangeAzimuthMap():
                 # no view came for the map before: better shown alone than not at all
                 self._post_map(now_ns)
-                self._map = message
+                self._map, self._vehicle_from_radar = message, message.vehicle_from_radar
             case Peaks():
-                self._peaks = message
+                self._peaks, self._vehicle_from_radar = message, message.vehicle_from_radar
+            case LidarPoints():
+                self._clouds.add(message)
+                self._post_without_view(message.stamp_ns, now_ns)
+            case CameraImage():
+                self._images.add(message)
+                self._post_without_view(message.stamp_ns, now_ns)
             case SceneTruth():
                 self._keep_truth(message, now_ns)
             case VehicleState():
@@ -112,6 +137,27 @@ class ScanAssembly:
             self._board.post("map", partial(_map_messages, self._map, self._peaks, age))
             self._map_posted_ns = now_ns
         self._map = None
+
+    def _post_without_view(self, stamp_ns: int, now_ns: int) -> None:
+        """Post the newest of the sensors beside the radar while there is no view that they belong to."""
+        if self._frame is None or abs(stamp_ns - self._frame.stamp_ns) > NEAR_NS:
+            self._post_side_sensors(now_ns)
+
+    def _post_side_sensors(self, now_ns: int) -> None:
+        """Post what the sensors beside the radar saw nearest to the time of the view; the first work to be shed."""
+        if self._is_map_shed(now_ns):
+            return
+        stamp_ns = None if self._frame is None else self._frame.stamp_ns
+        pose = self._vehicle_from_radar
+        cloud, image = self._clouds.nearest(stamp_ns), self._images.nearest(stamp_ns)
+        if cloud is not None and (cloud, pose) != self._clouds.posted:
+            self._clouds.posted = cloud, pose
+            age = {"age_ms": age_ms(cloud.stamp_ns, now_ns)}
+            self._board.post("lidar", partial(_lidar_messages, cloud, pose, age))
+        if image is not None and (image, pose) != self._images.posted:
+            self._images.posted = image, pose
+            age = {"age_ms": age_ms(image.stamp_ns, now_ns)}
+            self._board.post("image", partial(_image_messages, image, age))
 
     def _is_map_shed(self, now_ns: int) -> bool:
         if not (self._sheds_maps and self._is_late) or self._map_posted_ns is None:
@@ -207,3 +253,13 @@ def _map_messages(
     ra_map: RangeAzimuthMap, peaks: Peaks | None, age: dict[str, float | None]
 ) -> tuple[WireMessage, ...]:
     return json_text({**map_json(ra_map, peaks), **age}), map_tile(ra_map)
+
+
+def _lidar_messages(
+    points: LidarPoints, vehicle_from_radar: Pose2, age: dict[str, float | None]
+) -> tuple[WireMessage, ...]:
+    return json_text({**lidar_json(points), **age}), points_tile(points, vehicle_from_radar)
+
+
+def _image_messages(image: CameraImage, age: dict[str, float | None]) -> tuple[WireMessage, ...]:
+    return json_text({**image_json(image), **age}), image.jpeg.tobytes()

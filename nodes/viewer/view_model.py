@@ -1,7 +1,7 @@
 """The page's data: bus messages as compact JSON values and binary tiles. Pure functions.
 
 JSON keeps the project's units and frames (metres, radians, radar frame), rounded to what a screen can show. A tile is
-`TILE_HEADER` and one byte a cell (map) or four cells a byte (mask).
+`TILE_HEADER` and one byte a cell (map), four cells a byte (mask), or two int16 a point (LiDAR slice, in steps of mm).
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ from typing import Any
 import numpy as np
 
 from models.evaluation.object_error import object_distances
-from msgs.values.lidar import LidarSetup
+from msgs.values.frames import Pose2
+from msgs.values.lidar import LidarPoints, LidarSetup
 from msgs.values.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
 from nodes.inputs.view_latency import DEADLINE_S, Setup, last_beam_ns, scan_period_s
+from nodes.viewer.side_sensors import CELL_M, slice_cells
 from nodes.viewer.trails import Past, trail_m
 
 #: Magic, version, kind, scan id, rows, columns, level of code 0 [0.01 dB], step per code [0.001 dB]; little-endian.
 TILE_HEADER = struct.Struct("<2sBBIHHhH")
 TILE_MAGIC, TILE_VERSION = b"MW", 1
-TILE_MAP, TILE_MASK = 1, 2
+TILE_MAP, TILE_MASK, TILE_POINTS = 1, 2, 3
 #: Largest tile of a map: native range bins, azimuths at twice the sampling that a beam of 9 degrees needs many times.
 TILE_ROWS, TILE_COLUMNS = 512, 128
 #: Codes 0..255 span 102 dB: over the noise, or without a measured noise, down from the map's peak.
@@ -205,6 +207,12 @@ def mask_tile(frame: BevFrame) -> bytes:
     quads = np.pad(cells, (0, -len(cells) % 4)).reshape(-1, 4)
     packed = (quads << np.array([0, 2, 4, 6], np.uint8)).sum(axis=1, dtype=np.uint8)
     return _tile(TILE_MASK, frame.scan_id, frame.visibility.shape, 0.0, 0.0) + packed.tobytes()
+
+
+def points_tile(points: LidarPoints, vehicle_from_radar: Pose2) -> bytes:
+    """Return the slice of a cloud: x and y of each point, int16, in steps of `CELL_M`."""
+    cells = slice_cells(points, vehicle_from_radar)
+    return _tile(TILE_POINTS, points.scan_id, cells.shape, 0.0, CELL_M) + cells.tobytes()
 
 
 def _tile(kind: int, scan_id: int, shape: tuple[int, ...], floor_db: float, step_db: float) -> bytes:

@@ -30,6 +30,7 @@ from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
 from msgs.files.shipped import shipped_path
 from msgs.recording.mcap import RecordingWriter
+from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
@@ -76,12 +77,13 @@ from nodes import (
 from nodes.bridges import ros2
 from nodes.bridges.ros2_types import type_store
 from nodes.can.bus import CanLink, load_dbc, load_mapping
-from nodes.drivers import dca1000, detections_radar
+from nodes.drivers import dca1000, detections_radar, recorded_sensors
 from nodes.node import Node
 from nodes.recording import snapshot_recorder
 from nodes.recording.files import as_recorded
 from sim_player.car import SimulatedCar
 from tests.fuzz.strategies import Said, Step
+from tests.side_sensors import cloud, jpeg
 
 PERIOD_NS = 300_000_000
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
@@ -348,6 +350,8 @@ def all_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
             Said("perception/hidden_objects", view(scan, at_ns)),
             Said("environment/walls", walls(at_ns)),
             Said("sim/truth", truth(scan, at_ns)),
+            Said("lidar/points", cloud(stamp_ns=at_ns, scan_id=scan)),
+            Said("camera/image", CameraImage.of(jpeg(), stamp_ns=at_ns, image_id=scan)),
             Said("diagnostics/node", status(at_ns)),
             Said("log", LogRecord(stamp_ns=at_ns, node="ra_former", level="INFO", text="ready")),
         ]
@@ -627,6 +631,19 @@ def make_lidar_former(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     return lidar_former.create(lidar_former.Params())
 
 
+def rig(folder: Path) -> Path:
+    """A directory with two clouds and three images, one of each no such thing."""
+    for name, data in (("0.bin", bytes(160)), ("1.bin", b"x"), ("0.jpg", jpeg()), ("1.jpg", b"x"), ("2.jpg", jpeg())):
+        (folder / name).write_bytes(data)
+    return folder
+
+
+def make_recorded_sensors(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    rate_hz = (0.5, 10.0, 1e3, 1e6)[seed % 4]
+    params = recorded_sensors.Params(sources=(str(rig(folder)),), file_rate_hz=rate_hz, loop=seed % 8 > 3)
+    return recorded_sensors.create(params)
+
+
 def make_detection_peaks(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     return detection_peaks.create(detection_peaks.Params())
 
@@ -748,6 +765,9 @@ CASES: dict[str, Case] = {
         make_cfar, map_talk(), "nodes.dense_predictor", lambda folder: {"method": "cfar"}, map_talk
     ),
     "geometry": Case(make_geometry, peaks_talk(), "nodes.geometry", talk=peaks_talk, remembered=("tracks",)),
+    "recorded_sensors": Case(
+        make_recorded_sensors, (), "nodes.drivers.recorded_sensors", lambda folder: {"sources": [str(rig(folder))]}
+    ),
     "detections_radar": Case(
         make_detections_radar, (), "nodes.drivers.detections_radar", lambda folder: {"interface": "virtual"}
     ),

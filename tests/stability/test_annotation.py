@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.annotation import pose_error
-from mirrorwave.annotate.clouds import read_cloud
+from models.annotation.clouds import read_cloud
 from models.annotation.registration import import_open3d, looked_through, planar_cloud, plane_hold
 from models.annotation.slice_labels import in_sight
 from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
@@ -96,7 +96,7 @@ def test_a_flat_cloud(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="mirrorwave.annotate.clouds.read_cloud",
+    where="models.annotation.clouds.read_cloud",
     naive="zeros taken for points at the sensor",
     bound=0.003,
     unit="of the points in conflict",

@@ -111,7 +111,7 @@ def _playable(
 
     Raises `ValueError` where a wanted one is missing, is published already or would come from two topics.
     """
-    from nodes.player import SENSED_TOPICS
+    from nodes.player import PLAYED_TOPICS
 
     playable = [topic for topic in reader.types if renamed.get(topic, topic) in TOPICS]
     for topic in wanted or ():
@@ -120,18 +120,18 @@ def _playable(
                 f"{reader.path}: holds no topic {topic!r} to play; it holds {', '.join(playable) or 'none'}"
             )
     living = {topic for topic, _ in publishers}
-    made = living - set(SENSED_TOPICS)
+    made = living - set(PLAYED_TOPICS)
     names = {topic: renamed.get(topic, topic) for topic in playable}
     if wanted:
         names = {topic: names[topic] for topic in playable if topic in wanted}
     else:
         names = {topic: name for topic, name in names.items() if name not in ABOUT_NODES and name not in made}
-        names = {topic: name for topic, name in names.items() if name in SENSED_TOPICS or not sensed_only}
+        names = {topic: name for topic, name in names.items() if name in PLAYED_TOPICS or not sensed_only}
     _require_free(names, publishers, domain)
     if not names:
         raise ValueError(f"{reader.path}: holds nothing to play")
-    if sensed_only and (derived := [name for name in names.values() if name not in SENSED_TOPICS]):
-        raise ValueError(f"--clock moves the stamps of {', '.join(SENSED_TOPICS)} alone, got {', '.join(derived)}")
+    if sensed_only and (derived := [name for name in names.values() if name not in PLAYED_TOPICS]):
+        raise ValueError(f"--clock moves the stamps of {', '.join(PLAYED_TOPICS)} alone, got {', '.join(derived)}")
     return tuple(names)
 
 

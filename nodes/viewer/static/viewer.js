@@ -5,6 +5,8 @@ const byId = (id) => document.getElementById(id);
 const TILE_HEADER_BYTES = 16;
 const TILE_MAP = 1;
 const TILE_MASK = 2;
+const TILE_POINTS = 3;
+const NEAR_S = 1;
 const DYNAMIC_RANGE_DB = 55;
 const NOISE_TOP_DB = 10;
 const LEAST_TOP_DB = 40;
@@ -26,11 +28,12 @@ const LAYERS = [
   { key: "map", name: "map beneath", on: false, swatch: drawMapSwatch },
   { key: "grid", name: "grid", on: true, swatch: drawGridSwatch },
   { key: "tracks", name: "followed", on: true, swatch: drawTrackSwatch, hint: "followed over scans: where it was, where it goes, where it comes into sight" },
+  { key: "lidar", name: "LiDAR slice", on: true, swatch: drawLidarSwatch },
 ];
 
 const COLOUR_NAMES = [
   "text", "unknown", "direct", "mirrored", "hatch", "grid", "axis", "wall", "los", "los-edge", "image", "place", "object", "object-fill",
-  "sigma", "truth", "truth-seen", "surface", "ego", "label", "track", "urgent", "caution", "notice",
+  "sigma", "truth", "truth-seen", "surface", "ego", "label", "track", "lidar", "urgent", "caution", "notice",
 ];
 
 const state = {
@@ -38,7 +41,8 @@ const state = {
   paused: false, missed: 0, number: null, announced: "",
   // what is shown, and what came while paused
   sensor: null, view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
-  held: { view: null, map: null }, labels: [],
+  lidar: null, image: null, bitmap: null,
+  held: { view: null, map: null, lidar: null, image: null }, labels: [],
   warnings: [], warningsAt: null, overview: null, sound: false, loop: false,
   layers: Object.fromEntries(LAYERS.map((layer) => [layer.key, layer.on])),
   form: "cartesian", reach: 50, theme: null,
@@ -47,7 +51,7 @@ const camera = { x: 15, y: 0, scale: 10, fitted: null, free: false };
 const arrivals = [];
 let colours = {};
 let ramp = null;
-let dirty = { bev: true, map: true };
+let dirty = { bev: true, map: true, camera: true };
 // CSS pixels of the map's canvas, from range and azimuth, in the form that is drawn
 let mapToCanvas = null;
 
@@ -156,10 +160,13 @@ function greet(message) {
 function take({ kinds, got, now_ms: now }) {
   for (let at = 0; at < got.length; at += 1) {
     const message = JSON.parse(got[at]);
-    const tile = got[at + 1] instanceof ArrayBuffer ? readTile(got[(at += 1)]) : null;
+    const bytes = got[at + 1] instanceof ArrayBuffer ? got[(at += 1)] : null;
+    const tile = bytes && message.type !== "image" ? readTile(bytes) : null;
     const posted = now - kinds[message.type].held_ms;
     if (message.type === "view") takeView({ message, mask: tile, at: posted });
     else if (message.type === "map") takeMap({ message, tile, at: posted });
+    else if (message.type === "lidar") takeSide("lidar", { message, tile, at: posted });
+    else if (message.type === "image") takeSide("image", { message, bytes, at: posted });
     else if (message.type === "nodes") { state.nodes = message.nodes; state.graph = message.graph; showNodes(); }
     else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
     else if (message.type === "sensor") showSensor(message);
@@ -186,12 +193,18 @@ function takeMap(news) {
   else showMap(news);
 }
 
+function takeSide(kind, news) {
+  if (state.paused) state.held[kind] = news;
+  else SHOW_SIDE[kind](news);
+}
+
 function readTile(buffer) {
   const head = new DataView(buffer, 0, TILE_HEADER_BYTES);
   const tile = {
     kind: head.getUint8(3), scan: head.getUint32(4, true), rows: head.getUint16(8, true), columns: head.getUint16(10, true),
     floor: head.getInt16(12, true) / 100, step: head.getUint16(14, true) / 1000,
   };
+  if (tile.kind === TILE_POINTS) return { ...tile, cells: new Int16Array(buffer, TILE_HEADER_BYTES) };
   const bytes = new Uint8Array(buffer, TILE_HEADER_BYTES);
   tile.cells = tile.kind === TILE_MASK ? unpackQuads(bytes, tile.rows * tile.columns) : bytes;
   return tile;
@@ -253,6 +266,51 @@ function showMap({ message, tile, at }) {
   if (state.layers.map) dirty.bev = true;
 }
 
+// The sensors beside the radar, as they saw the time of the view.
+const SHOW_SIDE = { lidar: showLidar, image: showImage };
+
+function showLidar({ message, tile, at }) {
+  state.lidar = { message, tile, at };
+  byId("layer-lidar").parentElement.hidden = false;
+  byId("layer-lidar").parentElement.title = message.text;
+  dirty.bev = true;
+}
+
+async function showImage({ message, bytes, at }) {
+  const { stamp_s: stamp } = message;
+  state.image = { message, at };
+  byId("camera-section").hidden = false;
+  byId("camera-note").textContent = message.text;
+  byId("camera").setAttribute("aria-label", `Camera, ${message.text}`);
+  let bitmap = null;
+  try {
+    bitmap = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
+  } catch {
+    byId("camera-note").textContent = `${message.text}: this image cannot be shown`;
+  }
+  // a later one may have been ready before
+  if (state.image.message.stamp_s !== stamp) return;
+  if (state.bitmap) state.bitmap.close();
+  state.bitmap = bitmap;
+  dirty.camera = true;
+}
+
+function drawCamera() {
+  const canvas = byId("camera");
+  const c = prepare(canvas);
+  const { bitmap } = state;
+  if (!bitmap) return;
+  const scale = Math.min(canvas.clientWidth / bitmap.width, canvas.clientHeight / bitmap.height);
+  const [width, height] = [bitmap.width * scale, bitmap.height * scale];
+  c.drawImage(bitmap, (canvas.clientWidth - width) / 2, (canvas.clientHeight - height) / 2, width, height);
+}
+
+// Of a cloud or image: how far from the view in time, where that is too far to belong to it.
+function offText(side) {
+  const off = side && state.view ? side.message.stamp_s - state.view.stamp_s : 0;
+  return Math.abs(off) > NEAR_S ? `${ageText(Math.abs(off))} ${off < 0 ? "before" : "after"} this view` : "";
+}
+
 // Screen readers hear of a new count at once, of a move beyond 1 m, and never more often than they can speak.
 let announcedAt = -Infinity;
 let announcedPlaces = "";
@@ -291,6 +349,9 @@ function showFigures() {
   byId("missed").textContent = state.missed;
   const mapAge = state.recording ? null : ageOf(state.map, state.mapAt);
   const isMapOld = mapAge !== null && view && freshness(mapAge, view) === "old";
+  const [cameraOff, lidarOff] = [offText(state.image), offText(state.lidar)];
+  byId("camera-age").textContent = cameraOff ? ` · ${cameraOff}` : "";
+  byId("layer-lidar-more").textContent = lidarOff ? `(${lidarOff})` : "";
   byId("map-age").textContent = isMapOld ? ` · ${ageText(mapAge / 1000)} old` : "";
 }
 
@@ -769,6 +830,7 @@ function paintBev(c) {
   if (view && layers.mask && state.mask) drawMask(c, view.mask);
   if (layers.map && state.tile) drawMapBeneath(c);
   if (layers.grid) drawGrid(c);
+  if (layers.lidar && state.lidar) drawLidar(c, state.lidar.tile);
   if (view) {
     if (layers.truth && view.truth) drawTruth(c, view.truth);
     if (layers.walls) view.walls.forEach(({ ends }) => stroke(c, ends, colours.wall, 4));
@@ -780,6 +842,15 @@ function paintBev(c) {
   }
   drawEgo(c, view && view.vehicle);
   drawScaleBar(c);
+}
+
+function drawLidar(c, { cells, step }) {
+  c.fillStyle = colours.lidar;
+  const side = Math.max(2.5, step * camera.scale);
+  for (let i = 0; i < cells.length; i += 2) {
+    const [px, py] = toCanvas(cells[i] * step, cells[i + 1] * step);
+    c.fillRect(px - side / 2, py - side / 2, side, side);
+  }
 }
 
 function drawMask(c, grid) {
@@ -1368,6 +1439,11 @@ function drawTrackSwatch(c) {
   c.fill();
 }
 
+function drawLidarSwatch(c) {
+  c.fillStyle = colours.lidar;
+  for (const [x, y] of [[2, 4], [6, 5], [10, 6], [14, 7], [18, 8], [17, 12]]) c.fillRect(x, y, 2, 2);
+}
+
 function drawGridSwatch(c) {
   for (const at of [4, 9, 14, 19]) plain(c, colours.axis, 0.75, [at, 1, at, 15]);
   for (const at of [3, 8, 13]) plain(c, colours.axis, 0.75, [1, at, 21, at]);
@@ -1382,7 +1458,8 @@ function setPaused(paused) {
   if (!paused) {
     if (state.held.view) showView(state.held.view);
     if (state.held.map) showMap(state.held.map);
-    state.held = { view: null, map: null };
+    for (const kind of Object.keys(SHOW_SIDE)) if (state.held[kind]) SHOW_SIDE[kind](state.held[kind]);
+    state.held = { view: null, map: null, lidar: null, image: null };
   } else {
     state.missed = 0;
   }
@@ -1424,7 +1501,7 @@ function setTheme(theme) {
   for (const layer of LAYERS) drawSwatch(layer);
   drawStrip();
   buildPlots();
-  dirty = { bev: true, map: true };
+  dirty = { bev: true, map: true, camera: true };
 }
 
 function coloursOf(element) {
@@ -1477,8 +1554,8 @@ function onKey(event) {
     if (key in ARROWS || key === "Home" || key === "End") return;
   } else if (control && (key === " " || key in ARROWS || key === "Enter")) return;
   if (control && control.tagName === "SELECT") return;
-  const layer = LAYERS[Number(key) - 1];
-  if (/^[1-9]$/.test(key) && layer) setLayer(layer.key, !state.layers[layer.key]);
+  const layer = LAYERS[(Number(key) + 9) % 10];
+  if (/^[0-9]$/.test(key) && layer) setLayer(layer.key, !state.layers[layer.key]);
   else if (key in KEYS) KEYS[key]();
   else if (key in ARROWS && target === bev) move(...ARROWS[key].map((part) => (part * 60) / camera.scale));
   else if (key === "ArrowLeft" || key === "ArrowRight") stepBy((key === "ArrowLeft" ? -1 : 1) * (event.shiftKey ? 10 : 1));
@@ -1515,9 +1592,12 @@ function buildLayers() {
     const label = document.createElement("label");
     const input = Object.assign(document.createElement("input"), { type: "checkbox", id: `layer-${layer.key}`, checked: state.layers[layer.key] });
     const swatch = () => document.createElement("canvas");
-    const kbd = Object.assign(document.createElement("kbd"), { textContent: index + 1 });
+    const kbd = Object.assign(document.createElement("kbd"), { textContent: (index + 1) % 10 });
     label.title = layer.hint || "";
+    // shown with the first cloud
+    label.hidden = layer.key === "lidar";
     label.append(input, kbd, swatch(), layer.name, ...(layer.more ? [swatch(), layer.more[0]] : []));
+    label.append(Object.assign(document.createElement("span"), { id: `layer-${layer.key}-more` }));
     input.addEventListener("change", () => setLayer(layer.key, input.checked));
     byId("layers").append(label);
   });
@@ -1526,6 +1606,7 @@ function buildLayers() {
 function turn() {
   if (dirty.bev) { dirty.bev = false; drawBev(); }
   if (dirty.map) { dirty.map = false; drawMap(); }
+  if (dirty.camera) { dirty.camera = false; drawCamera(); }
   requestAnimationFrame(turn);
 }
 
@@ -1547,7 +1628,7 @@ function start() {
   byId("reach").addEventListener("change", (event) => {
     state.reach = Number(event.target.value);
     state.planeImage = null;
-    dirty = { bev: true, map: true };
+    dirty.bev = dirty.map = true;
   });
   byId("play").addEventListener("click", togglePlay);
   byId("back").addEventListener("click", () => stepBy(-1));
@@ -1567,9 +1648,10 @@ function start() {
   const sized = new ResizeObserver(() => {
     if (!camera.free && state.view) fit(true);
     state.polarImage = null;
-    dirty = { bev: true, map: true };
+    dirty = { bev: true, map: true, camera: true };
   });
   sized.observe(bev);
+  sized.observe(byId("camera"));
   sized.observe(byId("map"));
   new ResizeObserver(drawStrip).observe(byId("strip"));
   setInterval(showFigures, 200);

@@ -20,6 +20,7 @@ from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inl
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import TOPICS
 from msgs.values.arrays import DTYPES, MAX_SPEED_MPS, MAX_STAMP_NS
+from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
@@ -28,6 +29,7 @@ from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
+from tests.side_sensors import cloud, jpeg
 
 RANDOM = np.random.default_rng(7)
 GRID = RangeAzimuthGrid(range_bins=6, azimuth_bins=4)
@@ -120,6 +122,8 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
             azimuth_stamp_ns=np.arange(4, dtype=np.int64),
         )
     ],
+    "lidar/points": [cloud()],
+    "camera/image": [CameraImage.of(jpeg(), stamp_ns=1, sensor="front")],
     "perception/peaks": [peaks(0), peaks(5)],
     "perception/hidden_objects": [bev()],
     "vehicle/state": [VehicleState(stamp_ns=3, speed_mps=4.5, valid=False, reason="stale")],

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mirrorwave.annotate.clouds import read_cloud
+from models.annotation.clouds import read_cloud
 from models.perception.cards import read_card
 from models.perception.detection.onnx_model import ModelCard
 from models.sensors.config_file import read_config

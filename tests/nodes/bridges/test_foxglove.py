@@ -21,6 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from msgs.bus.interface import Envelope, Received
 from msgs.files.shipped import CHECKOUT
+from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
 from msgs.values.radar import RadarSetup
@@ -31,6 +32,7 @@ from nodes.bridges.foxglove_schemas import CHANNELS, SCHEMAS
 from nodes.bridges.foxglove_server import MAX_CLIENT_MESSAGES_PER_S
 from tests.fuzz.cases import peaks, ra_map, view
 from tests.mirrorwave.convert.test_formats import truth
+from tests.side_sensors import cloud, jpeg
 
 SUBPROTOCOL = "foxglove.sdk.v1"
 PATIENCE_S = 30.0
@@ -76,6 +78,8 @@ def messages() -> list[Any]:
         beat,
         msgspec.structs.replace(beat, uptime_s=2.0, cpu_s=0.6),
         LogRecord(stamp_ns=40, node="geometry", level="error", text="lost"),
+        cloud(stamp_ns=50),
+        CameraImage.of(jpeg(), stamp_ns=60),
     ]
 
 
@@ -134,8 +138,10 @@ def test_a_client_of_another_make_decodes_every_channel(bridge: FoxgloveBridge) 
             bodies[topic] = body
     image = bodies["/radar/ra_map"]
     assert len(base64.b64decode(image["data"])) == image["height"] * image["step"]
-    cloud = bodies["/radar/peaks"]
-    assert len(base64.b64decode(cloud["data"])) == cloud["point_stride"] * len(peaks(1, 10))
+    found = bodies["/radar/peaks"]
+    assert len(base64.b64decode(found["data"])) == found["point_stride"] * len(peaks(1, 10))
+    assert base64.b64decode(bodies["/lidar/points"]["data"]) == cloud().data.tobytes()
+    assert base64.b64decode(bodies["/camera/image"]["data"]) == jpeg()
 
 
 def test_nothing_is_encoded_that_nobody_reads(bridge: FoxgloveBridge) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from nodes.bridges.foxglove_server import MAX_QUEUE_BYTES, _Client
 
-KIB = 1024
+MIB = 1 << 20
 
 
 class _Socket:
@@ -20,14 +20,14 @@ class _Socket:
         self.sent.append(message.get("bytes") or message.get("text"))
 
 
-def test_a_client_that_does_not_read_keeps_the_newest_eight_mebibytes() -> None:
-    """Of 40 messages of 256 KiB and a head of 13 bytes 31 fit; each that is sent makes room for one more."""
-    assert MAX_QUEUE_BYTES == 8192 * KIB
+def test_a_client_that_does_not_read_keeps_the_newest_32_mebibytes() -> None:
+    """Of 40 messages of 1 MiB and a head of 13 bytes 31 fit; each that is sent makes room for one more."""
+    assert MAX_QUEUE_BYTES == 32 * MIB
     socket = _Socket()
     client = _Client(socket, [], lambda: None)  # type: ignore[arg-type]
     client.subscriptions[1] = 7
     for number in range(40):
-        client.offer(1, number, bytes([number]) * (256 * KIB))
+        client.offer(1, number, bytes([number]) * MIB)
     assert (len(client._queue), client._dropped) == (31, 9)
     assert client._queue[0][-1] == 9
 
@@ -37,5 +37,5 @@ def test_a_client_that_does_not_read_keeps_the_newest_eight_mebibytes() -> None:
     while client._queue:
         asyncio.run(client._send_next())
     for number in range(31):
-        client.offer(1, number, bytes(256 * KIB))
-    assert (len(client._queue), client._dropped, client._queued_bytes) == (31, 0, 31 * (256 * KIB + 13))
+        client.offer(1, number, bytes(MIB))
+    assert (len(client._queue), client._dropped, client._queued_bytes) == (31, 0, 31 * (MIB + 13))

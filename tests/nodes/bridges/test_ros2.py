@@ -21,6 +21,7 @@ import numpy as np
 import psutil
 import pytest
 
+from models.sensors.point_cloud2 import LidarMounting
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.bus.topics import TOPICS
 from msgs.files.shipped import CHECKOUT
@@ -29,11 +30,21 @@ from msgs.values.frames import Pose2
 from msgs.values.perception import Peaks
 from msgs.values.vehicle import VehicleState
 from nodes.bridges import ros2_link
-from nodes.bridges.ros2 import DetectionParams, OdometryParams, Params, Ros2Bridge, RosClock, create
+from nodes.bridges.ros2 import (
+    CameraParams,
+    DetectionParams,
+    LidarParams,
+    OdometryParams,
+    Params,
+    Ros2Bridge,
+    RosClock,
+    create,
+)
 from nodes.bridges.ros2_messages import Frames
 from nodes.bridges.ros2_topics import PUBLISHED, Ros2Topic
 from nodes.node import load_node
 from tests.fuzz.cases import no_peaks, ra_map, status, view
+from tests.side_sensors import as_ros, compressed_image, jpeg, ouster_points, point_cloud2
 
 needs_rosbags = pytest.mark.skipif(
     importlib.util.find_spec("rosbags") is None, reason="rosbags is not installed (extra: ros2)"
@@ -435,9 +446,41 @@ def test_odometry_becomes_a_state(speed_mps: float, is_good: bool) -> None:
 # parameters
 
 
+@needs_rosbags
+def test_clouds_and_images_come_in_byte_for_byte_and_what_is_none_is_one_line(caplog: Any) -> None:
+    stand = Stand(stamps="arrival", lidar=LidarParams(mounting=LidarMounting(x_m=1.0)), camera=CameraParams())
+    assert {"lidar/points", "camera/image"} == set(stand.node.outputs)
+    assert not {"lidar/points", "camera/image"} & set(stand.node.inputs)
+    points, picture = ouster_points(), jpeg()
+    lidar, camera = "ouster/points", "camera/image_raw/compressed"
+    kinds = {lidar: "sensor_msgs/msg/PointCloud2", camera: "sensor_msgs/msg/CompressedImage"}
+
+    def put(name: str, message: Any) -> None:
+        stand.put(name, kinds[name], as_ros(stand.store, kinds[name], message))
+
+    for name, good, bad in (
+        (lidar, point_cloud2(points), point_cloud2(data=np.zeros(9, np.uint8))),
+        (camera, compressed_image(picture), compressed_image(b"GIF89a")),
+    ):
+        put(name, bad)
+        put(name, good)
+    out = stand.step(now_ns=NOW_NS)
+    assert [each.topic for each in out] == ["lidar/points", "camera/image"]
+    cloud, image = (each.message for each in out)
+    assert cloud.data.tobytes() == points.tobytes()
+    assert (cloud.stamp_ns, cloud.sensor, cloud.vehicle_from_lidar.x_m) == (NOW_NS, "os_lidar", 1.0)
+    assert (image.jpeg.tobytes(), image.width_px, image.height_px) == (picture, 32, 16)
+    lines = [record.getMessage() for record in caplog.records if "refused" in record.getMessage()]
+    assert len(lines) == 2
+    assert "/ouster/points: data must hold 1536 bytes for 4 x 8 points, got 9" in lines[0]
+    assert "/camera/image_raw/compressed: image must be a JPEG, or PNG" in lines[1]
+
+
 @pytest.mark.parametrize(
     ("params", "rule"),
     [
+        ({"lidar": {"mounting": {"height_m": -1.0}}}, "mounting.height_m must lie in 0..100, got -1.0"),
+        ({"camera": {"type": "h264"}}, "ros2.params.camera.type: Invalid enum value 'h264'"),
         ({"domain": -1}, "domain must be 0..232, got -1"),
         ({"domain": 233}, "domain must be 0..232, got 233"),
         ({"interface": "no_such0"}, "interface must be one of .*lo.*, got 'no_such0'"),

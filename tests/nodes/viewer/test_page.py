@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import shutil
 import threading
@@ -14,8 +15,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
 from models.evaluation.object_error import object_distances
+from msgs.values.camera import CameraImage
+from msgs.values.frames import Pose2
 from msgs.values.lidar import LidarSetup
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
 from msgs.values.radar import RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
@@ -24,6 +28,7 @@ from nodes.inputs.view_latency import last_beam_ns
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
+from tests.side_sensors import cloud
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 sync_api = pytest.importorskip("playwright.sync_api", reason="the page's tests need playwright")
@@ -215,6 +220,45 @@ def board_scan(board: Board, scan_id: int, *places: tuple[float, float]) -> None
     assembly.take(frame(scan_id, *places), scan_id * 300_000_000)
 
 
+def test_the_camera_and_the_lidar_stand_beside_the_view(server: ViewerServer, board: Board, open_page: Open) -> None:
+    """A red image fills its panel; the slice of a cloud lies where the LiDAR saw it, turned and moved to the radar."""
+    assembly = Assembly(board)
+    mounted = msgspec.structs.replace(
+        cloud(stamp_ns=5), vehicle_from_lidar=Pose2(1.0, 2.0, math.pi / 2), lidar_height_m=1.8
+    )
+    red = io.BytesIO()
+    Image.new("RGB", (64, 32), (230, 0, 0)).save(red, "JPEG")
+    page = open_page(server)
+    assert not page.locator("#camera-section").is_visible()
+    assert not page.locator("#layer-lidar").is_visible()
+    for message in (mounted, CameraImage.of(red.getvalue(), 5, sensor="front"), frame(1, (20.0, 10.0))):
+        assembly.take(message, 300_000_000)
+    until(page, "mirrorwave.state.lidar && mirrorwave.state.bitmap && mirrorwave.state.view")
+    until(page, "document.getElementById('camera').width > 0")
+    assert page.locator("#camera-section").is_visible()
+    assert page.locator("#layer-lidar").is_visible()
+    assert page.locator("#camera-note").text_content() == "front, 64 × 32 px"
+    # the wall 10 m ahead of the LiDAR, which looks to the left
+    cells = page.evaluate("[...mirrorwave.state.lidar.tile.cells].map((one) => one * mirrorwave.state.lidar.tile.step)")
+    assert set(np.round(cells[1::2], 1)) == {12.0}
+    assert min(cells[::2]) == pytest.approx(1.0 - 5.0, abs=0.1)
+    middle = page.evaluate("[byId('camera').clientWidth / 2, byId('camera').clientHeight / 2]")
+    assert pixel(page, "camera", *middle) == pytest.approx((230, 0, 0), abs=12)
+    at = page.evaluate(f"mirrorwave.toCanvas({cells[-2]}, {cells[-1]})")
+    drawn = pixel(page, "bev", *at)
+    page.evaluate("mirrorwave.setLayer('lidar', false)")
+    until(page, "!mirrorwave.state.layers.lidar")
+    assert pixel(page, "bev", *at) != drawn
+
+
+def pixel(page: Any, canvas: str, x: float, y: float) -> list[int]:
+    """Red, green and blue of a canvas at a place in CSS pixels."""
+    at = "const one = document.getElementById(canvas), scale = one.width / one.clientWidth"
+    read = "[...one.getContext('2d').getImageData(x * scale, y * scale, 1, 1).data].slice(0, 3)"
+    found: list[int] = page.evaluate(f"([canvas, x, y]) => {{ {at}; return {read}; }}", [canvas, x, y])
+    return found
+
+
 @pytest.mark.parametrize("form", ["cartesian", "polar"])
 @pytest.mark.parametrize(("range_m", "azimuth_deg"), [(20.0, 40.0), (40.0, -25.0)])
 def test_an_echo_shines_where_it_came_from(
@@ -290,10 +334,10 @@ def test_keys_do_what_they_say(server: ViewerServer, board: Board, open_page: Op
     board_scan(board, 0)
     page = open_page(server)
     until(page, "mirrorwave.state.view")
-    layers = ("mask", "walls", "los", "images", "objects", "truth", "map", "grid", "tracks")
+    layers = ("mask", "walls", "los", "images", "objects", "truth", "map", "grid", "tracks", "lidar")
     for number, layer in enumerate(layers, 1):
         before = page.evaluate(f"mirrorwave.state.layers.{layer}")
-        page.keyboard.press(str(number))
+        page.keyboard.press(str(number % 10))
         assert page.evaluate(f"mirrorwave.state.layers.{layer}") is (not before)
         assert page.locator(f"#layer-{layer}").is_checked() is (not before)
     page.keyboard.press("r")

@@ -11,10 +11,11 @@ import pytest
 import yaml
 
 from benchmarks.perception.annotation import pose_error
-from mirrorwave.annotate.clouds import read_cloud
 from mirrorwave.annotate.manifest import Pose, load_manifest
 from mirrorwave.cli import main
+from models.annotation.clouds import read_cloud
 from models.training.data.frames import DataSet
+from tests.side_sensors import jpeg
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
 
@@ -80,6 +81,41 @@ def test_annotation_returns_the_truth_it_was_made_from(
 
 
 @pytest.mark.slow
+def test_one_recording_of_radar_lidar_and_camera_is_enough(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same labels as from files of the clouds, to the rounding of a millimetre; the mounting is the first pose."""
+    images = tmp_path / "images"
+    images.mkdir()
+    for at in range(3):
+        (images / f"{at}.jpg").write_bytes(jpeg(seed=at))
+    rig, merged = tmp_path / "rig.mcap", tmp_path / "all.mcap"
+    words = ["import", "sensors", str(made / "lidar"), str(images), "--out", str(rig)]
+    assert main(words) == 0
+    assert main(["bag", "merge", str(made / "scan.mcap"), str(rig), "--out", str(merged)]) == 0
+    content = yaml.safe_load((made / "lidar/scene.yaml").read_text())
+    for scan, cloud in enumerate(content["clouds"]):
+        cloud |= {"file": "all.mcap", "scan": scan}
+    del content["clouds"][0]["radar_from_lidar"]
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(yaml.safe_dump(content | {"radar": "all.mcap"}))
+    assert main(["annotate", str(scene), "--out", str(tmp_path / "one")]) == 0
+    assert run(made, tmp_path / "files") == 0
+    folders = [tmp_path / name / "facade_across_lane/frame_000" for name in ("one", "files")]
+    labels = [np.load(folder / "labeled_points/mirrored_nlos.npy") for folder in folders]
+    assert len(labels[0]) == pytest.approx(len(labels[1]), abs=2)
+    assert labels[0].mean(axis=0) == pytest.approx(labels[1].mean(axis=0), abs=0.05)
+    notes = next((tmp_path / "one").rglob("camera.jpg"))
+    assert notes.read_bytes() == jpeg(seed=0)
+    assert json.loads((notes.parent / "annotation.json").read_text())["camera"]["stamp_ns"] == 0
+    capsys.readouterr()
+    content["clouds"][1]["scan"] = 7
+    scene.write_text(yaml.safe_dump(content | {"radar": "all.mcap"}))
+    assert main(["annotate", str(scene), "--out", str(tmp_path / "none")]) == 2
+    assert "all.mcap: scan must be one of its 3 messages on lidar/points" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_a_cloud_that_cannot_be_registered_is_refused_or_left_out(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -103,6 +139,8 @@ def test_a_cloud_that_cannot_be_registered_is_refused_or_left_out(
         ({"radar_height_m": -1.0}, "radar_height_m must be in 0..100, got -1.0"),
         ({"clouds": []}, "clouds must hold at least one cloud"),
         ({"clouds": [{"file": "view_0.ply"}]}, "clouds: one must have calibrated: true"),
+        ({"clouds": [{"file": "view_0.ply", "scan": 1}]}, "clouds: scan is for recordings (.mcap)"),
+        ({"clouds": [{"file": "a.mcap", "scan": -1}]}, "scan must not be negative, got -1"),
         ({"slice": {"thickness_m": 0.0}}, "slice.thickness_m"),
         ({"walls": {"min_lenght_m": 1.0}}, "min_lenght_m"),
         ({"name": "../up"}, "name must be usable as a folder's name"),

@@ -17,6 +17,7 @@ from mirrorwave.replay.playback import MAX_SPEED, Playback
 from mirrorwave.replay.view_log import _Marks, overview_json, read_log
 from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.perception import BevFrame, BevGrid, SceneTruth, Track
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -24,6 +25,7 @@ from msgs.values.vehicle import VehicleState
 from nodes.viewer.driver_warnings import DriverWarning, Level
 from nodes.viewer.newest import SERIES, Board
 from nodes.viewer.server import Play, Seek, Step
+from tests.side_sensors import cloud, jpeg
 
 SCANS = 20
 PERIOD_NS = 300_000_000
@@ -94,6 +96,30 @@ def test_it_opens_at_the_first_scan(playback: Playback) -> None:
         "speed": 0.0, "loop": False, "loss": None,
     }  # fmt: skip
     assert told["view"]["scan_id"] == told["map"]["scan_id"] == 100
+
+
+def test_a_scan_shows_what_the_other_sensors_saw_at_its_time(tmp_path: Path) -> None:
+    """Clouds and images every 0.1 s; a view comes 0.5 s after its stamp. However a scan is reached, it is the same."""
+    path = tmp_path / "rig.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for at in range(40):
+            at_ns = START_NS + at * 100_000_000
+            writer.write("lidar/points", cloud(stamp_ns=at_ns), publisher="rig", sequence=at, sent_ns=at_ns)
+            image = CameraImage.of(jpeg(), at_ns)
+            writer.write("camera/image", image, publisher="rig", sequence=at, sent_ns=at_ns)
+            if at % 3 == 0:
+                grid, none = BevGrid(rows=2, columns=2), np.zeros((0, 2), np.float32)
+                view = BevFrame(
+                    stamp_ns=at_ns + 10, scan_id=at, grid=grid, visibility=np.zeros((2, 2), np.uint8), los_points_m=none
+                )
+                topic, late_ns = "perception/hidden_objects", 500_000_000
+                writer.write(topic, view, publisher="geometry", sequence=at, sent_ns=at_ns + late_ns)
+    with RecordingReader(path) as reader:
+        playback = Playback(reader, Board())
+        for index in (2, 8, 2, 3):
+            playback.show(index)
+            told = shown(playback)
+            assert told["lidar"]["stamp_s"] == told["image"]["stamp_s"] == told["view"]["stamp_s"]
 
 
 def test_a_clock_that_was_set_is_no_time_on_the_timeline(playback: Playback, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import re
 from pathlib import Path
 from typing import Literal
@@ -16,6 +17,9 @@ from msgs.files.text_files import without_mark
 from msgs.values.wording import counted
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
+#: What a directory of clouds may hold.
+RECORDED_SUFFIXES = (*SUFFIXES, ".bin")
+_COLUMNS = ("x", "y", "z", "intensity")
 MAX_POINTS = 20_000_000
 #: A file of as many points, each with a hundred bytes of numbers or words.
 MAX_CLOUD_BYTES = 1 << 31
@@ -23,11 +27,16 @@ MAX_CLOUD_BYTES = 1 << 31
 EXTENT_M = (2.0, 1000.0)
 #: A point nearer to its sensor is no return: scanners write a pulse without an echo as zeros.
 NO_RETURN_M = 0.01
-#: Bytes of a number in PLY, by both of its names.
-PLY_BYTES = {
-    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
-    "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
+#: Numbers in PLY, by both of their names, and in PCD.
+PLY_TYPES = {
+    "char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",
+    "uint16": "u2", "int": "i4", "uint": "u4", "int32": "i4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
 }  # fmt: skip
+PLY_BYTES = {name: np.dtype(kind).itemsize for name, kind in PLY_TYPES.items()}
+PCD_TYPES = {(kind, size): f"<{kind.lower()}{size}" for kind in "IUF" for size in "1248" if kind != "F" or size in "48"}
+#: Name of what fills a point of a PCD up.
+_FILLER = "_"
 #: Words that lines of a PLY header begin with.
 PLY_WORDS = {"ply", "format", "comment", "obj_info", "element", "property", "end_header"}
 #: open3d cuts lines of a PCD here.
@@ -60,6 +69,11 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         raise ValueError(f"{path}: at most {MAX_CLOUD_BYTES} bytes are read, got {path.stat().st_size}")
     with without_mark(path) as plain:
         points = _npy_points(path) if path.suffix.lower() == ".npy" else _open3d_points(plain)
+    return checked_points(path, points, unit)
+
+
+def checked_points(path: Path, points: np.ndarray, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, int]:
+    """Return points of a file as `read_cloud` does, with the same rules."""
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or points.dtype.kind not in "fiu":
         raise ValueError(
             f"{path}: points must be numbers of shape (N, 3) with N > 0, got {points.dtype} {points.shape}"
@@ -82,6 +96,112 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         )
     kept_m = points_m[(np.abs(points_m - np.median(points_m, axis=0)) <= EXTENT_M[1]).all(axis=1)]
     return kept_m, len(points) - len(kept_m)
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Return all fields of a cloud as the file has them, [points] each, x, y, z first.
+
+    NumPy arrays and `.bin` (as KITTI writes them: float32) have x, y, z and, with four columns, intensity. Raises
+    ValueError that names file, rule and value for what `read_cloud` refuses of its format.
+    """
+    suffix = path.suffix.lower()
+    if path.stat().st_size > MAX_CLOUD_BYTES:
+        raise ValueError(f"{path}: at most {MAX_CLOUD_BYTES} bytes are read, got {path.stat().st_size}")
+    if suffix in (".npy", ".bin"):
+        table = _npy_points(path) if suffix == ".npy" else _bin_points(path)
+        if table.ndim != 2 or not 3 <= table.shape[1] <= len(_COLUMNS) or table.dtype.kind != "f":
+            shapes = "(N, 3) or (N, 4)"
+            raise ValueError(f"{path}: points must be floats of shape {shapes}, got {table.dtype} {table.shape}")
+        return {name: table[:, at] for at, name in enumerate(_COLUMNS[: table.shape[1]])}
+    with without_mark(path) as plain:
+        try:
+            return _table_columns(plain)
+        except ValueError as error:
+            said = " ".join(str(error).replace(str(plain), str(path)).split())
+            raise ValueError(said if str(path) in said else f"{path}: cannot be read: {said}") from None
+
+
+def _table_columns(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a PLY or PCD, those of several values a point as NAME_0 and so on.
+
+    Of text without names (.xyz) and of compressed PCD only the positions are known.
+    """
+    _refuse_promises(path)
+    if path.suffix.lower() == ".xyz":
+        return dict(zip("xyz", _open3d_points(path).T, strict=True))
+    content = path.read_bytes()
+    rows, start = _header(path, content)
+    layout, count, form = _ply_layout(rows) if path.suffix.lower() == ".ply" else _pcd_layout(rows)
+    if count == 0:
+        raise ValueError(f"{path}: must hold a point, holds none")
+    if form == "binary_compressed":
+        return dict(zip("xyz", _open3d_points(path).T, strict=True))
+    if form == "ascii":
+        table = _text_table(content[start:], layout, count)
+    else:
+        table = np.frombuffer(content, layout, count, start)
+    columns: dict[str, np.ndarray] = {}
+    for name in layout.names or ():
+        values = table[name].reshape(count, -1)
+        if name.startswith("\0"):
+            continue
+        width = values.shape[1]
+        columns |= {name if width == 1 else f"{name}_{at}": values[:, at] for at in range(width)}
+    return columns
+
+
+def _text_table(text: bytes, layout: np.dtype, count: int) -> np.ndarray:
+    """Return points written as lines of numbers, in the layout of a header."""
+    names = layout.names or ()
+    widths = [math.prod(layout[name].shape) for name in names]
+    values = np.loadtxt(io.BytesIO(text), np.float64, max_rows=count, ndmin=2)
+    if values.shape != (count, sum(widths)):
+        raise ValueError(f"points must be {count} lines of {sum(widths)} numbers, got {values.shape}")
+    table = np.empty(count, layout)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for name, part in zip(names, np.split(values, np.cumsum(widths)[:-1], axis=1), strict=True):
+            table[name] = part.reshape(table[name].shape)
+    return table
+
+
+def _ply_layout(rows: list[list[str]]) -> tuple[np.dtype, int, str]:
+    """Return the layout of a PLY's vertices, their number, and ascii or binary; they must be its first element."""
+    form = next((row[1] for row in rows if row[0] == "format" and len(row) > 1), "")
+    order = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
+    elements = [row for row in rows if row[0] == "element"]
+    if order is None or not elements or elements[0][1] != "vertex":
+        raise ValueError("must be a PLY, ascii or binary, whose first element is vertex")
+    fields = []
+    for row in rows[rows.index(elements[0]) + 1 :]:
+        if row[0] == "element":
+            break
+        if row[0] == "property" and (len(row) != 3 or row[1] not in PLY_TYPES):
+            raise ValueError(f"properties of a vertex must be single numbers, got {' '.join(row)[:80]!r}")
+        if row[0] == "property":
+            fields.append((row[2], order + PLY_TYPES[row[1]]))
+    return np.dtype(fields), int(elements[0][2]), "ascii" if form == "ascii" else "binary"
+
+
+def _pcd_layout(rows: list[list[str]]) -> tuple[np.dtype, int, str]:
+    """Return the layout of a PCD's points, their number, and the form of its data."""
+    head = {row[0]: row[1:] for row in rows if len(row) > 1}
+    names, sizes, kinds = (head.get(name, []) for name in ("FIELDS", "SIZE", "TYPE"))
+    counts = head.get("COUNT", ["1"] * len(names))
+    if not len(names) == len(sizes) == len(kinds) == len(counts):
+        raise ValueError("FIELDS, SIZE, TYPE and COUNT must be of one length")
+    fields: list[tuple[str, str, tuple[int, ...]]] = []
+    for at, (name, size, kind, count) in enumerate(zip(names, sizes, kinds, counts, strict=True)):
+        if (kind, size) not in PCD_TYPES or int(count) < 1:
+            raise ValueError(f"field {name[:80]!r} must be of TYPE I, U or F with its SIZE, got {kind[:8]} {size[:8]}")
+        fields.append((f"\0{at}" if name == _FILLER else name, PCD_TYPES[kind, size], (int(count),)))
+    return np.dtype(fields), int(head["POINTS"][0]), head["DATA"][0]
+
+
+def _bin_points(path: Path) -> np.ndarray:
+    content = path.read_bytes()
+    if len(content) % 16:
+        raise ValueError(f"{path}: points must have 16 bytes each (x, y, z, intensity), got {len(content)} bytes")
+    return np.frombuffer(content, "<f4").reshape(-1, 4)
 
 
 def _require_tractable(path: Path, count: int) -> None:
@@ -125,11 +245,7 @@ def _refuse_promises(path: Path) -> None:
         _require_tractable(path, content.count(b"\n"))
         _require_numbers(path, _NO_POINT, content, 0)
         return
-    end = b"\nend_header" if kind == ".ply" else b"\nDATA"
-    start = content.find(b"\n", content.find(end) + 1) + 1
-    if end not in content or not start:
-        raise ValueError(f"{path}: header must end with {end.decode().strip()}, it does not")
-    rows = [line.split() for line in content[:start].decode("latin-1").splitlines() if line.split()]
+    rows, start = _header(path, content)
     if kind == ".ply":
         _refuse_odd_ply(path, rows)
     count, row_bytes, words = _ply_promise(rows) if kind == ".ply" else _pcd_promise(rows)
@@ -141,6 +257,15 @@ def _refuse_promises(path: Path) -> None:
         raise ValueError(f"{path}: header promises {counted(count, 'point')}, the file ends before: it is cut off")
     if kind == ".pcd" and not row_bytes:
         _require_numbers(path, _NO_NUMBERS, content, start)
+
+
+def _header(path: Path, content: bytes) -> tuple[list[list[str]], int]:
+    """Return the words of a header's lines, and where the points begin; ValueError where it has no end."""
+    end = b"\nend_header" if path.suffix.lower() == ".ply" else b"\nDATA"
+    start = content.find(b"\n", content.find(end) + 1) + 1
+    if end not in content or not start:
+        raise ValueError(f"{path}: header must end with {end.decode().strip()}, it does not")
+    return [line.split() for line in content[:start].decode("latin-1").splitlines() if line.split()], start
 
 
 def _require_numbers(path: Path, odd: re.Pattern[bytes], content: bytes, start: int) -> None:
