@@ -12,12 +12,11 @@ from nodes.node import Node
 
 
 class Distances(Checked, frozen=True, kw_only=True):
-    """Distance of each hidden object from the radar."""
+    """Distances of the hidden objects from the radar, the nearest first."""
 
     label = "distances"
     stamp_ns: int
     distances_m: Annotated[np.ndarray, Array("<f4", (None,), 0.0, 1e6)]
-    #: None where nothing is hidden.
     nearest_m: float | None = None
 
 
@@ -45,8 +44,8 @@ class MyDistances(Node):
         return [Outgoing("my/distances", self._distances(received.message)) for received in inputs]
 
     def _distances(self, view):
-        all_m = np.array([np.hypot(hidden.x_m, hidden.y_m) for hidden in view.objects], np.float32)
-        near_m = np.sort(all_m[all_m <= self._params.max_distance_m])
+        all_m = np.sort(np.array([np.hypot(hidden.x_m, hidden.y_m) for hidden in view.objects], np.float32))
+        near_m = all_m[all_m <= self._params.max_distance_m]
         nearest_m = float(near_m[0]) if near_m.size else None
         return Distances(stamp_ns=view.stamp_ns, distances_m=near_m, nearest_m=nearest_m)
 

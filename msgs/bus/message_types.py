@@ -16,7 +16,7 @@ _WITHOUT_FORM = (inspect.CustomType, inspect.RawType, inspect.ExtType)
 def refusal_of(kind: Any) -> str:
     """Return why a type cannot be that of a topic, in one line that begins with the rule; empty if it can."""
     if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
-        return f"type must be a msgspec Struct, got {getattr(kind, '__name__', repr(kind))}"
+        return f"type must be a msgspec Struct, got {getattr(kind, '__name__', type(kind).__name__)}"
     if kind.__struct_config__.array_like:
         return f"type must name its fields on the wire, but {kind.__name__} is array_like"
     if not kind.__struct_fields__:

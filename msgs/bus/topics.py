@@ -34,8 +34,8 @@ MIB = 1 << 20
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
 _MAX_NAME = 48
 #: What a message in a recording may have; and what a queue of ZeroMQ can count.
-_LEAST_BYTES, _MOST_BYTES, _MOST_HISTORY_BYTES = 1024, 1 << 28, 1 << 30
-_MOST_HZ = 1e6
+_MIN_BYTES, _MAX_BYTES, _MAX_HISTORY_BYTES = 1024, 1 << 28, 1 << 30
+_MAX_HZ = 1e6
 _SHIPPED_BY = "mirrorwave"
 
 
@@ -303,15 +303,18 @@ def require_topic_name(name: object, origin: str) -> None:
 def require_facts(facts: Facts, where: str) -> None:
     """Raise `ValueError` naming the fact that is out of its range."""
     rate_hz = facts.rate_hz
-    if not (isinstance(rate_hz, int | float) and math.isfinite(rate_hz) and 0.0 <= rate_hz <= _MOST_HZ):
-        raise ValueError(f"{where}: rate_hz must be 0..{_MOST_HZ:g}, got {rate_hz!r}")
-    least = _LEAST_BYTES
-    for name, most in (("max_bytes", _MOST_BYTES), ("history_bytes", _MOST_HISTORY_BYTES)):
+    if not (isinstance(rate_hz, int | float) and math.isfinite(rate_hz) and 0.0 <= rate_hz <= _MAX_HZ):
+        raise ValueError(f"{where}: rate_hz must be 0..{_MAX_HZ:g}, got {rate_hz!r}")
+    lowest = _MIN_BYTES
+    for name, highest in (("max_bytes", _MAX_BYTES), ("history_bytes", _MAX_HISTORY_BYTES)):
         value = getattr(facts, name)
-        if not (isinstance(value, int) and least <= value <= most):
-            raise ValueError(f"{where}: {name} must be {least}..{most}, got {value!r}")
+        if not (isinstance(value, int) and lowest <= value <= highest):
+            raise ValueError(f"{where}: {name} must be {lowest}..{highest}, got {value!r}")
         # a queue holds one message at least
-        least = value
+        lowest = value
+    for name in ("latched", "newest_only", "shared"):
+        if not isinstance(getattr(facts, name), bool):
+            raise ValueError(f"{where}: {name} must be true or false, got {getattr(facts, name)!r}")
 
 
 def _difference(topic: Topic, known: _Declared) -> str:
@@ -328,8 +331,8 @@ def _topics_of(plugin: Plugin) -> tuple[Topic, ...]:
     """Return the topics that a package's module declares; `ValueError` for a module that has none."""
     module = plugin.load("TOPICS")
     topics = module.TOPICS
-    if not (isinstance(topics, tuple | list) and topics and all(isinstance(topic, Topic) for topic in topics)):
-        raise ValueError(f"{plugin}: TOPICS of {module.__name__} must be a tuple of Topic, got {topics!r:.80}")
+    if not (isinstance(topics, tuple | list) and all(isinstance(topic, Topic) for topic in topics)):
+        raise ValueError(f"{plugin}: TOPICS of {module.__name__} must be a tuple of Topic, got {type(topics).__name__}")
     return tuple(topics)
 
 

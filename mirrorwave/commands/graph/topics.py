@@ -75,7 +75,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
         "name": topic,
         **{name: getattr(facts, name) for name in Facts.__struct_fields__},
         "type": facts.type.__name__,
-        "fields": {field.name: field.annotation for field in fields_of(facts.type)},
+        "fields": {field.name: field.annotation.replace("\\|", "|") for field in fields_of(facts.type)},
         **ends_of(topic, window, domain),
     }
     if as_json:
