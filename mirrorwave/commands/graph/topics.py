@@ -19,7 +19,7 @@ from mirrorwave.reference import fields_of
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.codec import to_builtins
 from msgs.bus.interface import Received
-from msgs.bus.topics import TOPICS, Facts, topic_facts
+from msgs.bus.topics import TOPICS, topic_facts
 from msgs.values.diagnostics import NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
@@ -44,6 +44,7 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
     from mirrorwave.diagnose.foreign_topic import foreign_publishers
     from msgs.bus.zmq import list_publishers, run_dir
 
+    # first: it makes the topics of a running graph known
     published = list_publishers(run_dir(domain))
     publishers: dict[str, list[str]] = {name: [] for name in TOPICS}
     for topic, node in published:
@@ -72,9 +73,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
     know_topics(domain)
     facts = topic_facts(topic)
     about = {
-        "name": topic,
-        **{name: getattr(facts, name) for name in Facts.__struct_fields__},
-        "type": facts.type.__name__,
+        **({"name": topic} | msgspec.structs.asdict(facts) | {"type": facts.type.__name__}),
         "fields": {field.name: field.annotation.replace("\\|", "|") for field in fields_of(facts.type)},
         **ends_of(topic, window, domain),
     }
