@@ -51,7 +51,7 @@ def plugin_findings() -> list[Finding]:
     findings = [_finding("node", Plugin(row["module"], "", row["package"]), row["error"]) for row in plugged_types()]
     effects = plugins(EFFECTS)
     findings += [_finding("effect", refusal.plugin, str(refusal)) for refusal in effects.refused]
-    findings += [Finding(f"topic {name}", Status.OK, f"of {TOPICS.origin(name)}") for name in TOPICS.own()]
+    findings += [Finding(f"topic {name} of {TOPICS.origin(name)}", Status.OK, "can be used") for name in TOPICS.own()]
     findings += [Finding(f"topic {name}", Status.FAILED, line) for name, line in TOPICS.refused.items()]
     return findings + [_effect_finding(plugin) for plugin in effects.usable.values()]
 
