@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.topics import TOPICS
 from msgs.files.whole_files import free_bytes
 from msgs.recording.mcap import Encoded, Losses, RecordingWriter, TopicLoss
 from msgs.values.diagnostics import NodeState
@@ -55,8 +54,6 @@ class Recorder(Node):
     def __init__(self, params: Params, *, ends_when_refused: bool = False) -> None:
         super().__init__()
         self.inputs = params.selected_topics()
-        for line in TOPICS.refused.values():
-            _LOG.warning("not recorded: %s", line)
         self.paths: list[Path] = []
         #: Messages written, repeated ones included, and messages that came and could not be.
         self.messages = self.missed = 0

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mirrorwave.cli import main
 from mirrorwave.control import launch_params
 from msgs.bus.codec import encode_inline
 from msgs.bus.declared import NAME, expect_declared, write_declared
@@ -223,12 +224,19 @@ def require_good(topics: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> 
         raise ValueError(reason)
 
 
-def test_two_packages_that_disagree_lose_the_topic_both(package: Any) -> None:
+def test_two_packages_that_disagree_lose_the_topic_both(
+    package: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     package("doors", HEAD + "TOPICS = (Topic(name='my/door', type=Door), Topic(name='my/gate', type=Gate))")
     package("zoo", HEAD + "TOPICS = (Topic(name='my/door', type=Gate),)")
     assert list(TOPICS.own()) == ["my/gate"]
     with pytest.raises(ValueError, match=r"zoo of zoo .*zoo_topics.Gate here and doors_topics.Door by doors of doors"):
         topic_facts("my/door")
+    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(tmp_path / "run"))
+    assert main(["topic", "list", "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)[-1]["topic"] == "my/gate"
+    assert said.err == f"left out: {TOPICS.refused['my/door']}\n"
 
 
 @pytest.mark.parametrize(
