@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 import msgspec
 
 from msgs.bus.interface import Envelope
-from msgs.bus.topics import MIB, TOPICS, Topic
+from msgs.bus.topics import MIB, SHIPPED, TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
 from msgs.values.arrays import Checked, limits_of
 
@@ -75,8 +75,9 @@ def pages() -> dict[str, str]:
 
 def messages_page() -> str:
     """All topics and all types that travel on them."""
-    types = _closure([Envelope, *(topic.type for topic in TOPICS.values())])
-    topics = [_topic_row(topic) for topic in TOPICS.values()]
+    shipped = [TOPICS[name] for name in SHIPPED]
+    types = _closure([Envelope, *(topic.type for topic in shipped)])
+    topics = [_topic_row(topic) for topic in shipped]
     parts = [
         _MESSAGES_HEAD,
         "## Topics\n",
@@ -149,7 +150,9 @@ def _node_section(module_name: str) -> str:
 
 def fields_of(kind: type) -> list[Field]:
     """Fields of a Struct in the order of its definition, those of its bases first."""
-    comments = {name: text for base in reversed(kind.__mro__) for name, text in _source_fields(base)}
+    # of a type without source, as one that a program makes, its fields alone are known
+    comments = {field.name: (_type_text(field.type), "") for field in msgspec.structs.fields(kind)}
+    comments |= {name: text for base in reversed(kind.__mro__) for name, text in _source_fields(base)}
     if issubclass(kind, Checked):
         plain, ruled = get_type_hints(kind), get_type_hints(kind, include_extras=True)
         comments = {

@@ -35,7 +35,7 @@ import msgspec
 import psutil
 
 from msgs.bus.interface import Bus, Forwarded, GraphBus, Outgoing, Received, WaitingBus
-from msgs.bus.topics import topic_facts
+from msgs.bus.topics import TOPICS, topic_facts
 from msgs.files.open_files import open_files_line, require_open_files
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
@@ -220,8 +220,19 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
         node = module.create(checked)
     if not isinstance(node, Node):
         raise ValueError(f"{name}.module: create(params) of {module.__name__} must return a Node, got {node!r}")
+    _require_known(node, name)
     node.made_with = checked
     return node
+
+
+def _require_known(node: Node, name: str) -> None:
+    """Raise `ValueError` naming the node for a topic that it reads or publishes and that nobody declares."""
+    for side in ("inputs", "outputs"):
+        for topic in getattr(node, side):
+            try:
+                topic_facts(topic)
+            except ValueError as error:
+                raise ValueError(f"{name}.{side}: {error}") from None
 
 
 def node_module(module_name: str, name: str) -> ModuleType:
@@ -549,7 +560,7 @@ def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, he
         return EXIT_FAILED
     start_ns = time.perf_counter_ns()
     # now, so that subscribers find them while the node is made
-    early = _outputs_of(module)
+    early = tuple(topic for topic in _outputs_of(module) if topic in TOPICS)
     for topic in early:
         bus.advertise(topic)
     open_since_s = time.monotonic()

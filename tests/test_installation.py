@@ -32,6 +32,7 @@ OPTIONAL = {
     "onnx",
     "open3d",
     "osmium",
+    "pytest",
     "ray",
     "rosbags",
     "shapely",

@@ -25,12 +25,13 @@ def message_of(topic: str, values: Mapping[str, Any], now_ns: int) -> msgspec.St
     the form of `topic echo --json --full`. Raises `ValueError` naming topic, field and rule.
     """
     kind: Any = topic_facts(topic).type
-    names = set(kind.__struct_fields__)
+    fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
+    names = fields.keys()
     if unknown := sorted(values.keys() - names):
         near = did_you_mean(unknown[0], names)
         raise ValueError(f"{topic}: unknown field {unknown[0]!r}; known are {', '.join(sorted(names))}{near}")
     body = {"stamp_ns": now_ns, **values} if "stamp_ns" in names else dict(values)
-    arrays = {field.name for field in msgspec.structs.fields(kind) if "ndarray" in str(field.type)}
+    arrays = {name for name, field in fields.items() if "ndarray" in str(field.type)}
     body = {name: _array_of(f"{topic}: {name}", value) if name in arrays else value for name, value in body.items()}
     encoded = msgspec.msgpack.encode({name: _encoded(f"{topic}: {name}", value) for name, value in body.items()})
     try:

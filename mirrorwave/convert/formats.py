@@ -89,9 +89,9 @@ def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> C
 
     summary = reader.info()
     held = {topic.topic: topic.messages for topic in summary.topics}
-    topics = tuple(topic for topic in module.TOPICS if topic in held)
+    topics = tuple(topic for topic in module.topics() if topic in held)
     if not topics:
-        takes, holds = ", ".join(module.TOPICS), ", ".join(held) or "no message"
+        takes, holds = ", ".join(module.topics()), ", ".join(held) or "no message"
         raise ValueError(f"{reader.path}: holds nothing for {target.value}, which takes {takes}; it holds {holds}")
     account = Account()
     if target in (Format.SIGMF, Format.NUMPY):

@@ -10,13 +10,17 @@ import msgspec
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
+from msgs.bus.topics import TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
 from nodes.bridges import foxglove_messages
 from nodes.bridges.foxglove_messages import Draft, FoxgloveStream
-from nodes.bridges.foxglove_schemas import CHANNELS, SCHEMAS
+from nodes.bridges.foxglove_schemas import channels
 from nodes.bridges.shapes import Account, counted
 
-TOPICS = foxglove_messages.TOPICS
+
+def topics() -> tuple[str, ...]:
+    """Return the topics that have a place in this format."""
+    return (*foxglove_messages.TOPICS, *TOPICS.own())
 
 
 def write(
@@ -26,7 +30,7 @@ def write(
     with out.open("xb") as file:
         sink, stream = _Sink(file), FoxgloveStream()
         for recorded in counted(reader, topics, account, advance):
-            drafts = stream.drafts(recorded.message, recorded.log_time_ns)
+            drafts = stream.drafts_of(recorded.topic, recorded.message, recorded.log_time_ns)
             if not drafts:
                 account.leave_out(recorded.topic, "says only how long a scan lasts")
             for draft in drafts:
@@ -40,8 +44,9 @@ class _Sink:
     def __init__(self, file: Any) -> None:
         self._writer = Writer(file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="mirrorwave")
+        self._offered = channels()
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[bytes, int] = {}
 
     def put(self, draft: Draft, recorded: Recorded) -> None:
         """Write one message, at the time of the recorded one."""
@@ -59,12 +64,12 @@ class _Sink:
 
     def _channel(self, topic: str) -> int:
         if topic not in self._channels:
-            schema = self._schema(CHANNELS[topic])
+            schema = self._schema(self._offered[topic])
             self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.JSON, schema)
         return self._channels[topic]
 
-    def _schema(self, name: str) -> int:
-        if name not in self._schemas:
-            text = msgspec.json.encode(SCHEMAS[name])
-            self._schemas[name] = self._writer.register_schema(name, SchemaEncoding.JSONSchema, text)
-        return self._schemas[name]
+    def _schema(self, schema: dict[str, Any]) -> int:
+        text = msgspec.json.encode(schema)
+        if text not in self._schemas:
+            self._schemas[text] = self._writer.register_schema(schema["title"], SchemaEncoding.JSONSchema, text)
+        return self._schemas[text]

@@ -18,14 +18,18 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from msgs.bus.topics import TOPICS as FACTS
+from msgs.bus.topics import TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.wording import as_utf8
 from nodes.bridges.shapes import Account, counted
 
-TOPICS = tuple(FACTS)
 INDEX_NAME = "index.json"
 INDEX_VERSION = 1
+
+
+def topics() -> tuple[str, ...]:
+    """Return the topics that have a place in this format."""
+    return tuple(TOPICS)
 
 
 def write(
@@ -33,7 +37,7 @@ def write(
 ) -> None:
     """Write `out`/TOPIC.npz for each topic, "/" as "_", and `out`/index.json; holds one message at a time."""
     out.mkdir()
-    archives = {topic: _Archive(out / f"{topic.replace('/', '_')}.npz", FACTS[topic].type) for topic in topics}
+    archives = {topic: _Archive(out / f"{topic.replace('/', '_')}.npz", TOPICS[topic].type) for topic in topics}
     try:
         for recorded in counted(reader, topics, account, advance):
             archives[recorded.topic].add(recorded)
@@ -50,7 +54,12 @@ def write(
         "metadata": reader.metadata,
         "topics": entries,
     }
-    (out / INDEX_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(index), indent=1) + b"\n")
+    (out / INDEX_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(index, enc_hook=_inside), indent=1) + b"\n")
+
+
+def _inside(array: np.ndarray) -> dict[str, Any]:
+    """Return an array inside a structure, which has no member of its own."""
+    return {"dtype": array.dtype.str, "shape": array.shape, "data": array.tobytes()}
 
 
 class _Archive:

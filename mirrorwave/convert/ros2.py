@@ -23,6 +23,11 @@ TOPICS = ("perception/hidden_objects", "vehicle/state", "radar/ra_map", "diagnos
 BAG_VERSION: Literal[9] = 9
 
 
+def topics() -> tuple[str, ...]:
+    """Return the topics that have a place in this format."""
+    return TOPICS
+
+
 def require_library() -> None:
     """Raise `ImportError` that names the package where rosbags is not installed."""
     try:

@@ -13,6 +13,11 @@ from nodes.bridges.shapes import Account, counted
 TOPICS = ("radar/setup", "radar/beam")
 
 
+def topics() -> tuple[str, ...]:
+    """Return the topics that have a place in this format."""
+    return TOPICS
+
+
 def write(
     reader: RecordingReader, out: Path, topics: tuple[str, ...], account: Account, advance: Callable[[], None]
 ) -> None:

@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import msgspec
 from mirrorwave.commands.graph.nodes import Heartbeats, node_row, shed_text, topic_rows
 from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
 from mirrorwave.diagnose.findings import Finding, Status
+from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SHIPPED, TOPICS
 from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SIDE_TOPICS, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.lidar import LidarSetup
@@ -35,6 +36,8 @@ _SLOW = 0.7
 _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
 _OPTIONAL_TOPICS = frozenset({"environment/walls", *SIDE_TOPICS})
+#: Modules of nodes that read every topic.
+_TAKES_ALL = frozenset({"nodes.recorder", "nodes.bridges.foxglove"})
 _LOG_BYTES = 1 << 18
 _ROOM_WARNING_BYTES, _ROOM_FAILED_BYTES = 5 * _GIB, 200 * _MIB
 _LOST = ("lost", "rejected")
@@ -210,12 +213,18 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
         if topic in ABOUT_NODES or not (readers or publishers) or _is_spare_sensor(graph, topic):
             continue
         spare = Status.WARNING if topic in _SPARE_TOPICS else Status.FAILED
-        if not publishers and topic in _OPTIONAL_TOPICS:
+        is_own = topic not in SHIPPED
+        if not publishers and (topic in _OPTIONAL_TOPICS or (is_own and not _is_needed(graph, readers))):
             continue
         if not publishers:
             yield Finding(f"topic {topic}", spare, f"no publisher; {', '.join(readers)} reads it")
         elif facts.rate_hz:
             yield _check_rate(graph, topic, facts.rate_hz, spare)
+
+
+def _is_needed(graph: _Graph, readers: Collection[str]) -> bool:
+    """Return whether some reader works with a topic; a recorder and a bridge take whatever there is."""
+    return any(graph.entries.get(name, {}).get("module") not in _TAKES_ALL for name in readers)
 
 
 def _is_spare_sensor(graph: _Graph, topic: str) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 import zmq
 
 from msgs.bus.codec import MAX_HEADER_BYTES, Buffer
+from msgs.bus.declared import expect_declared
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.topics import MIB, TOPICS
 from msgs.bus.zmq import InterruptibleContext
@@ -53,6 +54,7 @@ class _ArrayHead(msgspec.Struct):
 
 def foreign_publishers(run_dir: Path) -> dict[str, list[str]]:
     """Nodes by topic, of the socket files whose topic the table does not have; a topic is named as its file is."""
+    expect_declared(run_dir)
     ours = {topic.replace("/", ".") for topic in TOPICS}
     publishers: dict[str, list[str]] = {}
     for path in sorted(run_dir.iterdir()) if run_dir.is_dir() else []:

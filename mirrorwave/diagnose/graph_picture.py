@@ -100,9 +100,10 @@ def running_picture(domain: str, window_s: float, health: bool = False) -> Graph
 
 def launch_picture(path: Path, health: bool = False) -> GraphPicture:
     """The graph of a launch file as its nodes' classes declare it; ValueError as from `launch`."""
-    from nodes.process.launch_file import read_launch_file
+    from nodes.process.launch_file import expect_topics, read_launch_file
 
     launch: LaunchFile = read_launch_file(path)
+    expect_topics(launch, str(path))
     nodes = []
     for name, entry in launch.nodes.items():
         inputs, outputs = _declared(name, entry)

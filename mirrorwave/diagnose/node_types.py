@@ -10,6 +10,7 @@ import msgspec
 
 from mirrorwave.diagnose.findings import Finding, Status
 from mirrorwave.reference import fields_of, node_modules
+from msgs.bus.topics import TOPICS
 from msgs.files.plugins import EFFECTS, NODES, Plugin, plugins
 from nodes.node import Node, node_module
 
@@ -46,10 +47,12 @@ def node_classes(module: ModuleType) -> list[Any]:
 
 
 def plugin_findings() -> list[Finding]:
-    """Return whether each node and effect of other packages can be used, for the doctor; none if there is none."""
+    """Return whether each node, effect and topic of others can be used, for the doctor; none if there is none."""
     findings = [_finding("node", Plugin(row["module"], "", row["package"]), row["error"]) for row in plugged_types()]
     effects = plugins(EFFECTS)
     findings += [_finding("effect", refusal.plugin, str(refusal)) for refusal in effects.refused]
+    findings += [Finding(f"topic {name} of {TOPICS.origin(name)}", Status.OK, "can be used") for name in TOPICS.own()]
+    findings += [Finding(f"topic {name}", Status.FAILED, line) for name, line in TOPICS.refused.items()]
     return findings + [_effect_finding(plugin) for plugin in effects.usable.values()]
 
 

@@ -34,6 +34,14 @@ def require_graph(domain: str) -> None:
         time.sleep(_LOOK_S)
 
 
+def know_topics(domain: str) -> None:
+    """Make the topics known that the graph of a domain declares beside those of all graphs."""
+    from msgs.bus.declared import expect_declared
+    from msgs.bus.zmq import run_dir
+
+    expect_declared(run_dir(domain))
+
+
 def launch_of_graph(run_dir: Path) -> LaunchFile | None:
     """Return the launch file of the graph that runs in a directory, as it was resolved; None where none is read."""
     from nodes.process.launch_file import read_launch_file

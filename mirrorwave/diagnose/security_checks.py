@@ -54,10 +54,12 @@ class Risk(NamedTuple):
 def all_findings(launch_file: Path | None, domain: str) -> list[Risk]:
     """Every check in a fixed order; ValueError or OSError where launch file or domain are none."""
     from msgs.bus.zmq import run_dir
-    from nodes.process.launch_file import read_launch_file
+    from nodes.process.launch_file import expect_topics, read_launch_file
 
     meeting_place = run_dir(domain)
     launch = None if launch_file is None else read_launch_file(launch_file)
+    if launch is not None:
+        expect_topics(launch, str(launch_file))
     findings = [*check_user(os.geteuid()), *check_zeromq(), *check_run_dir(meeting_place), *check_keys(KEYS)]
     findings += check_files(Path.cwd())
     for name, entry in launch.nodes.items() if launch is not None else ():

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from msgs.bus.interface import Envelope, Received
-from msgs.bus.topics import TOPICS, Topic, topic_facts
+from msgs.bus.topics import TOPIC_NAME, TOPICS, Topic, topic_facts
 from msgs.values.arrays import DTYPES, MAX_NDIM
 from msgs.values.wording import as_utf8
 
@@ -29,11 +29,17 @@ MAX_HEADER_BYTES = 1 << 20
 #: An inline message has all its arrays inside. No message of this project comes near the limit.
 MAX_INLINE_BYTES = 1 << 28
 _MAX_REASON = 300
+#: Values of an array that are given one by one.
+MAX_VALUES = 1024
 #: A hundred thousand years of beams.
 _MAX_SEQUENCE = 1 << 48
 #: Exceptions that building a value from hostile input may raise; all of them become a `CodecError`. Nesting deeper than
 #: the interpreter allows ends in RecursionError.
-_TROUBLE = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+_TROUBLE = (
+    *(msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError),
+    # of a check in a type of somebody else
+    *(LookupError, AttributeError),
+)
 
 
 class CodecError(ValueError):
@@ -147,14 +153,15 @@ def json_schema(message_type: type[msgspec.Struct]) -> dict[str, Any]:
     return msgspec.json.schema(message_type, schema_hook=_array_schema)
 
 
-def to_builtins(message: msgspec.Struct, arrays: Literal["summary", "full"] = "summary") -> dict[str, Any]:
+def to_builtins(message: msgspec.Struct, arrays: Literal["summary", "numbers", "full"] = "summary") -> dict[str, Any]:
     """Return plain values that any JSON writer takes: non-finite numbers become None.
 
-    "summary" gives each array's dtype, shape and finite min, max and mean (of the magnitude where complex); "full" is
-    the inline form with base64 data, which `json_schema` describes.
+    "summary" gives each array's dtype, shape and finite min, max and mean (of the magnitude where complex); "numbers"
+    its values too, flat, where they are few, real and finite; "full" is the inline form with base64 data, which
+    `json_schema` describes.
     """
-    form = _array_summary if arrays == "summary" else _inline_array
-    return _finite_or_none(msgspec.to_builtins(message, enc_hook=_encoder_hook(form)))
+    forms = {"summary": _array_summary, "numbers": _array_numbers, "full": _inline_array}
+    return _finite_or_none(msgspec.to_builtins(message, enc_hook=_encoder_hook(forms[arrays])))
 
 
 def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Received:
@@ -235,7 +242,7 @@ def _topic_of(envelope: Envelope) -> Topic:
 
 def _topic_of_frame(frame: bytes) -> Topic:
     name = frame[:-1].decode("ascii", "replace")
-    if not frame.endswith(b"\0") or name not in TOPICS:
+    if not frame.endswith(b"\0") or not TOPIC_NAME.fullmatch(name) or name not in TOPICS:
         raise CodecError(f"first frame must be a known topic and a zero byte, got {frame!r}")
     return TOPICS[name]
 
@@ -348,6 +355,15 @@ def _array_summary(array: np.ndarray) -> dict[str, Any]:
             mean = finite.mean(dtype=np.float64)
             summary |= {"min": finite.min().item(), "max": finite.max().item(), "mean": mean.item()}
     return summary
+
+
+def _array_numbers(array: np.ndarray) -> dict[str, Any]:
+    """Return the summary with the values; flags are numbers, as viewers plot them."""
+    plain = array.astype(np.uint8) if array.dtype.kind == "b" else array
+    summary = _array_summary(plain) | {"dtype": array.dtype.str}
+    if array.size > MAX_VALUES or plain.dtype.kind not in "iuf" or not np.isfinite(plain).all():
+        return summary
+    return summary | {"values": plain.ravel().tolist()}
 
 
 def _finite_or_none(value: Any) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from msgs.bus.codec import Buffer
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.sequencing import Tally
-from msgs.bus.topics import TOPICS, Topic, topic_facts
+from msgs.bus.topics import Topic, topic_facts
 from msgs.values.arrays import require_finite
 from msgs.values.diagnostics import TopicCount
 
@@ -206,5 +206,5 @@ class LocalBus:
         """Leave the network; waiting messages are discarded."""
         for topic, queue in self._queues.items():
             self._network._leave(topic, queue)
-        self._network._publishers -= {(topic, self._node) for topic in TOPICS}
+        self._network._publishers = {key for key in self._network._publishers if key[1] != self._node}
         self._queues.clear()

@@ -14,6 +14,7 @@ import re
 import socket
 import stat
 import time
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,11 @@ import msgspec
 import zmq
 
 from msgs.bus.codec import Buffer, decode, topic_frame
+from msgs.bus.declared import expect_declared
 from msgs.bus.exchange import Exchange, Mailbox, Parcel
 from msgs.bus.interface import Forwarded, Received
 from msgs.bus.sequencing import MAX_LATCHED, Tally, latch, total_size
-from msgs.bus.topics import MIB, TOPICS, Topic, topic_facts
+from msgs.bus.topics import MIB, SHIPPED, TOPICS, Topic, topic_facts
 from msgs.values.diagnostics import TopicCount
 from msgs.values.units import NANOSECONDS_PER_SECOND
 
@@ -78,9 +80,10 @@ class ZmqBus:
             raise ValueError(f"node name must be 1..64 letters, digits, '_', '-' or '.', got {node!r}")
         self._node = node
         self._dir = Path(run_dir)
-        for topic in TOPICS:
+        for topic in SHIPPED:
             _require_path_fits(socket_path(self._dir, topic, node))
         make_run_dir(self._dir)
+        expect_declared(self._dir)
         self._context = InterruptibleContext()
         self._paced, self._counted = paced, paced or counted
         self._tally = Tally(node, paced, keeps_all=counted)
@@ -193,7 +196,7 @@ class ZmqBus:
                 return _is_alive(socket_path(self._dir, topic, publisher))
             # a link has the topic open under its own name, under which nothing is sent
             own_names = self._tally.publishers(topic)
-            published = [node for name, node in _published_names(self._dir) if name == topic and node not in own_names]
+            published = [node for _, node in _published_names(self._dir, {topic}) if node not in own_names]
             return any(_is_alive(socket_path(self._dir, topic, node)) for node in published)
         except OSError as error:
             if error.errno not in (errno.EMFILE, errno.ENFILE):
@@ -241,6 +244,7 @@ class ZmqBus:
 
     def _bind(self, topic: Topic, origins: int) -> zmq.Socket[bytes]:
         path = socket_path(self._dir, topic.name, self._node)
+        _require_path_fits(path)
         if path.exists():
             if _is_alive(path):
                 raise ValueError(f"{path}: node {self._node!r} publishes {topic.name} already; names must differ")
@@ -345,7 +349,7 @@ class ZmqBus:
     def _search(self) -> None:
         """Connect to the publishers that appeared since the last search."""
         try:
-            published = _published_names(self._dir)
+            published = _published_names(self._dir, self._subscribers)
         except OSError as error:
             # a flood of connections may have taken all descriptors of the process for a while
             if error.errno not in (errno.EMFILE, errno.ENFILE):
@@ -355,7 +359,7 @@ class ZmqBus:
         sought = {topic for topic in self._subscribers if not self._lives[topic]}
         for topic, node in published:
             sought.discard(topic)
-            if node not in within and topic in self._subscribers and node not in self._lives[topic]:
+            if node not in within and node not in self._lives[topic]:
                 self._subscribers[topic].connect(f"ipc://{socket_path(self._dir, topic, node)}")
                 self._lives[topic][node] = _life(socket_path(self._dir, topic, node))
         interval_ns = _SEARCH_INTERVAL_NS if sought else _RESCAN_INTERVAL_NS
@@ -403,22 +407,24 @@ def socket_path(run_dir: Path, topic: str, node: str) -> Path:
 
 def list_publishers(run_dir: Path) -> list[tuple[str, str]]:
     """Return (topic, node) of every running publisher, sorted; empty if the directory is missing."""
+    expect_declared(Path(run_dir))
     return [
         (topic, node)
-        for topic, node in _published_names(Path(run_dir))
+        for topic, node in _published_names(Path(run_dir), TOPICS)
         if _is_alive(socket_path(Path(run_dir), topic, node))
     ]
 
 
-def _published_names(run_dir: Path) -> list[tuple[str, str]]:
-    """Return (topic, node) of every socket file that follows the naming rule, sorted; their owners may have ended."""
-    by_file_name = {topic.replace("/", "."): topic for topic in TOPICS}
+def _published_names(run_dir: Path, topics: Container[str]) -> list[tuple[str, str]]:
+    """Return (topic, node) of every socket file of these topics, sorted; their owners may have ended."""
     names = []
     for entry in sorted(os.listdir(run_dir)) if run_dir.is_dir() else []:
-        stem, _, node = entry.partition("@")
+        stem, at, node = entry.partition("@")
+        # no topic has a dot
+        topic = stem.replace(".", "/")
         path_fits = len(os.fsencode(run_dir / entry)) <= _MAX_PATH_BYTES
-        if stem in by_file_name and _NODE_NAME.fullmatch(node) and path_fits:
-            names.append((by_file_name[stem], node))
+        if at and path_fits and _NODE_NAME.fullmatch(node) and topic in topics:
+            names.append((topic, node))
     return names
 
 

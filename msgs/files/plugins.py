@@ -1,7 +1,7 @@
 """Parts that other installed packages bring: entry points of their distributions, each naming a module.
 
-A package declares them in its `pyproject.toml`, name = module, under `[project.entry-points."mirrorwave.nodes"]` or
-`"mirrorwave.effects"`. Nothing of a package is imported before `load`.
+A package declares them in its `pyproject.toml`, name = module, under `[project.entry-points."mirrorwave.nodes"]`,
+`"mirrorwave.effects"` or `"mirrorwave.topics"`. Nothing of a package is imported before `load`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import traceback
 from types import ModuleType
 from typing import NamedTuple
 
-NODES, EFFECTS = "mirrorwave.nodes", "mirrorwave.effects"
+NODES, EFFECTS, TOPICS = "mirrorwave.nodes", "mirrorwave.effects", "mirrorwave.topics"
 MODULE_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 PLUGIN_NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from msgs.bus.interface import Outgoing, Received
+from msgs.bus.topics import TOPICS as ALL_TOPICS
 from msgs.values.diagnostics import NodeState
 from nodes.bridges.foxglove_messages import TOPICS, FoxgloveStream
 from nodes.bridges.foxglove_server import FoxgloveServer
@@ -48,14 +49,15 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class FoxgloveBridge(Node):
-    """Sends `TOPICS` to the clients that subscribe to what they become."""
+    """Sends `TOPICS`, and those of other people, to the clients that subscribe to what they become."""
 
-    inputs = TOPICS
+    inputs: tuple[str, ...] = TOPICS
     #: On busy cores it gets a tenth of the time of another process.
     nice = 10
 
     def __init__(self, params: Params) -> None:
         super().__init__()
+        self.inputs = (*TOPICS, *ALL_TOPICS.own())
         self._stream = FoxgloveStream()
         self.server = FoxgloveServer(
             title=params.title,
@@ -70,7 +72,7 @@ class FoxgloveBridge(Node):
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Send what the received messages become."""
         for received in inputs:
-            for draft in self._stream.drafts(received.message, now_ns):
+            for draft in self._stream.drafts_of(received.topic, received.message, now_ns):
                 if draft.topic in self.server.wanted:
                     with self.stages("encode"):
                         payload = msgspec.json.encode(draft.build())

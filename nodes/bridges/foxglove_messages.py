@@ -12,8 +12,11 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
+from msgs.bus.codec import to_builtins
+from msgs.bus.topics import SHIPPED
 from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import LogRecord, NodeStatus, StageTime
 from msgs.values.frames import Pose2, xy_from_polar
@@ -21,7 +24,7 @@ from msgs.values.lidar import LidarPoints, LidarSetup
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Peaks, SceneTruth, Track, TruthObject
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
-from nodes.bridges.foxglove_schemas import PRIMITIVES
+from nodes.bridges.foxglove_schemas import PRIMITIVES, own_channel
 from nodes.bridges.shapes import (
     DIRECT_COLOUR,
     OBJECT_COLOUR,
@@ -106,6 +109,12 @@ class FoxgloveStream:
         self._vehicle_from_radar = Pose2()
         self._heartbeats: dict[str, NodeStatus] = {}
         self._graph: GraphStart | None = None
+
+    def drafts_of(self, topic: str, message: Any, at_ns: int) -> list[Draft]:
+        """Return what a message of a topic becomes: of `TOPICS`, or of one of other people."""
+        if topic in SHIPPED:
+            return self.drafts(message, at_ns)
+        return [Draft(own_channel(topic), partial(_own, message))]
 
     def drafts(self, message: Any, at_ns: int) -> list[Draft]:
         """Return what a message of `TOPICS` becomes, which arrived, or was sent, at a time of the graph's clock."""
@@ -485,6 +494,23 @@ def _vehicle(state: VehicleState) -> Body:
         "age_s": state.age_s,
         "valid": state.valid,
     }
+
+
+def _own(message: msgspec.Struct) -> Body:
+    """A message of a topic of other people: its fields, with the time that viewers look for."""
+    stamp_ns = getattr(message, "stamp_ns", None)
+    time = {"timestamp": _time(stamp_ns)} if isinstance(stamp_ns, int) else {}
+    return time | _without_none(to_builtins(message, "numbers"))
+
+
+def _without_none(value: Any) -> Any:
+    """Return plain values without those that are missing; a list that lacks one is left out, as places would shift."""
+    if isinstance(value, dict):
+        return {name: kept for name, inner in value.items() if (kept := _without_none(inner)) is not None}
+    if isinstance(value, list):
+        items = [_without_none(inner) for inner in value]
+        return None if any(item is None for item in items) else items
+    return value
 
 
 # parts

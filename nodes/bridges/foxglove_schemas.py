@@ -8,6 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from msgspec import inspect
+
+from msgs.bus.topics import TOPICS, Topic
+
 #: What an entity of a scene may hold; absent kinds are empty lists.
 PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
 
@@ -46,6 +50,14 @@ _TURN = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
 _POSE = _object(position=_VECTOR, orientation=_TURN)
 _COLOUR = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
 _FIELDS = _list(_object(name=_TEXT, offset=_WHOLE, type=_WHOLE))
+#: An array of a topic of other people: its numbers where they are few, real and finite.
+_ARRAY = _object(
+    *("min", "max", "mean", "values"),
+    dtype=_TEXT,
+    shape=_list(_WHOLE),
+    **dict.fromkeys(("min", "max", "mean"), _NUMBER),
+    values=_list(_NUMBER),
+)
 _STAMPED = {"timestamp": _TIME, "frame_id": _TEXT}
 
 
@@ -153,3 +165,54 @@ def _schemas() -> dict[str, dict[str, Any]]:
 
 #: JSON Schema by message type.
 SCHEMAS = _schemas()
+
+
+def channels() -> dict[str, dict[str, Any]]:
+    """Return the JSON Schema of each channel, of `CHANNELS` and of the topics of other people."""
+    own = {
+        own_channel(name): {"title": topic.type.__name__, **_own_schema(topic)} for name, topic in TOPICS.own().items()
+    }
+    return {topic: SCHEMAS[schema] for topic, schema in CHANNELS.items()} | own
+
+
+def own_channel(topic: str) -> str:
+    """Return the channel of a topic of other people: its name, unless one of `CHANNELS` has it."""
+    return f"/{topic}" if f"/{topic}" not in CHANNELS else f"/topics/{topic}"
+
+
+def _own_schema(topic: Topic) -> dict[str, Any]:
+    info = inspect.type_info(topic.type)
+    assert isinstance(info, inspect.StructType)
+    return _of_fields(info, frozenset())
+
+
+def _of_fields(info: inspect.StructType, outer: frozenset[type]) -> dict[str, Any]:
+    """Return the schema of a Struct; no field is required, since one without a value is left out."""
+    inside = {} if info.cls in outer else {field.encode_name: field.type for field in info.fields}
+    parts = {name: _of_type(kind, outer | {info.cls}) for name, kind in inside.items()}
+    times = {} if outer else {"timestamp": _TIME}
+    return _object(*times, *parts, **(times | parts))
+
+
+def _of_type(kind: inspect.Type, outer: frozenset[type]) -> dict[str, Any]:
+    match kind:
+        case inspect.Metadata():
+            return _of_type(kind.type, outer)
+        case inspect.UnionType():
+            options = [option for option in kind.types if not isinstance(option, inspect.NoneType)]
+            return _of_type(options[0], outer) if len(options) == 1 else {}
+        case inspect.StructType():
+            return _of_fields(kind, outer)
+        case inspect.CustomType():
+            return _ARRAY
+        case inspect.BoolType():
+            return _FLAG
+        case inspect.IntType():
+            return _WHOLE
+        case inspect.FloatType():
+            return _NUMBER
+        case inspect.ListType() | inspect.VarTupleType() | inspect.SetType() | inspect.FrozenSetType():
+            return _list(_of_type(kind.item_type, outer))
+        case inspect.StrType() | inspect.BytesType():
+            return _TEXT
+    return {}

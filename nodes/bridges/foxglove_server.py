@@ -14,7 +14,8 @@ import secrets
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import msgspec
 from starlette.requests import HTTPConnection
@@ -22,7 +23,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from msgs.values.wording import counted
-from nodes.bridges.foxglove_schemas import CHANNELS, SCHEMAS
+from nodes.bridges.foxglove_schemas import channels
 from nodes.viewer.loopback_server import HOST, LoopbackServer, ProtocolError, converse, refuse, upgrade_required
 from nodes.viewer.page_token import TokenFile
 
@@ -44,8 +45,6 @@ _MESSAGE_DATA = struct.Struct("<BIQ")
 _MESSAGE_OPCODE = 1
 _WARNING = 1
 
-TOPIC_IDS = {topic: number for number, topic in enumerate(CHANNELS, 1)}
-
 
 class _Head(msgspec.Struct, frozen=True):
     op: str
@@ -65,7 +64,10 @@ class _Unsubscribe(msgspec.Struct, frozen=True):
 
 
 class FoxgloveServer(LoopbackServer):
-    """Serves messages of `CHANNELS`. Clients without an `Origin` are programs, which the token alone lets in."""
+    """Serves messages of `foxglove_schemas.channels`.
+
+    Clients without an `Origin` are programs, which the token alone lets in.
+    """
 
     name = "bridge"
     max_message_bytes = MAX_CLIENT_MESSAGE_BYTES
@@ -81,7 +83,9 @@ class FoxgloveServer(LoopbackServer):
     ) -> None:
         self._allowed_origins = frozenset(allowed_origins)
         self._logged_origins: set[str] = set()
-        self._greetings = _server_info(title), _advertisement()
+        offered = channels()
+        self._numbers = {topic: number for number, topic in enumerate(offered, 1)}
+        self._greetings = _server_info(title), _advertisement(offered, self._numbers)
         self._handed: deque[tuple[int, int, bytes]] = deque()
         #: Topics that a client subscribes to at the moment.
         self.wanted: frozenset[str] = frozenset()
@@ -97,7 +101,7 @@ class FoxgloveServer(LoopbackServer):
         """Send a message to all who subscribe to its topic; returns at once, False if it was not taken."""
         if len(self._handed) >= MAX_HANDED:
             return False
-        self._handed.append((TOPIC_IDS[topic], at_ns, payload))
+        self._handed.append((self._numbers[topic], at_ns, payload))
         self.call_soon(self._distribute)
         return True
 
@@ -122,11 +126,13 @@ class FoxgloveServer(LoopbackServer):
         if subprotocol is None:
             await refuse(websocket, f"a client must offer the subprotocol {' or '.join(SUBPROTOCOLS)}")
             return
-        await self.serve(websocket, _Client(websocket, self._greetings, self._note_wanted), subprotocol)
+        await self.serve(
+            websocket, _Client(websocket, self._greetings, len(self._numbers), self._note_wanted), subprotocol
+        )
 
     def _note_wanted(self) -> None:
         numbers = {number for client in self._clients for number in client.subscriptions}
-        self.wanted = frozenset(topic for topic, number in TOPIC_IDS.items() if number in numbers)
+        self.wanted = frozenset(topic for topic, number in self._numbers.items() if number in numbers)
 
     def _distribute(self) -> None:
         while self._handed:
@@ -146,8 +152,11 @@ class FoxgloveServer(LoopbackServer):
 class _Client:
     """One websocket: what it subscribes to, and what waits for it."""
 
-    def __init__(self, websocket: WebSocket, greetings: Sequence[str], on_change: Callable[[], None]) -> None:
+    def __init__(
+        self, websocket: WebSocket, greetings: Sequence[str], last_channel: int, on_change: Callable[[], None]
+    ) -> None:
         self._websocket, self._greetings, self._on_change = websocket, greetings, on_change
+        self._last_channel = last_channel
         self.news = asyncio.Event()
         #: Its number of each channel that it subscribes to.
         self.subscriptions: dict[int, int] = {}
@@ -233,7 +242,7 @@ class _Client:
     def _subscribe(self, wanted: _Subscription) -> None:
         if not 0 <= wanted.id < 1 << 32:
             raise ProtocolError("the number of a subscription must be 0..4294967295")
-        if wanted.channelId not in TOPIC_IDS.values():
+        if not 1 <= wanted.channelId <= self._last_channel:
             self._put(_status(f"no channel {wanted.channelId}"))
         elif wanted.id in self.subscriptions.values() or wanted.channelId in self.subscriptions:
             self._put(_status(f"subscription {wanted.id} to channel {wanted.channelId}: already subscribed"))
@@ -253,17 +262,17 @@ def _server_info(title: str) -> str:
     return msgspec.json.encode(info).decode()
 
 
-def _advertisement() -> str:
+def _advertisement(offered: Mapping[str, Mapping[str, Any]], numbers: Mapping[str, int]) -> str:
     channels = [
         {
-            "id": TOPIC_IDS[topic],
+            "id": numbers[topic],
             "topic": topic,
             "encoding": "json",
-            "schemaName": schema,
+            "schemaName": schema["title"],
             "schemaEncoding": "jsonschema",
-            "schema": msgspec.json.encode(SCHEMAS[schema]).decode(),
+            "schema": msgspec.json.encode(schema).decode(),
         }
-        for topic, schema in CHANNELS.items()
+        for topic, schema in offered.items()
     ]
     return msgspec.json.encode({"op": "advertise", "channels": channels}).decode()
 

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import yaml
 
+from msgs.bus.topics import TOPICS, Declaration, require_facts, require_topic_name
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
@@ -104,14 +105,18 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A graph: its name and its nodes by name."""
+    """A graph: its name, its nodes by name, and the topics that it has beside those of all graphs."""
 
     name: str
     nodes: dict[str, NodeEntry]
+    topics: dict[str, Declaration] = {}
 
     def __post_init__(self) -> None:
         if not NODE_NAME.fullmatch(self.name):
             raise ValueError(f"name must be of a-z, 0-9 and _, got {self.name!r}")
+        for topic, declaration in self.topics.items():
+            require_topic_name(topic, "topics")
+            require_facts(declaration, f"topics.{topic}")
         if not self.nodes:
             raise ValueError("nodes must name at least one node")
         for node, entry in self.nodes.items():
@@ -222,9 +227,17 @@ def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
     """Return a launch file from plain data; `where` prefixes every error."""
     fields = dict(value)
     nodes = convert_at(fields.pop("nodes", {}), dict[str, Any], f"{where}: nodes")
-    # node by node, because msgspec's path writes the key of a mapping as [...]
+    topics = convert_at(fields.pop("topics", {}), dict[str, Any], f"{where}: topics")
+    # one by one, because msgspec's path writes the key of a mapping as [...]
     entries = {name: convert_at(entry, NodeEntry, f"{where}: nodes.{name}") for name, entry in nodes.items()}
-    return convert_at({**fields, "nodes": entries}, LaunchFile, f"{where}: ")
+    declared = {name: convert_at(entry, Declaration, f"{where}: topics.{name}") for name, entry in topics.items()}
+    return convert_at({**fields, "nodes": entries, "topics": declared}, LaunchFile, f"{where}: ")
+
+
+def expect_topics(launch: LaunchFile, where: str) -> None:
+    """Make the topics known that a launch file declares; their types are imported once they are needed."""
+    for name, declaration in launch.topics.items():
+        TOPICS.expect(name, declaration, where)
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:

@@ -227,6 +227,7 @@ class Supervisor:
         open, `ValueError` if the directory is not ours alone. Call it from the thread that lives longest: the kernel
         kills the nodes when the thread that started them ends.
         """
+        from msgs.bus.declared import write_declared
         from msgs.bus.zmq import ZmqBus, make_run_dir
 
         require_open_files()
@@ -236,6 +237,8 @@ class Supervisor:
             run_folder = stack.enter_context(self._locked())
             self._log = JsonLog(run_folder / "log.jsonl")
             stack.callback(self._log.close)
+            write_declared(self._run_dir, self._launch.topics, f"launch file of graph {self._launch.name}")
+            stack.callback(write_declared, self._run_dir, {}, "")
             self._bus = ZmqBus(SUPERVISOR, self._run_dir)
             stack.callback(self._bus.close)
             self._heartbeat = Heartbeat(self._bus, SUPERVISOR)

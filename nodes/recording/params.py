@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+
 import msgspec
 
 from msgs.bus.topics import TOPICS, topic_facts
 from msgs.recording.mcap import RAW_TOPIC
+
+_LOG = logging.getLogger(__name__)
 
 #: Seconds and bytes are fewer: what is larger would be no time and no size any more.
 _MAX = 1e18
@@ -56,6 +60,8 @@ class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         return self.split_bytes is not None or self.split_s is not None
 
     def selected_topics(self) -> tuple[str, ...]:
-        """Topics to record, in the order of the topic table."""
+        """Topics to record, in the order of the topic table; the log says which declaration is left out."""
         wanted = set(TOPICS) - {RAW_TOPIC} if self.topics is None else set(self.topics)
+        for line in TOPICS.refused.values() if self.topics is None else ():
+            _LOG.warning("not recorded: %s", line)
         return tuple(topic for topic in TOPICS if topic in wanted or (self.raw and topic == RAW_TOPIC))

@@ -57,6 +57,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
         r"^pip install (\./\S+)$",
         rf"python -m pip install --quiet --no-deps --no-build-isolation --no-index --target {INSTALLED} \1",
     ),
+    # the environment of the tests may have been installed before the plug-in was
+    (r"^pytest (\S+)$", r"python -m pytest -q -p mirrorwave.testing.fixtures \1"),
     # benchmarks: that the module is there and knows its options' help
     (r"^(OPENBLAS_NUM_THREADS=1 )?python -m (benchmarks\.\S+)(?!.* --record ).*$", r"python -m \2 --help"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
@@ -127,7 +129,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def _language(text: str) -> str:
-    programs = "mirrorwave|python|pip|make|alias|ssh|scp|npm|mkdir|jupyter"
+    programs = "mirrorwave|python|pip|pytest|make|alias|ssh|scp|npm|mkdir|jupyter"
     if re.search(rf"^([A-Z_]+=\S+ )?({programs}) \S", text, re.MULTILINE):
         return "sh"
     if re.search(r"^(import|from) \w", text, re.MULTILINE):

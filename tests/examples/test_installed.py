@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sysconfig
 import tempfile
@@ -22,9 +23,9 @@ EXAMPLES = CHECKOUT / "examples"
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A virtual environment with the wheels of mirrorwave and of both example packages."""
+    """A virtual environment with the wheels of mirrorwave and of the example packages."""
     wheels, folder = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("environment")
-    build_wheels([CHECKOUT, EXAMPLES / "my_radar", EXAMPLES / "my_effect"], wheels)
+    build_wheels([CHECKOUT, *(EXAMPLES / name for name in ("my_radar", "my_effect", "my_topic"))], wheels)
     packages = make_environment(folder)
     install(folder, wheels.glob("*.whl"))
     lend_kernels(packages)
@@ -62,6 +63,19 @@ def test_a_radar_of_a_package_drives_the_graph(environment: Path, tmp_path: Path
         if len(topics) == 2:
             return
     raise TimeoutError("no view in a minute")
+
+
+def test_a_topic_of_a_package_is_known_and_its_test_has_the_fixtures(
+    environment: Path, tmp_path: Path, run_dir: str
+) -> None:
+    """pytest finds the plug-in by its entry point; a test need not import mirrorwave first."""
+    topics = json.loads(run(environment, tmp_path, run_dir, "topic", "list", "--json"))
+    assert [topic["topic"] for topic in topics if topic["type"] == "Distances"] == ["my/distances"]
+    shutil.copy(EXAMPLES / "my_topic" / "test_my_distances.py", tmp_path)
+    command = [str(environment / "bin" / "python"), "-m", "pytest", "-q", "-W", "error", "-p", "no:dash", "--rootdir=."]
+    variables = {**os.environ, "PYTHONPATH": sysconfig.get_path("purelib")}
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_an_effect_of_a_package_is_planned(environment: Path, tmp_path: Path, run_dir: str) -> None:

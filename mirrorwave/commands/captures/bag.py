@@ -42,7 +42,7 @@ from mirrorwave.console import (
 )
 from mirrorwave.convert import formats as bag_convert
 from mirrorwave.convert.formats import Conversion, Format
-from mirrorwave.diagnose.running_graph import is_running, no_graph, require_graph
+from mirrorwave.diagnose.running_graph import is_running, know_topics, no_graph, require_graph
 from msgs.values.wording import counted
 
 app = typer.Typer(
@@ -75,6 +75,7 @@ def record(
 
     options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
     meeting_place = run_dir(domain)
+    know_topics(domain)
     params = Params(
         path=str(out),
         topics=split_topics(topics),

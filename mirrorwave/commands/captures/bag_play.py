@@ -47,6 +47,7 @@ def play(
     living node makes itself. In a terminal: space pauses, s steps one scan, left and right seek, up and down change the
     rate, q ends.
     """
+    from mirrorwave.diagnose.running_graph import know_topics
     from mirrorwave.replay.keys import Keyboard
     from mirrorwave.replay.listeners import await_nodes
     from mirrorwave.replay.schedule import ReplayParams, first_sensed_ns, require_pace
@@ -56,6 +57,7 @@ def play(
 
     require_pace(rate, realtime, clock)
     meeting = run_dir(domain)
+    know_topics(domain)
     with RecordingReader(file) as reader, Keyboard() as keyboard, ExitStack() as closing:
         if start_paused and not keyboard.is_there:
             raise ValueError("--start-paused needs a terminal: nobody could press a key")

@@ -95,7 +95,7 @@ def launch(
     in_profile = [] if profile is None else nodes_of_file(profile)
     in_file = [] if params_file is None else [(name, str(params_file)) for name in read_yaml_mapping(params_file)]
     overrides = [(override.partition(".")[0].strip(), f"-p {override}") for override in param or ()]
-    require_params(graph, [*in_profile, *in_file, *overrides], server)
+    require_params(graph, [*in_profile, *in_file, *overrides], server, str(file))
     for nodes in group or ():
         graph = with_process(graph, nodes)
     options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)

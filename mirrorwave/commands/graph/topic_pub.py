@@ -11,7 +11,7 @@ import typer
 
 from mirrorwave.completion import complete_topics
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line
-from mirrorwave.diagnose.running_graph import require_graph
+from mirrorwave.diagnose.running_graph import know_topics, require_graph
 from msgs.bus.topics import topic_facts
 from msgs.values.wording import counted
 
@@ -39,6 +39,7 @@ def pub(
     from mirrorwave.control.topic_message import message_of
     from msgs.bus.zmq import ZmqBus, list_publishers, run_dir
 
+    know_topics(domain)
     facts = topic_facts(topic)
     fields = _fields(value, file)
     # refused before anything is opened

@@ -12,7 +12,7 @@ import typer
 from mirrorwave.commands.graph.topic_pub import pub
 from mirrorwave.completion import complete_topics
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_rows, print_table
-from mirrorwave.diagnose.running_graph import is_running, no_graph, silence
+from mirrorwave.diagnose.running_graph import is_running, know_topics, no_graph, silence
 from mirrorwave.diagnose.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from mirrorwave.diagnose.topic_rates import are_foreign, awaited, ends_of, listen, measure, messages
 from mirrorwave.reference import fields_of
@@ -44,8 +44,10 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
     from mirrorwave.diagnose.foreign_topic import foreign_publishers
     from msgs.bus.zmq import list_publishers, run_dir
 
+    # first: it makes the topics of a running graph known
+    published = list_publishers(run_dir(domain))
     publishers: dict[str, list[str]] = {name: [] for name in TOPICS}
-    for topic, node in list_publishers(run_dir(domain)):
+    for topic, node in published:
         publishers[topic].append(node)
     rows: list[dict[str, Any]] = [
         {"topic": name, "type": facts.type.__name__, "rate_hz": facts.rate_hz, "publishers": publishers[name]}
@@ -55,6 +57,8 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
         {"topic": name, "type": "foreign", "rate_hz": 0.0, "publishers": nodes}
         for name, nodes in foreign_publishers(run_dir(domain)).items()
     ]
+    for line in TOPICS.refused.values():
+        typer.echo(f"left out: {line}", err=True)
     if as_json:
         print_json(rows)
         return
@@ -66,11 +70,11 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
 @app.command()
 def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """One topic: type and fields, limits, who publishes and who reads it now, with rates and losses."""
+    know_topics(domain)
     facts = topic_facts(topic)
     about = {
-        **{name: value for name, value in msgspec.structs.asdict(facts).items() if name != "type"},
-        "type": facts.type.__name__,
-        "fields": {field.name: field.annotation for field in fields_of(facts.type)},
+        **({"name": topic} | msgspec.structs.asdict(facts) | {"type": facts.type.__name__}),
+        "fields": {field.name: field.annotation.replace("\\|", "|") for field in fields_of(facts.type)},
         **ends_of(topic, window, domain),
     }
     if as_json:
@@ -231,6 +235,7 @@ def delay(
     """Measure the age of messages: from acquisition to sending, on the bus, and from a scan's last beam to its view."""
     from mirrorwave.diagnose.topic_delay import DelayWatch
 
+    know_topics(domain)
     # raw beams only when asked for: listening to 350 MB/s changes what is measured
     wanted = list(topics or (name for name in TOPICS if name != "radar/beam"))
     bus = listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup", "diagnostics/node"])))

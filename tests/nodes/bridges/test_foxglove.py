@@ -20,6 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, NegotiationEr
 from websockets.sync.client import ClientConnection, connect
 
 from msgs.bus.interface import Envelope, Received
+from msgs.bus.topics import TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
 from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime
@@ -142,6 +143,35 @@ def test_a_client_of_another_make_decodes_every_channel(bridge: FoxgloveBridge) 
     assert len(base64.b64decode(found["data"])) == found["point_stride"] * len(peaks(1, 10))
     assert base64.b64decode(bodies["/lidar/points"]["data"]) == cloud().data.tobytes()
     assert base64.b64decode(bodies["/camera/image"]["data"]) == jpeg()
+
+
+class Door(msgspec.Struct):
+    """A message of somebody else."""
+
+    stamp_ns: int
+    angles_rad: np.ndarray
+
+
+def test_a_topic_of_other_people_is_a_channel_of_its_name() -> None:
+    with TOPICS.restored():
+        for name in ("my/door", "views"):
+            TOPICS.declare(Topic(name=name, type=Door), "test")
+        node = create(Params(port=0))
+        try:
+            assert node.inputs[-2:] == ("my/door", "views")
+            with client_of(node) as socket:
+                client = Client(socket)
+                client.subscribe()
+                until_wanted(node, {*CHANNELS, "/my/door", "/topics/views"})
+                door = Door(40, np.array([[0.5, 1.0]]))
+                node.step([received(door, "my/door"), received(door, "views")], NOW_NS)
+                bodies = dict(client.message() for _ in range(2))
+        finally:
+            node.close()
+    assert bodies.keys() == {"/my/door", "/topics/views"}
+    assert bodies["/my/door"]["timestamp"] == {"sec": 0, "nsec": 40}
+    assert bodies["/my/door"]["angles_rad"]["shape"] == [1, 2]
+    assert bodies["/my/door"]["angles_rad"]["values"] == [0.5, 1.0]
 
 
 def test_nothing_is_encoded_that_nobody_reads(bridge: FoxgloveBridge) -> None:

@@ -24,7 +24,7 @@ def test_a_client_that_does_not_read_keeps_the_newest_32_mebibytes() -> None:
     """Of 40 messages of 1 MiB and a head of 13 bytes 31 fit; each that is sent makes room for one more."""
     assert MAX_QUEUE_BYTES == 32 * MIB
     socket = _Socket()
-    client = _Client(socket, [], lambda: None)  # type: ignore[arg-type]
+    client = _Client(socket, [], 1, lambda: None)  # type: ignore[arg-type]
     client.subscriptions[1] = 7
     for number in range(40):
         client.offer(1, number, bytes([number]) * MIB)

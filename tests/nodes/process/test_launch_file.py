@@ -53,7 +53,10 @@ def _launch(**nodes: dict) -> LaunchFile:
         ({"nodes": []}, r"corner\.yaml: nodes: Expected object, got array"),
         ({"nodes": {"a": {"module": "nodes.a"}}, "name": "../x"}, "name must be of a-z"),
         ({"nodes": {"a": {"module": "nodes.a"}}, "name": 3}, r"^corner\.yaml: name: Expected str, got int$"),
-        ({"nodes": {"a": {"module": "nodes.a"}}, "colour": 1}, r"^corner\.yaml: .*colour; known are name, nodes$"),
+        (
+            {"nodes": {"a": {"module": "nodes.a"}}, "colour": 1},
+            r"^corner\.yaml: .*colour; known are name, nodes, topics$",
+        ),
     ],
 )
 def test_errors_name_the_field_and_the_rule(fields: dict, message: str) -> None:

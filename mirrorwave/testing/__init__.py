@@ -1,0 +1,1 @@
+"""Help for tests that other people write of their own nodes."""
