@@ -19,8 +19,7 @@ import msgspec
 from mirrorwave.commands.graph.nodes import Heartbeats, node_row, shed_text, topic_rows
 from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
 from mirrorwave.diagnose.findings import Finding, Status
-from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SHIPPED, TOPICS
-from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SIDE_TOPICS, TOPICS
+from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SHIPPED, SIDE_TOPICS, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
