@@ -12,7 +12,7 @@ from models.perception.detection.detectors import Detector
 from models.perception.detection.stage import DetectionStage
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
-from models.perception.objects.predictor import ObjectPredictor
+from models.perception.objects.judging import ScanJudge
 from models.perception.timing import Timed
 from models.perception.tracking.stage import ViewStage
 from msgs.values.radar import RadarSetup
@@ -66,7 +66,7 @@ class SharedParts:
     detector: Detector
     residual: Residual | None
     confidence: Confidence | None
-    predictor: ObjectPredictor | None
+    predictor: ScanJudge | None
 
     @classmethod
     def of(cls, values: Mapping[str, Mapping[str, Any]], setup: RadarSetup) -> SharedParts:

@@ -29,8 +29,7 @@ from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 if TYPE_CHECKING:
-    from models.perception.evidence.predictor import EvidencePredictor
-    from models.perception.objects.predictor import ObjectPredictor
+    from models.perception.objects.judging import ScanJudge
 
 _LOG = logging.getLogger(__name__)
 
@@ -198,7 +197,7 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
     return params, residual, fitted[0] if fitted else None
 
 
-def predictor_of(params: Params) -> ObjectPredictor | EvidencePredictor | None:
+def predictor_of(params: Params) -> ScanJudge | None:
     """Return the object network that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.object_network == "none":
         return None

@@ -20,12 +20,12 @@ from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.evidence.scan_evidence import EvidenceEncoding
 from models.training.data.evidence_store import EvidenceTask, FieldTask, make_files
+from models.training.evidence.grid_training import GridEpoch, GridSchedule, GridTraining
+from models.training.evidence.train_evidence import EvidenceTraining
+from models.training.evidence.train_fields import FieldTraining
 from models.training.export.evidence import export_evidence, export_fields
 from models.training.files import file_sha256
-from models.training.grid_training import GridEpoch, GridSchedule, GridTraining
 from models.training.run_folder import CURVES
-from models.training.train_evidence import EvidenceTraining
-from models.training.train_fields import FieldTraining
 from msgs.values.radar import RangeAzimuthGrid
 
 CHANNELS = ("level", "shadow", "contrast", "range", "azimuth", "level_real", "level_imaginary")

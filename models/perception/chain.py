@@ -15,7 +15,7 @@ from models.perception.forming.stage import FormingStage
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams
-from models.perception.objects.predictor import ObjectPredictor
+from models.perception.objects.judging import ScanJudge
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
 from msgs.values.environment import WallPriors
@@ -48,7 +48,7 @@ class Chain:
         residual: Residual | None = None,
         confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
-        predictor: ObjectPredictor | None = None,
+        predictor: ScanJudge | None = None,
     ) -> Chain:
         """Return a chain of ready parts for one radar; None: default parameters, no learned residual, confidence or
         object network.

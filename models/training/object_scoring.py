@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import CellHypotheses
 from models.training.data.frames import FrameLabels
 from models.training.data.object_store import StoredSample
-from msgs.values.perception import PathClass, SceneTruth
+from msgs.values.perception import PathClass, SceneTruth, TruthObject
 
 #: Thresholds watched; the loss of the best one selects the checkpoint.
 WATCHED_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
@@ -24,6 +25,22 @@ WATCHED_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 def as_answered(moving: bool) -> ScoreTable:
     """Return the table that leaves answers as they are."""
     return ()
+
+
+class LabelledScan(Protocol):
+    """What the truth of a scan is made of."""
+
+    @property
+    def labels(self) -> FrameLabels:
+        """All returns of the map."""
+
+    @property
+    def truth(self) -> tuple[TruthObject, ...]:
+        """All objects."""
+
+    @property
+    def noise_power_mw(self) -> float:
+        """Of a beam, per range bin."""
 
 
 class ObjectTally:
@@ -65,7 +82,7 @@ class ObjectTally:
         return threshold, reports[threshold]
 
 
-def scan_truth(scan: int, stored: StoredSample) -> SceneTruth:
+def scan_truth(scan: int, stored: LabelledScan) -> SceneTruth:
     """Return the truth of a scan as far as the labels tell it."""
     labels = stored.labels
     images = np.flatnonzero((labels.path_class == PathClass.MIRRORED) & (labels.object_index >= 0))
@@ -83,7 +100,7 @@ def scan_truth(scan: int, stored: StoredSample) -> SceneTruth:
     )
 
 
-def image_truths(stored: StoredSample) -> list[ImageTruth]:
+def image_truths(stored: LabelledScan) -> list[ImageTruth]:
     """Return what the labels tell of each object's images; those under 10 dB have no label.
 
     An object beside the radar's sector is in sight although no label of the map shows it.

@@ -34,7 +34,7 @@ from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams, fold_scan
-from models.perception.objects.predictor import ObjectPredictor
+from models.perception.objects.judging import ScanJudge
 from models.perception.tracking.stage import ViewStage, judged_params
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
@@ -154,7 +154,7 @@ class _Geometry:
     params: geometry.Params
     residual: Residual | None
     confidence: Confidence | None
-    predictor: ObjectPredictor | None
+    predictor: ScanJudge | None
 
     @classmethod
     def of(cls, params: geometry.Params) -> _Geometry:

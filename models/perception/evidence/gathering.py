@@ -142,14 +142,8 @@ def gathered(
 
 # Columns of the table of walls: ends, unit normal towards the radar, offset, certain ends, whether it surely blocks,
 # length, curvature, error of its direction, certainty.
-_AX, _AY, _BX, _BY, _NX, _NY, _OFFSET, _CERTAIN, _SURE, _LENGTH, _CURVE, _ANGLE, _TRUST = (
-    *range(8),
-    11,
-    12,
-    13,
-    14,
-    15,
-)
+_AX, _AY, _BX, _BY, _NX, _NY, _OFFSET, _CERTAIN = range(8)
+_SURE, _LENGTH, _CURVE, _ANGLE, _TRUST = range(11, 16)
 
 
 def _table(walls: WallArrays, certainty: np.ndarray) -> np.ndarray:
@@ -274,7 +268,7 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 r, c = int(row + 0.5), int(column + 0.5)
                 level, contrast, heat = fields[0, r, c], fields[1, r, c], fields[4, r, c]
                 dx, dy = x - mx, y - my
-                leg = max(np.hypot(dx, dy), 1e-6)
+                away_m = max(np.hypot(dx, dy), 1e-6)
                 gap = gaps[wall, min(max(int((along + GAP_BEFORE_M) / GAP_STEP_M), 0), GAPS - 1)]
                 f = features[count]
                 f[0], f[1], f[2], f[3], f[4], f[5] = 1.0, level, contrast, fields[2, r, c], fields[3, r, c], heat
@@ -282,7 +276,7 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 f[8], f[9] = 1.0 if first_free else 0.0, 1.0 if second_free else 0.0
                 f[10] = min(np.log(max(table[wall, _LENGTH], 1.0)) / 4.0, 1.0)
                 f[11], f[12] = min(table[wall, _ANGLE] / ANGLE_RAD, 1.0), gap / GAP_M
-                f[13], f[14], f[15] = dx / leg, dy / leg, min(away / RANGE_M, 1.0)
+                f[13], f[14], f[15] = dx / away_m, dy / away_m, min(away / RANGE_M, 1.0)
                 f[16], f[17] = table[wall, _SURE], table[wall, _TRUST]
                 both = first_free and second_free
                 key[count] = heat + 0.5 * contrast + (1.0 if both else 0.0) + (0.3 if missed == 0.0 else 0.0)

@@ -134,11 +134,11 @@ class EvidencePredictor:
         return begun(partial(self._objects, ra_map, walls, moving))
 
     def _objects(self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool) -> tuple[HiddenObject, ...]:
-        seen = scan_evidence(self.card.encoding, ra_map, self._fields.answer(ra_map), walls)
+        scan = scan_evidence(self.card.encoding, ra_map, self._fields.answer(ra_map), walls)
         table = self.card.calibration_of(moving)
-        answer = self.answer(seen.evidence.channels)
+        answer = self.answer(scan.evidence.channels)
         least = score_of(table, self.threshold)
-        reports = evidence_detections(answer, seen.evidence.mirror, self.card.encoding.grid, seen.arrays, least)
+        reports = evidence_detections(answer, scan.evidence.mirror, self.card.encoding.grid, scan.arrays, least)
         reports = replace(reports, score=calibrated(table, reports.score))
         return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
 

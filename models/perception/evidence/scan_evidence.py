@@ -15,9 +15,9 @@ from models.perception.evidence.wall_elements import (
     WALL_ANSWERS,
     WallGrowth,
     certainties,
+    further_walls,
     grown_walls,
     nearest_walls,
-    others,
     wall_elements,
 )
 from models.perception.geometry.mirrors import WallArrays, wall_arrays
@@ -82,7 +82,7 @@ def scan_evidence(
     """
     elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
     grown, _ = grown_walls(elements, encoding.growth)
-    walls = [*fitted, *others(grown, fitted)][: encoding.max_walls]
+    walls = [*fitted, *further_walls(grown, fitted)][: encoding.max_walls]
     arrays = wall_arrays(walls)
     certainty = certainties(arrays, answer, ra_map.grid)
     support = nearest_walls(elements.place_m, arrays)

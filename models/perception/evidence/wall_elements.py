@@ -114,7 +114,7 @@ def _as_wall(row: np.ndarray, elements: int) -> Wall:
     )
 
 
-def others(grown: Sequence[Wall], known: Sequence[Wall]) -> list[Wall]:
+def further_walls(grown: Sequence[Wall], known: Sequence[Wall]) -> list[Wall]:
     """Return the walls that are none of the known ones: turned otherwise, off their lines, or beside their ends."""
     return [wall for wall in grown if not any(_is_same(wall, other) for other in known)]
 
@@ -160,10 +160,10 @@ def _grow(table, across_m, least_cos, max_gap_m, min_length_m, min_support, max_
     wall_of = np.full(count, -1, np.int64)
     free = np.ones(count, np.bool_)
     rows = np.zeros((max_walls, 10))
-    found = 0
+    walls = 0
     own = np.empty(count, np.int64)
     along = np.empty(count)
-    while found < max_walls:
+    while walls < max_walls:
         best, most = -1, 0.0
         for seed in range(count):
             if not free[seed]:
@@ -198,14 +198,14 @@ def _grow(table, across_m, least_cos, max_gap_m, min_length_m, min_support, max_
             support += table[own[k], 4]
         offset = px * mx + py * my
         if last - first >= min_length_m and support >= min_support and offset > 0.3:
-            _write(rows, found, table, own, size, px, py, mx, my, first, last)
+            _write(rows, walls, table, own, size, px, py, mx, my, first, last)
             for k in range(size):
-                wall_of[own[k]] = found
-            found += 1
+                wall_of[own[k]] = walls
+            walls += 1
         for k in range(size):
             free[own[k]] = False
         free[best] = False
-    return rows[:found], wall_of
+    return rows[:walls], wall_of
 
 
 @compiled(error_model="numpy")
@@ -269,7 +269,7 @@ def _line(table, own, size, mx, my):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def _write(rows, found, table, own, size, px, py, mx, my, first, last):  # type: ignore[no-untyped-def]
+def _write(rows, at, table, own, size, px, py, mx, my, first, last):  # type: ignore[no-untyped-def]
     """Write the row of a wall of some elements between `first` and `last` along its line."""
     length = last - first
     weight, second, curve, curve_information, residual = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -304,12 +304,10 @@ def _write(rows, found, table, own, size, px, py, mx, my, first, last):  # type:
     cx, cy = px + shift * mx, py + shift * my
     ends = first, last
     for end in range(2):
-        rows[found, 3 + 2 * end] = cx - ends[end] * my
-        rows[found, 4 + 2 * end] = cy + ends[end] * mx
-    rows[found, 0], rows[found, 1] = mx, my
-    rows[found, 2] = cx * mx + cy * my
-    rows[found, 7] = std / np.sqrt(
-        max(share * second, 1e-6) + (ELEMENT_STD_M / ELEMENT_STD_RAD) ** 2 * independent / 4.0
-    )
-    rows[found, 8] = std / np.sqrt(independent)
-    rows[found, 9] = curvature
+        rows[at, 3 + 2 * end] = cx - ends[end] * my
+        rows[at, 4 + 2 * end] = cy + ends[end] * mx
+    rows[at, 0], rows[at, 1] = mx, my
+    rows[at, 2] = cx * mx + cy * my
+    rows[at, 7] = std / np.sqrt(max(share * second, 1e-6) + (ELEMENT_STD_M / ELEMENT_STD_RAD) ** 2 * independent / 4.0)
+    rows[at, 8] = std / np.sqrt(independent)
+    rows[at, 9] = curvature

@@ -23,7 +23,7 @@ from msgs.values.vehicle import VehicleState
 
 if TYPE_CHECKING:
     # its runtime is loaded where a network is in use
-    from models.perception.objects.predictor import ObjectPredictor
+    from models.perception.objects.judging import ScanJudge
 
 
 #: A vehicle that is slower stands.
@@ -40,7 +40,7 @@ class ViewStage:
         confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
         timed: Timed = nullcontext,
-        predictor: ObjectPredictor | None = None,
+        predictor: ScanJudge | None = None,
         detections: GeometryParams | None = None,
     ) -> None:
         self.predictor = predictor
@@ -117,6 +117,6 @@ class ViewStage:
         return partial(self.predictor.judge, ra_map, peaks, moving=moving)
 
 
-def judged_params(params: GeometryParams, predictor: ObjectPredictor | None) -> GeometryParams:
+def judged_params(params: GeometryParams, predictor: ScanJudge | None) -> GeometryParams:
     """Return the parameters of scans that a network judges: with the walls that it was trained on."""
     return params if predictor is None else msgspec.structs.replace(params, walls=predictor.walls)

@@ -58,7 +58,9 @@ def evidence_objects(frame: Frame, evidence: ScanEvidence) -> EvidenceObjects:
     ]
     table = np.array(rows, np.float64).reshape(-1, 11)
     values = [table[:, first : first + 2].astype(np.float32) for first in (0, 2, 4, 6)]
-    return EvidenceObjects(*values, table[:, 8].astype(np.int64), table[:, 9].astype(np.int64), table[:, 10] > 0.5)
+    place_m, centre_m, log_size, heading = values
+    kind, number = table[:, 8:10].T.astype(np.int64)
+    return EvidenceObjects(place_m, centre_m, log_size, heading, kind, number, table[:, 10] > 0.5)
 
 
 def _row(

@@ -107,7 +107,7 @@ def _make_file(
     arrays = _field_arrays(frames, task) if isinstance(task, FieldTask) else _evidence_arrays(frames, task)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole(path) as part, part.open("wb") as file:
-        np.savez(file, **arrays)
+        np.savez(file, **arrays)  # type: ignore[arg-type]
     return path
 
 
@@ -146,10 +146,10 @@ def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask) -> dict[str, n
     channels, objects, truths = [], [], []
     for frame in frames:
         _, fitted = direct_structure(detector.detect(frame.ra_map), task.geometry)
-        seen = scan_evidence(task.encoding, frame.ra_map, fields.answer(frame.ra_map), fitted)
-        channels.append(quantized(seen.evidence.channels))
-        objects.append(evidence_objects(frame, seen))
-        truths.append(_truth(frame, seen.arrays, seen.evidence.mirror))
+        scan = scan_evidence(task.encoding, frame.ra_map, fields.answer(frame.ra_map), fitted)
+        channels.append(quantized(scan.evidence.channels))
+        objects.append(evidence_objects(frame, scan))
+        truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))
     arrays: dict[str, np.ndarray] = {"channels": np.stack(channels)}
     arrays["mirror"] = np.stack([truth.mirror for truth in truths]).astype(np.int8)
     arrays |= columns("objects", objects)

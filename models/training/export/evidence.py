@@ -17,10 +17,10 @@ from models.perception.evidence.predictor import EvidenceCard
 from models.perception.evidence.scan_evidence import EvidenceEncoding
 from models.perception.objects.answers import ANSWERS
 from models.perception.onnx_session import open_session
+from models.training.evidence.train_fields import field_network
 from models.training.export.onnx import require_onnx, write_card, write_onnx
 from models.training.files import file_sha256
 from models.training.run_folder import BEST, load_state
-from models.training.train_fields import field_network
 from msgs.values.radar import RangeAzimuthGrid
 
 #: Largest difference of an answer between torch and ONNX Runtime, relative to the largest answer.

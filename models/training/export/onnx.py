@@ -24,8 +24,6 @@ from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.detection.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
 from models.perception.detection.peaks import PeakParams, pursued_points
 from models.perception.detection.pursuit import PursuitParams
-from models.perception.geometry.residual_model import ResidualCard
-from models.perception.objects.predictor import ObjectCard
 from models.perception.trained_radar import TrainedRadar
 from models.training.calibration import fit_table, peak_outcomes
 from models.training.data.frames import DataSet, Frame, fixed_splits
@@ -235,7 +233,7 @@ def export_scored(run_dir: Path, model_path: Path, tally: DetectionTally) -> Mod
     return card
 
 
-def write_card(card: ModelCard | ResidualCard | ObjectCard, model_path: Path) -> None:
+def write_card(card: msgspec.Struct, model_path: Path) -> None:
     """Write the card beside its network file."""
     card_path(model_path).write_bytes(json_lines(card))
 

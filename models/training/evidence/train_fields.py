@@ -15,7 +15,7 @@ from models.perception.evidence.field_predictor import FIELD_ANSWERS
 from models.perception.evidence.wall_elements import BEYOND_M, WALL_ANSWERS
 from models.training.data.evidence_store import tables
 from models.training.data.field_samples import Returns
-from models.training.grid_training import GridSchedule, GridTraining
+from models.training.evidence.grid_training import GridSchedule, GridTraining
 from models.training.objectives.evidence import heat_loss, wall_loss
 from msgs.files.array_files import load_arrays
 from msgs.values.radar import RangeAzimuthGrid
@@ -91,18 +91,17 @@ class FieldTraining(GridTraining):
 
     def validate(self) -> tuple[float, dict[str, float]]:
         """Return the loss, and the shares of directions whose wall is found, and whose likeliest wall is there."""
-        losses, found, walls, true, said = [], 0, 0, 0, 0
+        losses, hits, walls, said = [], 0, 0, 0
         with torch.no_grad():
             for first in range(0, len(self._validation.cells), self.schedule.batch_size):
                 index = torch.arange(first, min(first + self.schedule.batch_size, len(self._validation.cells)))
                 loss, answer = self._loss(self._validation, index, False)
                 losses.append(loss.item())
                 right, is_wall, is_said = self._judged(answer.float(), index.to(self.device))
-                found += int((right & is_said).sum())
+                hits += int((right & is_said).sum())
                 walls += int(is_wall.sum())
                 said += int(is_said.sum())
-                true += int((right & is_said).sum())
-        scores = {"recall": found / max(walls, 1), "precision": true / max(said, 1)}
+        scores = {"recall": hits / max(walls, 1), "precision": hits / max(said, 1)}
         return float(np.mean(losses)), scores
 
     def _judged(self, answer: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:

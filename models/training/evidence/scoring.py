@@ -66,14 +66,14 @@ class CurvePoint:
 def _point(threshold: float, rows: Sequence[ScanRow]) -> CurvePoint:
     asked = [item for row in rows for item in row.hidden if item.image.mirrored]
     loud = [item for item in asked if single_reaches(item, 25.0)]
-    found = sum(item.error_m is not None for item in asked)
+    hits = sum(item.error_m is not None for item in asked)
     false = sum(is_false(report) for row in rows for report in row.reports)
     return CurvePoint(
         threshold,
-        found / max(len(asked), 1),
+        hits / max(len(asked), 1),
         sum(item.error_m is not None for item in loud) / max(len(loud), 1),
         false / max(len(rows), 1),
-        (len(asked) - found + false) / max(len(rows), 1),
+        (len(asked) - hits + false) / max(len(rows), 1),
     )
 
 

@@ -15,8 +15,8 @@ from models.perception.evidence.scan_evidence import EvidenceEncoding
 from models.perception.objects.answers import ANSWERS
 from models.training.data.evidence_samples import SCALE, EvidenceObjects, joined_objects
 from models.training.data.evidence_store import load_objects, load_truths
-from models.training.evidence_scoring import EvidenceTally, recall_at
-from models.training.grid_training import GridSchedule, GridTraining
+from models.training.evidence.grid_training import GridSchedule, GridTraining
+from models.training.evidence.scoring import EvidenceTally, recall_at
 from models.training.objectives.evidence import EvidenceLossConfig, EvidenceTargets, evidence_loss
 from msgs.files.array_files import load_arrays
 from msgs.values.radar import RangeAzimuthGrid

@@ -109,7 +109,8 @@ class GridTraining(ABC):
             started = time.monotonic()
             train_loss = self._epoch(epoch, started)
             self._spent_s += time.monotonic() - started
-            loss, scores = math.inf, {}
+            loss = math.inf
+            scores: dict[str, float] = {}
             if self._share(epoch + 1, 0.0) >= self.schedule.validated_from:
                 self.network.eval()
                 loss, scores = self.validate()

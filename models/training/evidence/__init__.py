@@ -1,0 +1,1 @@
+"""Training of the field and evidence networks, on arrays in memory."""
