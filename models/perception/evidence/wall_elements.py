@@ -29,6 +29,8 @@ WALL_ANSWERS = 4
 BEYOND_M = 0.5
 #: Rays meet walls at most this obliquely.
 MAX_INCIDENCE_RAD = math.radians(86.0)
+#: So many elements of a map at most, the likeliest: four of each azimuth.
+MAX_ELEMENTS = 1024
 #: Errors of one element: across the line, and of its direction.
 ELEMENT_STD_M, ELEMENT_STD_RAD = 0.15, math.radians(4.0)
 #: Elements nearer than this come from the same beams and share their errors.
@@ -81,6 +83,9 @@ def wall_elements(answer: np.ndarray, grid: RangeAzimuthGrid, least: float) -> W
     is_peak[1:] &= logit[1:] > logit[:-1]
     is_peak[:-1] &= logit[:-1] >= logit[1:]
     row, column = np.nonzero(is_peak)
+    if len(row) > MAX_ELEMENTS:
+        kept = np.sort(np.argsort(-logit[row, column], kind="stable")[:MAX_ELEMENTS])
+        row, column = row[kept], column[kept]
     beyond_m = BEYOND_M * answer[1, row, column].astype(np.float64)
     angle_rad = np.arctan2(answer[3, row, column].astype(np.float64), answer[2, row, column].astype(np.float64))
     angle_rad = np.clip(angle_rad, -MAX_INCIDENCE_RAD, MAX_INCIDENCE_RAD)

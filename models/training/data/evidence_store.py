@@ -88,7 +88,8 @@ def make_files(
                 yield path
             else:
                 jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), task, path, seed))
-    if not jobs:
+    if workers == 1 or not jobs:
+        yield from (_make_file(*job) for job in jobs)
         return
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
     try:

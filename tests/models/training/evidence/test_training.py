@@ -1,0 +1,89 @@
+"""From drawn places to networks on the vehicle: samples, two trainings, export, a scan judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from benchmarks.accuracy import evidence_at_size
+from models.perception.cards import card_path
+from models.perception.detection.detectors import PeakDetector
+from models.perception.evidence.predictor import EvidencePredictor
+from models.perception.geometry.stage import GeometryParams, direct_structure
+from models.training.data.evidence_store import load_objects, load_truths
+from models.training.data.frames import DataSet
+from models.training.files import file_sha256
+from models.training.run_folder import BEST, load_state
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("places")
+    write_dataset(folder, 3, 5, Recipe(effects="basic", truth=True))
+    return folder
+
+
+def train(places: Path, work: Path, epochs: int) -> Path:
+    """Both networks; the exported files."""
+    options = ["--places", str(places), "--validation", str(places), "--work", str(work), "--out", str(work / "out")]
+    options += ["--field-epochs", "1", "--evidence-epochs", str(epochs), "--field-batch", "2", "--evidence-batch", "2"]
+    evidence_at_size.main([*options, "--workers", "1", "--threads", "1"])
+    return work / "out"
+
+
+@pytest.fixture(scope="module")
+def trained(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(places, tmp_path_factory.mktemp("work"), 2)
+
+
+def test_samples_hold_what_the_scans_show(places: Path, trained: Path) -> None:
+    (path,) = (trained.parent / "evidence-samples" / places.name).glob("*.npz")
+    truths, objects, data = load_truths(path), load_objects(path), DataSet(places)
+    assert len(truths) == len(objects) == len(data) == 3
+    for index, (truth, of_scan) in enumerate(zip(truths, objects, strict=True)):
+        scan = data.scan(index)
+        assert truth.truth == scan.truth
+        np.testing.assert_array_equal(truth.labels.range_m, scan.labels.range_m)
+        for place_m, number in zip(of_scan.place_m[of_scan.asked], of_scan.number[of_scan.asked], strict=True):
+            own = scan.labels.object_index == number
+            assert np.hypot(*(scan.labels.hidden_xy_m[own] - place_m).T).min() < 3.0
+
+
+def test_a_stopped_run_goes_on_to_the_same_weights(
+    places: Path, trained: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """One epoch of two, then the rest: the samples, made already, are those of the whole run."""
+    work = tmp_path_factory.mktemp("again")
+    train(places, work, 2)
+    whole, again = (load_state(folder / "evidence" / BEST)["network"] for folder in (trained.parent, work))
+    assert all((whole[name] == again[name]).all() for name in whole)
+
+
+def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, trained: Path) -> None:
+    predictor = EvidencePredictor(trained / evidence_at_size.EVIDENCE_FILE, threshold=0.0)
+    ra_map = DataSet(places).frame(0).ra_map
+    peaks = PeakDetector().detect(ra_map)
+    returns, walls = direct_structure(peaks, GeometryParams(walls=predictor.walls))
+    objects = predictor.judge(ra_map, peaks, walls, returns)()
+    assert objects
+    assert all(0.0 <= item.score <= 1.0 for item in objects)
+    photons = msgspec.structs.replace(ra_map, mode="photons")
+    with pytest.raises(ValueError, match=r"map\.mode must be of a radar for evidence_unet, got photons"):
+        predictor.judge(photons, peaks, walls, returns)
+
+
+def test_networks_that_do_not_belong_together_are_refused(trained: Path, tmp_path: Path) -> None:
+    for name in (evidence_at_size.EVIDENCE_FILE, evidence_at_size.FIELDS_FILE):
+        for path in (trained / name, card_path(trained / name)):
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    other = card_path(tmp_path / evidence_at_size.EVIDENCE_FILE)
+    other.write_text(other.read_text().replace(file_sha256(trained / evidence_at_size.FIELDS_FILE), "0" * 64))
+    with pytest.raises(ValueError, match=r"field network must have the sha256 0{64} of its card"):
+        EvidencePredictor(tmp_path / evidence_at_size.EVIDENCE_FILE)
