@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.perception.cards import learned_path
+from models.perception.cards import is_evidence_network, learned_path
 from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry.recovery import Residual
@@ -205,7 +205,7 @@ def predictor_of(params: Params) -> ScanJudge | None:
     from models.perception.objects.predictor import ObjectPredictor
 
     path = learned_path(params.object_network, ".onnx")
-    if "evidence" in path.stem:
+    if is_evidence_network(path):
         from models.perception.evidence.predictor import EvidencePredictor
 
         return EvidencePredictor(path, threshold=params.object_threshold)

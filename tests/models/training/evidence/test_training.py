@@ -17,6 +17,7 @@ from models.training.data.evidence_store import load_objects, load_truths
 from models.training.data.frames import DataSet
 from models.training.files import file_sha256
 from models.training.run_folder import BEST, load_state
+from nodes.geometry import Params, predictor_of
 from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
 
@@ -67,7 +68,9 @@ def test_a_stopped_run_goes_on_to_the_same_weights(
 
 
 def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, trained: Path) -> None:
-    predictor = EvidencePredictor(trained / evidence_at_size.EVIDENCE_FILE, threshold=0.0)
+    path = trained / evidence_at_size.EVIDENCE_FILE
+    predictor = predictor_of(Params(object_network=str(path), object_threshold=0.0))
+    assert isinstance(predictor, EvidencePredictor)
     ra_map = DataSet(places).frame(0).ra_map
     peaks = PeakDetector().detect(ra_map)
     returns, walls = direct_structure(peaks, GeometryParams(walls=predictor.walls))
