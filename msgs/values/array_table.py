@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
+
+Table = TypeVar("Table", bound="ArrayTable")
 
 
 @dataclass(frozen=True)
@@ -22,3 +24,17 @@ class ArrayTable:
         """Return the rows of one or more tables, in order."""
         columns = (field.name for field in fields(cls))
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in columns})
+
+
+def stored_columns(name: str, tables: Sequence[ArrayTable]) -> dict[str, np.ndarray]:
+    """Return the columns of tables in one row, and where each table ends."""
+    joined = type(tables[0]).joined(tables)
+    columns = {f"{name}.{field.name}": getattr(joined, field.name) for field in fields(joined)}
+    return columns | {f"{name}.end": np.cumsum([len(getattr(table, fields(table)[0].name)) for table in tables])}
+
+
+def stored_tables(kind: type[Table], name: str, arrays: dict[str, np.ndarray]) -> list[Table]:
+    """Return the tables that `stored_columns` joined."""
+    joined = kind(**{field.name: arrays[f"{name}.{field.name}"] for field in fields(kind)})
+    ends = arrays[f"{name}.end"].tolist()
+    return [joined.take(np.arange(first, last)) for first, last in zip([0, *ends[:-1]], ends, strict=True)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from models.training.data.frames import DataSet, Frame, FrameLabels, Scan
 from models.training.data.samples import Perturbation, perturb_scan
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
-from msgs.values.array_table import ArrayTable
+from msgs.values.array_table import stored_columns, stored_tables
 from msgs.values.perception import TruthObject
 
 #: Scans of one file.
@@ -138,7 +138,7 @@ def _field_arrays(frames: Iterator[Frame], task: FieldTask) -> dict[str, np.ndar
         "cells": np.stack(cells),
         "range_m": np.stack([first.range_m for first in walls]),
         "angle_rad": np.stack([first.angle_rad for first in walls]),
-        **columns("returns", returns),
+        **stored_columns("returns", returns),
     }
 
 
@@ -153,9 +153,9 @@ def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask) -> dict[str, n
         truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))
     arrays: dict[str, np.ndarray] = {"channels": np.stack(channels)}
     arrays["mirror"] = np.stack([truth.mirror for truth in truths]).astype(np.int8)
-    arrays |= columns("objects", objects)
-    arrays |= columns("walls", [truth.walls for truth in truths])
-    arrays |= columns("labels", [truth.labels for truth in truths])
+    arrays |= stored_columns("objects", objects)
+    arrays |= stored_columns("walls", [truth.walls for truth in truths])
+    arrays |= stored_columns("labels", [truth.labels for truth in truths])
     arrays["truth"] = np.array([msgspec.json.encode(truth.truth) for truth in truths])
     for name in ("noise_power_mw", "azimuth_stamp_ns", "ego_compensated"):
         arrays[name] = np.array([getattr(truth, name) for truth in truths])
@@ -171,33 +171,19 @@ def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray) -> ScanTruth:
 
 def load_objects(path: Path) -> list[EvidenceObjects]:
     """Return the objects of the scans of a file."""
-    return tables(EvidenceObjects, "objects", load_arrays(path))
+    return stored_tables(EvidenceObjects, "objects", load_arrays(path))
 
 
 def load_truths(path: Path) -> list[ScanTruth]:
     """Return what the scoring of the scans of a file needs; raises `ValueError` naming it."""
     arrays = load_arrays(path)
     rows: list[Any] = [
-        tables(WallArrays, "walls", arrays),
+        stored_tables(WallArrays, "walls", arrays),
         arrays["mirror"].astype(np.int16),
-        tables(FrameLabels, "labels", arrays),
+        stored_tables(FrameLabels, "labels", arrays),
         [msgspec.json.decode(text, type=tuple[TruthObject, ...]) for text in arrays["truth"].tolist()],
         arrays["noise_power_mw"].tolist(),
         arrays["azimuth_stamp_ns"],
         arrays["ego_compensated"].tolist(),
     ]
     return [ScanTruth(*row) for row in zip(*rows, strict=True)]
-
-
-def columns(name: str, rows: Sequence[ArrayTable]) -> dict[str, np.ndarray]:
-    """Return the columns of tables in one row, and where each table ends."""
-    joined = type(rows[0]).joined(rows)
-    values = {f"{name}.{field.name}": getattr(joined, field.name) for field in fields(joined)}
-    return values | {f"{name}.end": np.cumsum([len(getattr(table, fields(table)[0].name)) for table in rows])}
-
-
-def tables(kind: type[Any], name: str, arrays: dict[str, np.ndarray]) -> list[Any]:
-    """Return the tables that `columns` joined."""
-    joined = kind(**{field.name: arrays[f"{name}.{field.name}"] for field in fields(kind)})
-    ends = arrays[f"{name}.end"].tolist()
-    return [joined.take(np.arange(first, last)) for first, last in zip([0, *ends[:-1]], ends, strict=True)]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -17,7 +16,7 @@ from models.training.data.object_samples import ObjectSample, ObjectTargets, Sam
 from models.training.data.samples import Perturbation, perturb_scan, standing
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
-from msgs.values.array_table import ArrayTable
+from msgs.values.array_table import stored_columns, stored_tables
 from msgs.values.environment import MAX_WALL_DISTANCE_M, PriorWall
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
@@ -29,8 +28,6 @@ EXACT_WALLS_SHARE, MAP_WALLS_SHARE, MISPLACED_WALLS_SHARE = 0.1, 0.15, 0.1
 MISPLACED_STD_M, MISPLACED_STD_RAD = 1.5, math.radians(2.0)
 #: Files whose samples are mixed before they are drawn.
 MIXED_FILES = 8
-
-Table = TypeVar("Table", bound=ArrayTable)
 
 
 @dataclass(frozen=True)
@@ -145,9 +142,9 @@ def save_samples(path: Path, samples: Sequence[StoredSample]) -> None:
     arrays = {
         name: np.stack([getattr(stored.sample, name) for stored in samples]) for name in ("cells", "wall", "second")
     }
-    arrays |= _columns("targets", [stored.sample.targets for stored in samples])
-    arrays |= _columns("walls", [stored.walls for stored in samples])
-    arrays |= _columns("labels", [stored.labels for stored in samples])
+    arrays |= stored_columns("targets", [stored.sample.targets for stored in samples])
+    arrays |= stored_columns("walls", [stored.walls for stored in samples])
+    arrays |= stored_columns("labels", [stored.labels for stored in samples])
     arrays["truth"] = np.array([msgspec.json.encode(stored.truth) for stored in samples])
     arrays["noise_power_mw"] = np.array([stored.noise_power_mw for stored in samples])
     arrays["ego_compensated"] = np.array([stored.ego_compensated for stored in samples])
@@ -161,7 +158,7 @@ def load_samples(path: Path) -> list[StoredSample]:
     try:
         arrays = load_arrays(path)
         targets, walls, labels = (
-            _tables(kind, name, arrays)
+            stored_tables(kind, name, arrays)
             for kind, name in ((ObjectTargets, "targets"), (WallArrays, "walls"), (FrameLabels, "labels"))
         )
         truth = [msgspec.json.decode(text, type=tuple[TruthObject, ...]) for text in arrays["truth"].tolist()]
@@ -181,20 +178,6 @@ def count_samples(path: Path) -> int:
         return len(load_arrays(path, only=("noise_power_mw",))["noise_power_mw"])
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path} must hold object samples: {error}") from None
-
-
-def _columns(name: str, tables: Sequence[ArrayTable]) -> dict[str, np.ndarray]:
-    """Return the columns of tables in one row, and where each table ends."""
-    joined = type(tables[0]).joined(tables)
-    columns = {f"{name}.{field.name}": getattr(joined, field.name) for field in fields(joined)}
-    return columns | {f"{name}.end": np.cumsum([len(getattr(table, fields(table)[0].name)) for table in tables])}
-
-
-def _tables(kind: type[Table], name: str, arrays: dict[str, np.ndarray]) -> list[Table]:
-    """Return the tables that `_columns` joined."""
-    joined = kind(**{field.name: arrays[f"{name}.{field.name}"] for field in fields(kind)})
-    ends = arrays[f"{name}.end"].tolist()
-    return [joined.take(np.arange(first, last)) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
 
 
 def shuffled(paths: Sequence[Path], rng: np.random.Generator) -> Iterator[ObjectSample]:

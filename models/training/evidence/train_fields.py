@@ -13,11 +13,11 @@ from torch import Tensor
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.perception.evidence.field_predictor import FIELD_ANSWERS
 from models.perception.evidence.wall_elements import BEYOND_M, WALL_ANSWERS
-from models.training.data.evidence_store import tables
 from models.training.data.field_samples import Returns
 from models.training.evidence.grid_training import GridSchedule, GridTraining
 from models.training.objectives.evidence import heat_loss, wall_loss
 from msgs.files.array_files import load_arrays
+from msgs.values.array_table import stored_tables
 from msgs.values.radar import RangeAzimuthGrid
 
 #: A direction's wall is found if its likeliest cell lies so near to it, and is turned like it.
@@ -61,7 +61,7 @@ class FieldTraining(GridTraining):
             torch.from_numpy(np.concatenate([file[name] for file in files])).to(self.device)
             for name in ("cells", "range_m", "angle_rad")
         )
-        returns = [table for file in files for table in tables(Returns, "returns", file)]
+        returns = [table for file in files for table in stored_tables(Returns, "returns", file)]
         return _Arrays(cells, range_m, angle_rad, returns)
 
     @property
