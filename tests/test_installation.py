@@ -25,7 +25,7 @@ from tests.installing import WITHIN, build_wheels, install, lend_kernels, make_e
 #: Needed by others at run time, imported by none of ours: uvicorn takes it for web sockets.
 INDIRECT = {"websockets"}
 #: Import name -> distribution, where they differ.
-DISTRIBUTIONS = {"can": "python-can", "yaml": "pyyaml", "zmq": "pyzmq"}
+DISTRIBUTIONS = {"PIL": "pillow", "can": "python-can", "yaml": "pyyaml", "zmq": "pyzmq"}
 #: What only extras bring, and what only type checkers read.
 OPTIONAL = {
     "cyclonedds",
