@@ -43,12 +43,19 @@ def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
     """Write the resolved configuration, or require that the run's own is the same; only one process `leads`."""
     path, content = run_dir / CONFIG, json_lines(config)
     if path.exists():
-        # read, as files from before a field lack it
-        if path.read_bytes() != content and load_json(path, type(config)) != config:
+        if path.read_bytes() != content and not _says(path, config):
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
     elif leads:
         run_dir.mkdir(parents=True, exist_ok=True)
         write_whole(path, content)
+
+
+def _says(path: Path, config: object) -> bool:
+    """Return whether a file says the same configuration, if not in the same words: older ones lack newer fields."""
+    try:
+        return bool(load_json(path, type(config)) == config)
+    except ValueError:
+        return False
 
 
 def load_config(run_dir: Path, kind: type[Config]) -> Config:
