@@ -230,9 +230,10 @@ class PointField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(f"field.name must have 1..{MAX_NAME_LENGTH} characters, got {len(self.name)}")
         if self.datatype not in POINT_TYPES:
             raise ValueError(f"field {self.name!r} must be of type {', '.join(POINT_TYPES)}, got {self.datatype!r}")
-        if self.offset < 0 or not 1 <= self.count <= MAX_CLOUD_BYTES:
+        if not (0 <= self.offset <= MAX_CLOUD_BYTES and 1 <= self.count <= MAX_CLOUD_BYTES):
             raise ValueError(
-                f"field {self.name!r} must have offset >= 0 and count >= 1, got {self.offset} and {self.count}"
+                f"field {self.name!r} must have offset and count of 0 and 1 to {MAX_CLOUD_BYTES}, "
+                f"got {self.offset} and {self.count}"
             )
 
     @property

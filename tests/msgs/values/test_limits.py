@@ -13,6 +13,8 @@ import pytest
 from msgs.bus.codec import CodecError, decode_inline, encode_inline
 from msgs.bus.topics import TOPICS
 from msgs.values.arrays import Array
+from msgs.values.lidar import PointField
+from tests.side_sensors import jpeg
 
 #: Where NaN says "not measured", infinity "no limit".
 LEGAL = {
@@ -46,13 +48,22 @@ SIGNED = {
     "Wall.normal", "Wall.offset_m",
 }  # fmt: skip
 #: Codes of which every one means something.
-CODES = {"RadarBeam.samples", "RangeAzimuthMap.radial_speed_cmps", "PhotonHistograms.counts"}
+CODES = {
+    *("RadarBeam.samples", "RangeAzimuthMap.radial_speed_cmps", "PhotonHistograms.counts", "LidarPoints.data"),
+    *("CameraImage.jpeg"),
+}
 #: What no rule of a single field tells.
 GIVEN: dict[str, dict[str, Any]] = {
     "Wall": {"normal": (-1.0, 0.0)},
     "PriorWall": {"ends_m": ((1.0, 0.0), (5.0, 0.0))},
     "WallPriors": {"source": "map"},
     "RadarBeam": {"beam_count": 2},
+    "CameraImage": {"width_px": 32, "height_px": 16, "jpeg": np.frombuffer(jpeg(32, 16), np.uint8)},
+    "PointField": {"datatype": "float32"},
+    "LidarPoints": {
+        "fields": tuple(PointField(name=name, offset=4 * k, datatype="float32") for k, name in enumerate("xyz")),
+        "data": np.zeros((2, 12), np.uint8),
+    },
 }
 
 

@@ -207,7 +207,7 @@ def test_the_object_network_gets_the_walls_with_priors() -> None:
     judged: list[int] = []
 
     class Judge:
-        card = SimpleNamespace(encoding=ObjectEncoding())
+        card, walls = SimpleNamespace(), ObjectEncoding().walls
 
         def suits(self, ra_map: object) -> bool:
             return True
