@@ -16,6 +16,16 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from models.compiled import compiled
 from models.perception.geometry.mirrors import WallArrays
+from models.perception.objects.wall_table import (
+    ENDS,
+    NORMAL_X,
+    NORMAL_Y,
+    OFFSET,
+    SURE,
+    is_free,
+    nearest_wall_m,
+    wall_table,
+)
 from msgs.values.arrays import require_positive
 from msgs.values.radar import RangeAzimuthMap
 
@@ -28,20 +38,14 @@ BY_MIRROR = (
 OVER_MIRRORS = ("count", "mean_level", "least_contrast", "most_mirrored", "sum_mirrored", "second_mirrored")
 #: Of the place itself.
 OF_PLACE = ("in_view", "is_hidden", "level", "contrast", "direct", "mirrored", "to_wall", "x", "y", "range")
-#: Channels that change sign when left and right are exchanged, by name.
-ODD = ("toward_y", "y")
 #: Levels of a map over its noise, and contrasts, that count as 0 and 1 [dB].
 LEVEL_DB, CONTRAST_DB = (-5.0, 85.0), 40.0
 #: Cells about one that are looked at, and those that are its surroundings: range bins, azimuths.
 NEAR_CELLS, AROUND_CELLS = (3, 5), (17, 17)
-#: A wall longer than this surely blocks and mirrors: no side of a vehicle.
-SURE_M = 5.5
 #: Least depth of an image behind its wall; places nearer to the end of their way are on the wall.
 MIN_DEPTH_M = 0.7
 #: Directions are known this well; a wall may reach beyond its ends by twice as much, and this much more.
 AZIMUTH_STD_RAD, END_M, MAX_MISSED_M = 0.035, 0.5, 8.0
-#: The certain part of a wall ends this much before its ends.
-TRIM_M, CUT_DEPTH_M = 1.0, 1.0
 #: Bounds of distances, lengths and errors in channels.
 FAR_M, GAP_M, RANGE_M, PLACE_M, ANGLE_RAD = 8.0, 8.0, 70.0, 42.0, 0.175
 GAP_STEP_M, GAP_BEFORE_M, GAPS = 0.5, 10.0, 256
@@ -140,19 +144,13 @@ def gathered(
     return Evidence(channels, mirror)
 
 
-# Columns of the table of walls: ends, unit normal towards the radar, offset, certain ends, whether it surely blocks,
-# length, curvature, error of its direction, certainty.
-_AX, _AY, _BX, _BY, _NX, _NY, _OFFSET, _CERTAIN = range(8)
-_SURE, _LENGTH, _CURVE, _ANGLE, _TRUST = range(11, 16)
+# Columns of the table of walls beyond those of `wall_table`: length, curvature, error of its direction, certainty.
+_LENGTH, _CURVE, _ANGLE, _TRUST = range(12, 16)
 
 
 def _table(walls: WallArrays, certainty: np.ndarray) -> np.ndarray:
-    sure = walls.length_m > SURE_M
-    certain = walls.trimmed(TRIM_M)
-    return np.column_stack([
-        walls.a, walls.b, walls.normal, walls.offset_m, *certain, sure, walls.length_m, walls.curvature_per_m,
-        walls.angle_std_rad, certainty,
-    ]).astype(np.float64)  # fmt: skip
+    further = walls.length_m, walls.curvature_per_m, walls.angle_std_rad, certainty
+    return np.column_stack([wall_table(walls), *further])
 
 
 def _gaps(walls: WallArrays, support_m: np.ndarray, wall_of: np.ndarray) -> np.ndarray:
@@ -171,49 +169,13 @@ def _gaps(walls: WallArrays, support_m: np.ndarray, wall_of: np.ndarray) -> np.n
 
 
 @compiled(error_model="numpy")
-def _cuts(ox, oy, ex, ey, table, wall):  # type: ignore[no-untyped-def]
-    """Return whether the segment from (ox, oy) to (ex, ey) crosses the certain part of a wall."""
-    ax, ay = table[wall, _CERTAIN], table[wall, _CERTAIN + 1]
-    rx, ry, sx, sy = ex - ox, ey - oy, table[wall, _CERTAIN + 2] - ax, table[wall, _CERTAIN + 3] - ay
-    turn = rx * sy - ry * sx
-    across = (ax - ox) * ry - (ay - oy) * rx
-    if turn == 0.0 or not abs(across) <= abs(turn) or (across < 0.0 < turn) or (turn < 0.0 < across):
-        return False
-    along = (ax - ox) * sy - (ay - oy) * sx
-    return abs(along) < abs(turn) and along / turn > 1e-9
-
-
-@compiled(error_model="numpy")
-def _is_free(ox, oy, ex, ey, table, own):  # type: ignore[no-untyped-def]
-    """Return whether no long wall but `own` blocks a segment by more than the depth of a rough surface."""
-    for wall in range(len(table)):
-        if wall == own or table[wall, _SURE] == 0.0 or not _cuts(ox, oy, ex, ey, table, wall):
-            continue
-        if abs(ex * table[wall, _NX] + ey * table[wall, _NY] + table[wall, _OFFSET]) > CUT_DEPTH_M:
-            return False
-    return True
-
-
-@compiled(error_model="numpy")
-def _nearest_wall_m(x, y, table):  # type: ignore[no-untyped-def]
-    """Return the distance of a place from the nearest wall, at most `FAR_M`."""
-    nearest = FAR_M
-    for wall in range(len(table)):
-        ax, ay = table[wall, _AX], table[wall, _AY]
-        sx, sy = table[wall, _BX] - ax, table[wall, _BY] - ay
-        share = min(max(((x - ax) * sx + (y - ay) * sy) / max(sx * sx + sy * sy, 1e-12), 0.0), 1.0)
-        nearest = min(nearest, np.hypot(x - ax - share * sx, y - ay - share * sy))
-    return nearest
-
-
-@compiled(error_model="numpy")
 def _mirror_at(x, y, table, wall):  # type: ignore[no-untyped-def]
     """Return where a place has its image in a wall and where the wall mirrors it: whether it has one, image, mirror,
     place along the wall, normal there.
     """
-    nx, ny, offset = table[wall, _NX], table[wall, _NY], table[wall, _OFFSET]
-    ax, ay, length = table[wall, _AX], table[wall, _AY], table[wall, _LENGTH]
-    ux, uy = (table[wall, _BX] - ax) / length, (table[wall, _BY] - ay) / length
+    nx, ny, offset = table[wall, NORMAL_X], table[wall, NORMAL_Y], table[wall, OFFSET]
+    ax, ay, length = table[wall, ENDS], table[wall, ENDS + 1], table[wall, _LENGTH]
+    ux, uy = (table[wall, ENDS + 2] - ax) / length, (table[wall, ENDS + 3] - ay) / length
     normal_x, normal_y, curve = nx, ny, table[wall, _CURVE]
     ix, iy, mx, my, along = 0.0, 0.0, 0.0, 0.0, 0.0
     # an arc mirrors as its tangent where the ray meets it, which is found by a few steps from the chord
@@ -263,8 +225,8 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 sideways = np.hypot(mx, my) * AZIMUTH_STD_RAD / max(incidence, 0.1)
                 if missed > min(END_M + 2.0 * sideways, MAX_MISSED_M):
                     continue
-                first_free = _is_free(0.0, 0.0, mx, my, table, wall)
-                second_free = _is_free(mx, my, x, y, table, wall)
+                first_free = is_free(0.0, 0.0, mx, my, table, wall)
+                second_free = is_free(mx, my, x, y, table, wall)
                 r, c = int(row + 0.5), int(column + 0.5)
                 level, contrast, heat = fields[0, r, c], fields[1, r, c], fields[4, r, c]
                 dx, dy = x - mx, y - my
@@ -277,10 +239,10 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 f[10] = min(np.log(max(table[wall, _LENGTH], 1.0)) / 4.0, 1.0)
                 f[11], f[12] = min(table[wall, _ANGLE] / ANGLE_RAD, 1.0), gap / GAP_M
                 f[13], f[14], f[15] = dx / away_m, dy / away_m, min(away / RANGE_M, 1.0)
-                f[16], f[17] = table[wall, _SURE], table[wall, _TRUST]
+                f[16], f[17] = table[wall, SURE], table[wall, _TRUST]
                 both = first_free and second_free
                 key[count] = heat + 0.5 * contrast + (1.0 if both else 0.0) + (0.3 if missed == 0.0 else 0.0)
-                key[count] += 0.1 * table[wall, _SURE]
+                key[count] += 0.1 * table[wall, SURE]
                 of[count] = wall
                 count += 1
                 if both:
@@ -309,7 +271,7 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 channels[place, i, j] = 1.0
                 channels[place + 2, i, j], channels[place + 3, i, j] = fields[0, r, c], fields[1, r, c]
                 channels[place + 4, i, j], channels[place + 5, i, j] = fields[3, r, c], fields[4, r, c]
-            channels[place + 1, i, j] = 0.0 if _is_free(0.0, 0.0, x, y, table, -1) else 1.0
-            channels[place + 6, i, j] = _nearest_wall_m(x, y, table) / FAR_M
+            channels[place + 1, i, j] = 0.0 if is_free(0.0, 0.0, x, y, table, -1) else 1.0
+            channels[place + 6, i, j] = min(nearest_wall_m(x, y, table), FAR_M) / FAR_M
             channels[place + 7, i, j], channels[place + 8, i, j] = x / PLACE_M, y / y_limit
             channels[place + 9, i, j] = min(away / 50.0, 1.0)

@@ -17,6 +17,20 @@ import numpy as np
 from models.compiled import compiled
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import RADAR, WallArrays, hits
+from models.perception.objects.wall_table import (
+    ENDS,
+    FAR_M,
+    NORMAL_X,
+    NORMAL_Y,
+    OFFSET,
+    SURE,
+    blocks,
+    cuts,
+    height_m,
+    is_free,
+    nearest_wall_m,
+    wall_table,
+)
 
 #: Single mirrors of a cell, and all hypotheses.
 SINGLES = 3
@@ -29,16 +43,12 @@ FEATURES = (
 )  # fmt: skip
 #: Index of the one feature that changes sign with left and right.
 Y_FEATURE = FEATURES.index("y")
-#: Least depth of an image behind its wall, and what a wall must be passed by to block.
-MIN_DEPTH_M, CUT_DEPTH_M = 1.0, 1.0
+#: Least depth of an image behind its wall.
+MIN_DEPTH_M = 1.0
 #: Walls mirror beyond their outermost return by this and by twice the beam's error, within a limit.
 END_MARGIN_M, MAX_MARGIN_M, AZIMUTH_STD_RAD = 0.5, 8.0, 0.035
-#: Sides of vehicles are poor mirrors and do not surely block.
-VEHICLE_LENGTH_M = 5.5
-#: The certain part of a wall ends this much before its outermost return.
-TRIM_M = 1.0
 #: Bounds of distances in features; units of positions, of an angle's error, of a number of images.
-NEAR_M, FAR_M, PLACE_M, ANGLE_RAD, IMAGES = 0.2, 120.0, 40.0, 0.2, 2.0
+NEAR_M, PLACE_M, ANGLE_RAD, IMAGES = 0.2, 40.0, 0.2, 2.0
 #: Costs by which single mirrors are ordered; each outweighs all that come before it.
 _MISSED, _SHORT, _BLOCKED_LATE, _BLOCKED_EARLY = 1e3, 2e3, 1e4, 2e4
 
@@ -59,10 +69,6 @@ class CellHypotheses:
     features: np.ndarray
 
 
-# Columns of the walls of a scan, an array [W, 12]: compiled code takes plain numbers out of it, since it counts the
-# references of every row view that it makes. `CERTAIN` are the ends drawn in; a wall that is `SURE` is long enough to
-# block.
-ENDS, NORMAL_X, NORMAL_Y, OFFSET, CERTAIN, SURE = 0, 4, 5, 6, 7, 11
 # Columns of where the rays of the columns meet the walls, an array [C, W, 8]: distance along the ray (inf: never) and
 # beyond the wall's ends, the mirror there, the cosine of the ray's angle with its normal.
 TO_WALL, MISSED, MIRROR_NORMAL_X, MIRROR_NORMAL_Y, MIRROR_OFFSET, MIRROR_X, MIRROR_Y, INCIDENCE = range(8)
@@ -94,18 +100,13 @@ def cell_hypotheses(
     direction = np.stack([np.cos(grid.azimuth_rad), np.sin(grid.azimuth_rad)], axis=1)
     (first_m, next_m), (first_rad, next_rad) = grid.range_m[:2].tolist(), grid.azimuth_rad[:2].tolist()
     steps = _Grid(first_m, next_m - first_m, first_rad, next_rad - first_rad)
-    rays, columns = _rays(direction, walls), _columns(walls)
+    rays, columns = _rays(direction, walls), wall_table(walls)
     shared = _shared_features(rays, walls.length_m, walls.angle_std_rad, returns.points_m, returns.wall)
     fields = np.array([level, *scores], np.float64)
     if features is None:
         features = np.empty((HYPOTHESES, len(FEATURES), *level.shape), np.float32)
     first, second = _all_cells(grid.range_m, direction, rays, shared, columns, fields, steps, features)
     return CellHypotheses(first, second, features)
-
-
-def _columns(walls: WallArrays) -> np.ndarray:
-    sure = walls.length_m > VEHICLE_LENGTH_M
-    return np.column_stack([walls.a, walls.b, walls.normal, walls.offset_m, *walls.trimmed(TRIM_M), sure])
 
 
 def _rays(direction: np.ndarray, walls: WallArrays) -> np.ndarray:
@@ -155,54 +156,14 @@ def _shared_features(rays, length_m, angle_std_rad, returns_m, wall_of_return): 
 
 
 @compiled(error_model="numpy")
-def _cuts(ox, oy, ex, ey, walls, wall, ends):  # type: ignore[no-untyped-def]
-    """Return whether the segment from (ox, oy) to (ex, ey) crosses a wall between the ends in four columns from
-    `ends` on; not where the segment begins.
-    """
-    ax, ay = walls[wall, ends], walls[wall, ends + 1]
-    rx, ry, sx, sy = ex - ox, ey - oy, walls[wall, ends + 2] - ax, walls[wall, ends + 3] - ay
-    turn = rx * sy - ry * sx
-    across = (ax - ox) * ry - (ay - oy) * rx
-    # a quotient lies in 0..1 exactly where its parts say so: most walls are passed without a division
-    if turn == 0.0 or not abs(across) <= abs(turn) or (across < 0.0 < turn) or (turn < 0.0 < across):
-        return False
-    along = (ax - ox) * sy - (ay - oy) * sx
-    return abs(along) < abs(turn) and along / turn > 1e-9
-
-
-@compiled
-def _height(x, y, walls, wall):  # type: ignore[no-untyped-def]
-    """Return the signed distance of a place from the line of a wall, positive on the radar's side."""
-    return x * walls[wall, NORMAL_X] + y * walls[wall, NORMAL_Y] + walls[wall, OFFSET]
-
-
-@compiled(error_model="numpy")
-def _blocks(ox, oy, ex, ey, walls, wall):  # type: ignore[no-untyped-def]
-    """Return whether a wall surely blocks a segment."""
-    if walls[wall, SURE] == 0.0 or not _cuts(ox, oy, ex, ey, walls, wall, CERTAIN):
-        return False
-    return abs(_height(ex, ey, walls, wall)) > CUT_DEPTH_M
-
-
-@compiled(error_model="numpy")
-def _is_free(ox, oy, ex, ey, walls, own):  # type: ignore[no-untyped-def]
-    """Return whether no wall other than `own` surely blocks a segment."""
-    free, wall = True, 0
-    while free and wall < len(walls):
-        free = wall == own or not _blocks(ox, oy, ex, ey, walls, wall)
-        wall += 1
-    return free
-
-
-@compiled(error_model="numpy")
 def _blocker(ox, oy, ex, ey, walls, among, count):  # type: ignore[no-untyped-def]
     """Return the first of the `count` walls `among` that surely blocks a segment, -1: none does."""
     nearest, blocker = np.inf, -1
     for k in range(count):
         wall = among[k]
-        if not _blocks(ox, oy, ex, ey, walls, wall):
+        if not blocks(ox, oy, ex, ey, walls, wall):
             continue
-        start, stop = _height(ox, oy, walls, wall), _height(ex, ey, walls, wall)
+        start, stop = height_m(ox, oy, walls, wall), height_m(ex, ey, walls, wall)
         if start / (start - stop) < nearest:
             nearest, blocker = start / (start - stop), wall
     return blocker
@@ -231,7 +192,7 @@ def _preference(rays, column, walls, wall):  # type: ignore[no-untyped-def]
     sideways = to_wall * AZIMUTH_STD_RAD / max(rays[column, wall, INCIDENCE], 0.1)
     if not to_wall < FAR_M or missed > min(END_MARGIN_M + 2.0 * sideways, MAX_MARGIN_M):
         return np.inf, False
-    free = _is_free(0.0, 0.0, rays[column, wall, MIRROR_X], rays[column, wall, MIRROR_Y], walls, wall)
+    free = is_free(0.0, 0.0, rays[column, wall, MIRROR_X], rays[column, wall, MIRROR_Y], walls, wall)
     cost = missed - to_wall + (0.0 if free else _BLOCKED_EARLY)
     return cost + ((_MISSED if missed > 0.0 else 0.0) + (0.0 if walls[wall, SURE] else _SHORT)), free
 
@@ -310,12 +271,12 @@ def _twice(mx, my, x, y, walls, second):  # type: ignore[no-untyped-def]
     """Return whether an image folded to (x, y) by way of the mirror at (mx, my) may have been mirrored by the wall
     `second` too, and the place then.
     """
-    stop, start = _height(x, y, walls, second), _height(mx, my, walls, second)
+    stop, start = height_m(x, y, walls, second), height_m(mx, my, walls, second)
     if start * stop >= 0.0 or abs(stop) < MIN_DEPTH_M:
         return False, x, y
     fx, fy = x - 2.0 * stop * walls[second, NORMAL_X], y - 2.0 * stop * walls[second, NORMAL_Y]
     share = start / (start - stop)
-    return _is_free(mx + share * (x - mx), my + share * (y - my), fx, fy, walls, second), fx, fy
+    return is_free(mx + share * (x - mx), my + share * (y - my), fx, fy, walls, second), fx, fy
 
 
 @compiled(error_model="numpy")
@@ -339,31 +300,14 @@ def _largest(fields, field, row, column):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _shows(x, y, walls, wall):  # type: ignore[no-untyped-def]
     """Return whether a wall shows the radar an image of a place, and where."""
-    height, offset = _height(x, y, walls, wall), walls[wall, OFFSET]
+    height, offset = height_m(x, y, walls, wall), walls[wall, OFFSET]
     if height < MIN_DEPTH_M:
         return False, x, y
     ix, iy = x - 2.0 * height * walls[wall, NORMAL_X], y - 2.0 * height * walls[wall, NORMAL_Y]
-    if not _cuts(0.0, 0.0, ix, iy, walls, wall, ENDS):
+    if not cuts(0.0, 0.0, ix, iy, walls, wall, ENDS):
         return False, ix, iy
     mx, my = ix * (offset / (offset + height)), iy * (offset / (offset + height))
-    return _is_free(0.0, 0.0, mx, my, walls, wall) and _is_free(mx, my, x, y, walls, wall), ix, iy
-
-
-@compiled(error_model="numpy")
-def _nearest_wall_m(x, y, walls):  # type: ignore[no-untyped-def]
-    """Return the distance of a place from the nearest wall, at most `FAR_M`."""
-    nearest, reach2 = FAR_M, np.inf
-    for wall in range(len(walls)):
-        ax, ay = walls[wall, ENDS], walls[wall, ENDS + 1]
-        sx, sy = walls[wall, ENDS + 2] - ax, walls[wall, ENDS + 3] - ay
-        share = ((x - ax) * sx + (y - ay) * sy) / max(sx * sx + sy * sy, 1e-12)
-        share = min(max(share, 0.0), 1.0)
-        dx, dy = x - ax - share * sx, y - ay - share * sy
-        # a root is taken only where its square may be the least
-        if dx * dx + dy * dy <= reach2:
-            nearest = min(nearest, np.hypot(dx, dy))
-            reach2 = (1.0 + 1e-9) * (dx * dx + dy * dy)
-    return nearest
+    return is_free(0.0, 0.0, mx, my, walls, wall) and is_free(mx, my, x, y, walls, wall), ix, iy
 
 
 @compiled(error_model="numpy")
@@ -371,7 +315,7 @@ def _describe_place(x, y, own, walls, fields, steps, out):  # type: ignore[no-un
     """Write what walls and map say of a place; `own` is the last wall on the way."""
     row, column = _cell_of(x, y, steps)
     in_view = 0 <= column < fields.shape[2]
-    hidden = not _is_free(0.0, 0.0, x, y, walls, -1)
+    hidden = not is_free(0.0, 0.0, x, y, walls, -1)
     out[8], out[9], out[10], out[11] = x / PLACE_M, y / PLACE_M, in_view, hidden
     if in_view and not hidden:
         out[12], out[13] = _largest(fields, LEVEL, row, column), _largest(fields, DIRECT, row, column)
@@ -386,7 +330,7 @@ def _describe_place(x, y, own, walls, fields, steps, out):  # type: ignore[no-un
             out[14] += 1.0 / IMAGES
             out[15] = max(out[15], _largest(fields, LEVEL, row, column))
             out[16] = max(out[16], _largest(fields, MIRRORED, row, column))
-    out[17] = _log(_nearest_wall_m(x, y, walls))
+    out[17] = _log(nearest_wall_m(x, y, walls))
 
 
 @compiled

@@ -7,14 +7,11 @@ import pytest
 
 from models.perception.geometry.mirrors import RADAR, WallArrays, hits
 from models.perception.objects.hypotheses import (
-    CUT_DEPTH_M,
-    FAR_M,
     FEATURES,
     PLACE_M,
     SINGLES,
-    TRIM_M,
-    VEHICLE_LENGTH_M,
 )
+from models.perception.objects.wall_table import CUT_DEPTH_M, FAR_M, TRIM_M, VEHICLE_LENGTH_M
 from models.physics.plane import segment_distance_m
 from tests.models.perception.objects.object_scenes import ACROSS, ALONG, GRID, cell, centre, hypotheses, walls
 
