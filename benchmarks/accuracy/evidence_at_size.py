@@ -67,15 +67,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
 def _fields(options: argparse.Namespace) -> None:
     judges = _samples(options, FieldTask(ENCODING), "fields", options.validation, None)
     train = _samples(options, FieldTask(ENCODING), "fields", [*options.drives, *options.places], 0)
-    schedule = GridSchedule(
-        epochs=options.field_epochs,
-        batch_size=options.field_batch,
-        learning_rate=2e-3 * (options.field_batch / 8) ** 0.5,
-        weight_decay=1e-3,
-        minutes=options.field_minutes,
-        threads=options.threads,
-        validated_from=options.validated_from,
-    )
+    schedule = _schedule(options, "field", learning_rate=2e-3, weight_decay=1e-3)
     run = options.work / "fields"
     training = FieldTraining(train, judges, CHANNELS, GRID, schedule, run)
     best = _run("fields", training)
@@ -90,14 +82,7 @@ def _evidence(options: argparse.Namespace) -> None:
     task = EvidenceTask(EVIDENCE, options.detector, fields)
     judges = _samples(options, task, "evidence", options.validation, None)
     train = _samples(options, task, "evidence", [*options.drives, *options.places], 0)
-    schedule = GridSchedule(
-        epochs=options.evidence_epochs,
-        batch_size=options.evidence_batch,
-        learning_rate=3e-3 * (options.evidence_batch / 8) ** 0.5,
-        minutes=options.evidence_minutes,
-        threads=options.threads,
-        validated_from=options.validated_from,
-    )
+    schedule = _schedule(options, "evidence", learning_rate=3e-3, weight_decay=1e-2)
     run = options.work / "evidence"
     training = EvidenceTraining(train, judges, EVIDENCE, GRID, schedule, run)
     best = _run("evidence", training)
@@ -112,6 +97,20 @@ def _evidence(options: argparse.Namespace) -> None:
     card = export_evidence(run, EVIDENCE, options.out / EVIDENCE_FILE, **said)
     _kept(run, options.out / "evidence-curves.json")
     print(f"evidence: epoch {best.epoch} of {training.scans} scans, {card.scores}", flush=True)
+
+
+def _schedule(options: argparse.Namespace, network: str, learning_rate: float, weight_decay: float) -> GridSchedule:
+    """Return the schedule of a network by its options; the rate is that of batches of 8."""
+    epochs, batch_size, minutes = (getattr(options, f"{network}_{name}") for name in ("epochs", "batch", "minutes"))
+    return GridSchedule(
+        epochs=epochs,
+        batch_size=batch_size,
+        learning_rate=learning_rate * (batch_size / 8) ** 0.5,
+        weight_decay=weight_decay,
+        minutes=minutes,
+        threads=options.threads,
+        validated_from=options.validated_from,
+    )
 
 
 def _samples(

@@ -121,18 +121,6 @@ class NetworkDetector:
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
 
 
-class PeakDetector:
-    """The pursued peaks of a network, of any radar that it was trained for."""
-
-    def __init__(self, model: Path = DEFAULT_MODEL) -> None:
-        self._predictor = DensePredictor(model)
-        self._params = PeakParams(threshold=self._predictor.card.threshold_for(Refine.PURSUIT))
-
-    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Return the classified peaks of one map."""
-        return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
-
-
 def detector_name(sha256: str, placement: str, flip_test: bool) -> str:
     """Return the value of `Peaks.detector` for a network: its file and the placement of its peaks."""
     return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"

@@ -148,13 +148,13 @@ def nearest_walls(points_m: np.ndarray, walls: WallArrays) -> np.ndarray:
 
 def certainties(walls: WallArrays, answer: np.ndarray, grid: RangeAzimuthGrid) -> np.ndarray:
     """Return the mean probability that an answer [`WALL_ANSWERS`, range, azimuth] gives to the line of each wall."""
-    least = maximum_filter(answer[0], size=(5, 3), mode="nearest")
+    likeliest = maximum_filter(answer[0], size=(5, 3), mode="nearest")
     share = (np.arange(CERTAINTY_POINTS) + 0.5) / CERTAINTY_POINTS
     points_m = walls.a[:, None] + share[:, None] * (walls.b - walls.a)[:, None]
     row = np.rint(grid.range_index(np.hypot(points_m[..., 0], points_m[..., 1]))).astype(int)
     column = np.rint(grid.azimuth_index(np.arctan2(points_m[..., 1], points_m[..., 0]))).astype(int)
     inside = (row >= 0) & (row < answer.shape[1]) & (column >= 0) & (column < answer.shape[2])
-    said = expit(least[np.where(inside, row, 0), np.where(inside, column, 0)].astype(np.float64))
+    said = expit(likeliest[np.where(inside, row, 0), np.where(inside, column, 0)].astype(np.float64))
     return np.where(inside, said, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
 
 

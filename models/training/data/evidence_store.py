@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from models.perception.detection.detectors import PeakDetector
+from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.encoding import Encoding
 from models.perception.evidence.field_predictor import FieldPredictor
 from models.perception.evidence.scan_evidence import EvidenceEncoding, scan_evidence
@@ -105,7 +105,7 @@ def _make_file(
 ) -> Path:
     data = _data_set(directory)
     frames = (_frame(data, index, seed) for index in indices)
-    arrays = _field_arrays(frames, task) if isinstance(task, FieldTask) else _evidence_arrays(frames, task)
+    arrays = _field_arrays(frames, task) if isinstance(task, FieldTask) else _evidence_arrays(frames, task, directory)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole(path) as part, part.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -118,8 +118,8 @@ def _data_set(directory: Path) -> DataSet:
 
 
 @lru_cache(maxsize=1)
-def _networks(task: EvidenceTask) -> tuple[PeakDetector, FieldPredictor]:
-    return PeakDetector(task.detector), FieldPredictor(task.fields)
+def _networks(task: EvidenceTask, directory: Path) -> tuple[NetworkDetector, FieldPredictor]:
+    return NetworkDetector(_data_set(directory).setup, task.detector), FieldPredictor(task.fields)
 
 
 def _frame(data: DataSet, index: int, seed: int | None) -> Frame:
@@ -142,8 +142,8 @@ def _field_arrays(frames: Iterator[Frame], task: FieldTask) -> dict[str, np.ndar
     }
 
 
-def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask) -> dict[str, np.ndarray]:
-    detector, fields = _networks(task)
+def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Path) -> dict[str, np.ndarray]:
+    detector, fields = _networks(task, directory)
     channels, objects, truths = [], [], []
     for frame in frames:
         _, fitted = direct_structure(detector.detect(frame.ra_map), task.geometry)

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.evidence.wall_elements import MAX_INCIDENCE_RAD
+from models.physics.mirror import crossing_parameters
 from models.training.data.frames import Frame
 from msgs.values.array_table import ArrayTable
 from msgs.values.environment import PriorWall
@@ -33,10 +34,8 @@ def first_walls(walls: Sequence[PriorWall], azimuth_rad: np.ndarray) -> FirstWal
     ends_m = np.array([wall.ends_m for wall in walls], np.float64)
     a, along = ends_m[:, 0], ends_m[:, 1] - ends_m[:, 0]
     ray = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
-    turn = ray[:, 0, None] * along[:, 1] - ray[:, 1, None] * along[:, 0]
-    turn = np.where(np.abs(turn) > 1e-12, turn, np.nan)
-    away_m = (a[:, 0] * along[:, 1] - a[:, 1] * along[:, 0]) / turn
-    share = (a[:, 0] * ray[:, 1, None] - a[:, 1] * ray[:, 0, None]) / turn
+    # of rays a metre long, so that their shares are metres
+    away_m, share = crossing_parameters(np.zeros(2), ray, a, ends_m[:, 1])
     long_enough = np.hypot(*along.T) > LEAST_LENGTH_M
     met = (away_m > 0.2) & (share >= 0.0) & (share <= 1.0) & long_enough
     away_m = np.where(met, away_m, np.inf)

@@ -19,22 +19,19 @@ from torch import Tensor, nn
 
 from models.training.files import json_lines
 from models.training.run_folder import BEST, CURVES, LAST, load_state, save_state
+from models.training.schedules import ScheduleConfig
 from msgs.files.whole_files import write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridSchedule:
-    """Length and learning rate of a run."""
+class GridSchedule(ScheduleConfig):
+    """Length and learning rate of a run: of `epochs`, or of `minutes` where they end first."""
 
     epochs: int = 6
     batch_size: int = 16
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     clip_norm: float = 5.0
-    #: Share of the run in which the learning rate rises.
-    warm_up: float = 0.15
-    #: The run ends after so many minutes; None: after its epochs.
-    minutes: float | None = None
     #: Validation begins at this share of the run: it takes longer than an epoch where training is fast.
     validated_from: float = 0.0
     seed: int = 0
@@ -43,17 +40,9 @@ class GridSchedule:
     mixed_precision: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch_size", "learning_rate", "clip_norm", "threads"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"schedule.{name} must be positive, got {getattr(self, name)}")
-        if self.minutes is not None and not self.minutes > 0.0:
-            raise ValueError(f"schedule.minutes must be positive, got {self.minutes}")
-
-    def factor(self, share: float) -> float:
-        """Return the learning rate at a share of the run, relative to the largest."""
-        if share < self.warm_up:
-            return 0.04 + 0.48 * (1.0 - math.cos(math.pi * share / self.warm_up))
-        return max(0.5 * (1.0 + math.cos(math.pi * (share - self.warm_up) / (1.0 - self.warm_up))), 1e-4)
+        super().__post_init__()
+        if self.threads < 1:
+            raise ValueError(f"schedule.threads must be positive, got {self.threads}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +132,7 @@ class GridTraining(ABC):
             if share >= 1.0:
                 break
             for group in self.optimiser.param_groups:
-                group["lr"] = schedule.learning_rate * schedule.factor(share)
+                group["lr"] = schedule.learning_rate * schedule.factor_at(share)
             self.optimiser.zero_grad()
             index = order[step * size : (step + 1) * size]
             loss = self.batch_loss(index, bool(rng.random() < 0.5))

@@ -93,7 +93,6 @@ def evidence_loss(
     answer = answer.float()
     batch = len(answer)
     heat = torch.zeros((batch, len(x_m), len(y_m)), device=answer.device)
-    weight = torch.ones_like(heat)
     away2 = (x_m[None, :, None] - targets.place_m[:, 0, None, None]) ** 2
     away2 = away2 + (y_m[None, None, :] - targets.place_m[:, 1, None, None]) ** 2
     asked = targets.asked
@@ -104,7 +103,7 @@ def evidence_loss(
     ignored = (away2 < IGNORED_M**2).float()
     heat = _largest_of_scan(heat, targets.scan[asked], spread[asked])
     hidden = _largest_of_scan(torch.zeros_like(heat), targets.scan[~asked], ignored[~asked])
-    weight = torch.where((hidden > 0.0) & (heat <= 0.02), 0.0, weight)
+    weight = torch.where((hidden > 0.0) & (heat <= 0.02), 0.0, 1.0)
     logits = answer[:, OBJECT.start]
     yes, no = functional.logsigmoid(logits), functional.logsigmoid(-logits)
     hit, miss = no.exp() ** 2 * yes, (1.0 - heat) ** 4 * yes.exp() ** 2 * no

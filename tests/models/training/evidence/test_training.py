@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.accuracy import evidence_at_size
 from models.perception.cards import card_path
-from models.perception.detection.detectors import PeakDetector
+from models.perception.detection.detectors import NetworkDetector
 from models.perception.evidence.predictor import EvidencePredictor
 from models.perception.geometry.stage import GeometryParams, direct_structure
 from models.training.data.evidence_store import load_objects, load_truths
@@ -71,8 +71,9 @@ def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, traine
     path = trained / evidence_at_size.EVIDENCE_FILE
     predictor = predictor_of(Params(object_network=str(path), object_threshold=0.0))
     assert isinstance(predictor, EvidencePredictor)
-    ra_map = DataSet(places).frame(0).ra_map
-    peaks = PeakDetector().detect(ra_map)
+    data = DataSet(places)
+    ra_map = data.frame(0).ra_map
+    peaks = NetworkDetector(data.setup).detect(ra_map)
     returns, walls = direct_structure(peaks, GeometryParams(walls=predictor.walls))
     objects = predictor.judge(ra_map, peaks, walls, returns)()
     assert objects
