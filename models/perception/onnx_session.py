@@ -33,6 +33,29 @@ def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.Inf
     return session_of(model_path, model, threads)
 
 
+class ArraySession:
+    """A network of one array in, one out, as its card says: for one input at a time.
+
+    Raises `ValueError` when the file and its card do not agree on checksum and shapes.
+    """
+
+    def __init__(
+        self, model_path: Path, sha256: str, threads: int, input_shape: tuple[int, ...], output_shape: tuple[int, ...]
+    ) -> None:
+        self._path, self._session = model_path, open_session(model_path, sha256, threads)
+        expected = [input_shape, output_shape]
+        actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
+        if actual != expected:
+            raise ValueError(f"{model_path}: input and output of the network must be {expected}, got {actual}")
+
+    def answer(self, inputs: np.ndarray) -> np.ndarray:
+        """Return what the network says of one input as it is; `ValueError` for what is not finite."""
+        answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: inputs[None]})[0][0]
+        if not np.isfinite(answer).all():
+            raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")
+        return answer
+
+
 def wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
     """Return what is wrong with the bytes of a file that should have a checksum."""
     actual = hashlib.sha256(model).hexdigest()

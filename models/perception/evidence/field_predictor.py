@@ -15,7 +15,7 @@ import numpy as np
 from models.perception.cards import card_path, learned_path, read_card
 from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.evidence.wall_elements import WALL_ANSWERS
-from models.perception.onnx_session import open_session
+from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -68,25 +68,16 @@ class FieldPredictor:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._path = Path(model_path)
         self.card = read_card(card_path(self._path), FieldCard)
-        self._session = open_session(self._path, self.card.sha256, threads)
-        expected = [self.card.input_shape, self.card.output_shape]
-        actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
-        if actual != expected:
-            raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")
+        shapes = self.card.input_shape, self.card.output_shape
+        self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
 
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Return the answer to a map, float32 [`FIELD_ANSWERS`, range, azimuth]."""
         require_grid(self.card.name, self.card.grid, ra_map.grid)
         encoded = encode_map(self.card.encoding, ra_map)
         if not self.card.encoding.is_turned(encoded):
-            return self._look(encoded)
+            return self._session.answer(encoded)
         mirrored = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
-        answer = self._look(encode_map(self.card.encoding, mirrored))[..., ::-1].copy()
+        answer = self._session.answer(encode_map(self.card.encoding, mirrored))[..., ::-1].copy()
         answer[ODD_ANSWERS] *= -1.0
-        return answer
-
-    def _look(self, encoded: np.ndarray) -> np.ndarray:
-        answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: encoded[None]})[0][0]
-        if not np.isfinite(answer).all():
-            raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")
         return answer

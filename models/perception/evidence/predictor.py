@@ -22,7 +22,7 @@ from models.perception.geometry.walls import WallParams
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
 from models.perception.objects.predictor import begun, silent_map
 from models.perception.objects.radial_speed import radial_speeds
-from models.perception.onnx_session import open_session
+from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
@@ -95,12 +95,9 @@ class EvidencePredictor:
             raise ValueError(
                 f"{self._path}: field network must have the sha256 {wanted} of its card, got {self._fields.card.sha256}"
             )
-        self._session = open_session(self._path, self.card.sha256, threads)
+        shapes = self.card.input_shape, self.card.output_shape
+        self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
         self._odd_channels = self.card.encoding.odd_channels
-        expected = [self.card.input_shape, self.card.output_shape]
-        actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
-        if actual != expected:
-            raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")
         silent = silent_map(self._fields.card.grid)
         returns, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
         self.judge(silent, made_up_peaks(), walls, returns)()
@@ -147,15 +144,9 @@ class EvidencePredictor:
         level = channels[1].astype(np.float64)
         half = level.shape[1] // 2
         if not level[:, half:].sum() > level[:, :half].sum():
-            return self._look(channels)
+            return self._session.answer(channels)
         flipped = channels[..., ::-1].copy()
         flipped[self._odd_channels] *= -1.0
-        answer = self._look(flipped)[..., ::-1].copy()
+        answer = self._session.answer(flipped)[..., ::-1].copy()
         answer[ODD_ANSWERS] *= -1.0
-        return answer
-
-    def _look(self, channels: np.ndarray) -> np.ndarray:
-        answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: channels[None]})[0][0]
-        if not np.isfinite(answer).all():
-            raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")
         return answer

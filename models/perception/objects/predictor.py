@@ -22,7 +22,7 @@ from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, d
 from models.perception.objects.encoding import BINS, ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
 from models.perception.objects.radial_speed import radial_speeds
-from models.perception.onnx_session import open_session
+from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
@@ -103,9 +103,9 @@ class ObjectPredictor:
         self.card = load_object_card(self._path)
         self.threshold = self.card.threshold if threshold is None else threshold
         require_within("threshold", 0.0, 1.0, self.threshold)
-        self._session = open_session(self._path, self.card.sha256, threads)
+        shapes = self.card.input_shape, self.card.output_shape
+        self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
         self._odd_channels, self._flip_test = self.card.encoding.odd_channels, flip_test
-        self._check_shapes()
         self._warm()
 
     @property
@@ -174,17 +174,7 @@ class ObjectPredictor:
 
     def look(self, cells: np.ndarray) -> np.ndarray:
         """Return what the network says of one input as it is; ValueError for what is not finite."""
-        answer: np.ndarray = self._session.run(None, {self._session.get_inputs()[0].name: cells[None]})[0][0]
-        if not np.isfinite(answer).all():
-            raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")
-        return answer
-
-    def _check_shapes(self) -> None:
-        """Raise `ValueError` unless file and card agree on every shape."""
-        expected = [self.card.input_shape, self.card.output_shape]
-        actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
-        if actual != expected:
-            raise ValueError(f"{self._path}: input and output of the network must be {expected}, got {actual}")
+        return self._session.answer(cells)
 
 
 def silent_map(grid: RangeAzimuthGrid) -> RangeAzimuthMap:
