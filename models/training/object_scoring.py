@@ -11,7 +11,7 @@ import numpy as np
 from models.evaluation.object_metrics import ObjectReport, ObjectScores, object_report
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
-from models.perception.objects.answers import detections, hidden_objects
+from models.perception.objects.answers import Detections, detections, hidden_objects
 from models.perception.objects.encoding import ObjectEncoding
 from models.perception.objects.hypotheses import CellHypotheses
 from models.training.data.frames import FrameLabels
@@ -63,12 +63,7 @@ class ObjectTally:
         likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, least)
         likely = replace(likely, score=calibrated(table, likely.score))
         column_rad, stamp_ns = self._encoding.cells.azimuth_rad, stored.column_stamp_ns
-        stamp_ns = np.rint(np.interp(likely.azimuth_rad, column_rad, stamp_ns)).astype(np.int64)
-        truth, images = scan_truth(len(self.rows[min(self.rows)]), stored), image_truths(stored)
-        for threshold, rows in self.rows.items():
-            reached = likely.score >= threshold
-            reports = hidden_objects(likely.take(reached), stamp_ns[reached])
-            rows.append(scan_row(truth.scan_id, reports, truth, images))
+        add_rows(self.rows, likely, np.interp(likely.azimuth_rad, column_rad, stamp_ns), stored)
 
     def report(self, threshold: float, false_cost: float = 1.0) -> ObjectReport:
         """Return all measures at a threshold, without intervals worth the name."""
@@ -80,6 +75,16 @@ class ObjectTally:
         reports = {threshold: self.report(threshold, false_cost) for threshold in self.rows}
         threshold = min(reports, key=lambda value: reports[value].loss.value or 0.0)
         return threshold, reports[threshold]
+
+
+def add_rows(rows: dict[float, list[ScanRow]], likely: Detections, stamp_ns: np.ndarray, stored: LabelledScan) -> None:
+    """Append a scan to the rows of each threshold: what is `likely`, measured at the times [N], beside its truth."""
+    stamp_ns = np.rint(stamp_ns).astype(np.int64)
+    truth, images = scan_truth(len(rows[min(rows)]), stored), image_truths(stored)
+    for threshold, scored in rows.items():
+        reached = likely.score >= threshold
+        reports = hidden_objects(likely.take(reached), stamp_ns[reached])
+        scored.append(scan_row(truth.scan_id, reports, truth, images))
 
 
 def scan_truth(scan: int, stored: LabelledScan) -> SceneTruth:

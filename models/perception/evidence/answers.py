@@ -17,6 +17,7 @@ from models.perception.objects.answers import (
     LOG_STD_LIMITS,
     PLACE,
     Detections,
+    distinct,
 )
 from models.physics.mirror import reflect
 
@@ -52,7 +53,7 @@ def evidence_detections(
         azimuth_rad=np.arctan2(image_m[:, 1], image_m[:, 0]),
         away_rad=np.arctan2(away[:, 1], away[:, 0]),
     )
-    return reports.take(_distinct(reports))
+    return reports.take(distinct(reports, np.abs(reports.place_m[:, 1]), SAME_OBJECT_M, SAME_OBJECT_SHARE))
 
 
 def _peaks(object_logit: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
@@ -80,14 +81,3 @@ def _image(place_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np
     away = place_m - share[:, None] * image_m
     length_m = np.hypot(*away.T)
     return image_m, away / np.maximum(length_m, 1e-9)[:, None]
-
-
-def _distinct(reports: Detections) -> np.ndarray:
-    """Return the indices of reports of different objects, best first: a nearby better one says the same object."""
-    kept: list[int] = []
-    reach_m = np.maximum(SAME_OBJECT_M, SAME_OBJECT_SHARE * reports.size_m[:, 0])
-    for index in np.lexsort((np.abs(reports.place_m[:, 1]), -reports.score)):
-        away_m = np.linalg.norm(reports.place_m[kept] - reports.place_m[index], axis=1)
-        if (away_m > np.maximum(reach_m[kept], reach_m[index])).all():
-            kept.append(int(index))
-    return np.array(kept, int)

@@ -63,7 +63,10 @@ def detections(
     """Return the objects of an answer [K * answers, R, C] whose probability reaches a threshold, one report each."""
     said = answer.reshape(HYPOTHESES, ANSWERS, *answer.shape[1:])
     reports = _folded(said, _peaks(said[:, 0], hypotheses, threshold), hypotheses, grid, walls)
-    return reports.take(_distinct(reports))
+    # of equal scores, which int8 networks often have, the one that knows its place better comes first: an order that
+    # left and right do not change
+    spread_m2 = np.trace(reports.covariance_m2, axis1=1, axis2=2)
+    return reports.take(distinct(reports, spread_m2, SAME_OBJECT_M, SAME_OBJECT_SHARE))
 
 
 def _peaks(object_logit: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
@@ -131,16 +134,13 @@ def _half_angle(doubled: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1)
 
 
-def _distinct(reports: Detections) -> np.ndarray:
-    """Return the indices of reports of different objects, best first: a nearby better one says the same object.
-
-    Of equal scores, which int8 networks often have, the one that knows its place better comes first: an order that left
-    and right do not change.
+def distinct(reports: Detections, tie: np.ndarray, same_m: float, same_share: float) -> np.ndarray:
+    """Return the indices of reports of different objects, best first: a better one within `same_m`, or within a share
+    of the longer one, says the same object. Of equal scores the lower `tie` [N] comes first.
     """
-    spread_m2 = np.trace(reports.covariance_m2, axis1=1, axis2=2)
     kept: list[int] = []
-    reach_m = np.maximum(SAME_OBJECT_M, SAME_OBJECT_SHARE * reports.size_m[:, 0])
-    for index in np.lexsort((spread_m2, -reports.score)):
+    reach_m = np.maximum(same_m, same_share * reports.size_m[:, 0])
+    for index in np.lexsort((tie, -reports.score)):
         away_m = np.linalg.norm(reports.place_m[kept] - reports.place_m[index], axis=1)
         if (away_m > np.maximum(reach_m[kept], reach_m[index])).all():
             kept.append(int(index))

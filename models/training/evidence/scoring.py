@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.evaluation.object_rows import ScanRow, is_false, scan_row, single_reaches
+from models.evaluation.object_rows import ScanRow, is_false, single_reaches
 from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.evidence.answers import evidence_detections
 from models.perception.evidence.scan_evidence import EvidenceEncoding
-from models.perception.objects.answers import hidden_objects
 from models.training.data.evidence_store import ScanTruth
-from models.training.object_scoring import as_answered, image_truths, scan_truth
+from models.training.object_scoring import add_rows, as_answered
 
 #: Thresholds watched; the loss of the best one selects the checkpoint.
 WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
@@ -38,12 +37,8 @@ class EvidenceTally:
         least = score_of(table, min(self.rows))
         likely = evidence_detections(answer, stored.mirror, self._grid, stored.walls, least)
         likely = replace(likely, score=calibrated(table, likely.score))
-        stamp_ns = np.rint(np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)).astype(np.int64)
-        truth, images = scan_truth(len(self.rows[min(self.rows)]), stored), image_truths(stored)
-        for threshold, rows in self.rows.items():
-            reached = likely.score >= threshold
-            reports = hidden_objects(likely.take(reached), stamp_ns[reached])
-            rows.append(scan_row(truth.scan_id, reports, truth, images))
+        stamp_ns = np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)
+        add_rows(self.rows, likely, stamp_ns, stored)
 
     def points(self) -> list[CurvePoint]:
         """Return the measures at each threshold, the lowest first."""
