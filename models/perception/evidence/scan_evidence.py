@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,19 +21,9 @@ from models.perception.evidence.wall_elements import (
 )
 from models.perception.geometry.mirrors import WallArrays, wall_arrays
 from models.perception.geometry.walls import WallParams
+from models.perception.objects.encoding import CANDIDATE_WALLS
 from msgs.values.perception import Wall
 from msgs.values.radar import RangeAzimuthMap
-
-#: Walls that may have mirrored: weaker ones than clusters of positions can be trusted to, since the network weighs each
-#: by all that it would show.
-CANDIDATE_WALLS = WallParams(
-    min_inliers=3,
-    min_length_m=1.5,
-    max_gap_m=10.0,
-    max_angle_std_rad=math.radians(10.0),
-    min_score=6.0,
-    behind_walls=True,
-)
 
 
 class EvidenceEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
