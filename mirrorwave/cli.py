@@ -233,7 +233,10 @@ def _run(argv: list[str] | None) -> int:
         if code == INTERRUPTED:
             return ended_by_signal(argv)
         return int(code) if isinstance(code, int) else ExitCode.DONE
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as end:
+        # typer takes a file that ends early for the end of what is typed
+        if isinstance(end.__cause__, EOFError) and not was_interrupted():
+            return _fail(error_line(end.__cause__), ExitCode.FAILED)
         return ended_by_signal(argv)
     except _USAGE_ERROR as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import tempfile
@@ -161,6 +162,18 @@ def test_bag_info_tells_what_a_recording_holds(recording: Path, capsys: pytest.C
     assert found["topics"][0]["messages"] == 10
     assert main(["bag", "info", str(recording)]) == 0
     assert "vehicle/state" in capsys.readouterr().out
+
+
+def test_a_module_that_ends_early_is_an_error_and_no_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a full disk leaves it: Python 3.11 keeps what fitted of a compiled module."""
+    (tmp_path / "cut_module.pyc").write_bytes(importlib.util.MAGIC_NUMBER + bytes(12) + b"\xe3")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("msgs.recording.mcap.info", lambda path: __import__("cut_module"))
+    (tmp_path / "a.mcap").touch()
+    assert main(["bag", "info", str(tmp_path / "a.mcap")]) == 1
+    assert "mirrorwave: marshal data too short" in capsys.readouterr().err
 
 
 def test_a_cut_recording_is_done_with_loss_and_recovered(recording: Path, tmp_path: Path) -> None:

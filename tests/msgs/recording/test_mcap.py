@@ -190,7 +190,7 @@ def test_losses_are_told(tmp_path: Path) -> None:
 def test_a_disk_without_room_leaves_a_file_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
     """A limit on the file's size stops the third chunk in its middle; the index still finds room."""
     path = tmp_path / "a.mcap"
-    said = subprocess.run([sys.executable, "-c", FULL_CHILD, str(path)], capture_output=True, text=True, check=True)
+    said = subprocess.run([sys.executable, "-B", "-c", FULL_CHILD, str(path)], capture_output=True, text=True, check=True)
     assert said.stdout.split() == ["File", "too", "large", "2", "messages"]
     assert path.stat().st_size <= 400_000
     messages, loss = read(path)
