@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from models.evaluation.object_metrics import ObjectReport, Ratio
+from models.evaluation.object_rows import ScanRow
 from models.perception.detection.score_calibration import ScoreTable
 from models.perception.objects.predictor import ObjectCard, ObjectPredictor
 from models.training.calibration import fit_table
@@ -31,7 +32,9 @@ def with_probabilities(
     for stored, answer in _answered(predictor, files):
         tallies[stored.ego_compensated].add(stored, answer)
     card = msgspec.structs.replace(
-        card, calibration=probability_table(tallies[False]), calibration_moving=probability_table(tallies[True])
+        card,
+        calibration=probability_table(tallies[False].rows),
+        calibration_moving=probability_table(tallies[True].rows),
     )
     tally = ObjectTally(card.encoding, THRESHOLDS, card.calibration_of)
     for stored, answer in _answered(predictor, files):
@@ -40,16 +43,17 @@ def with_probabilities(
     return msgspec.structs.replace(card, threshold=threshold, scores=_scores(report))
 
 
-def probability_table(tally: ObjectTally) -> ScoreTable:
-    """Return the table from answers to the share of reports that are a hidden object, one to one.
+def probability_table(rows: Mapping[float, Sequence[ScanRow]]) -> ScoreTable:
+    """Return the table from answers to the share of reports that are a hidden object, one to one, of the rows of scans
+    at some thresholds.
 
     Each report counts in the list from the highest threshold that it reaches: a fainter one that lies nearer to the
     object takes it in a longer list alone.
     """
     outcomes = [
         (report.score, report.found)
-        for low, high in pairwise((*sorted(tally.rows), math.inf))
-        for row in tally.rows[low]
+        for low, high in pairwise((*sorted(rows), math.inf))
+        for row in rows[low]
         for report in row.reports
         if low <= report.score < high
     ]

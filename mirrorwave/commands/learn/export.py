@@ -71,13 +71,16 @@ def _export_objects(
     source: Path, out: Path, data: Path | None, precision: str, calibration: int, as_json: bool
 ) -> None:
     """Write an exported object network in 8-bit integers."""
+    from models.perception.cards import is_evidence_network
     from models.training.data.frames import DataSet
+    from models.training.export.evidence import quantize_evidence
     from models.training.export.objects import quantize_objects
 
     if precision != "int8" or data is None:
         raise ValueError(f"{source}: an exported network takes --precision int8 and --data, a data set of its training")
     with progress_bar("export"):
-        card = quantize_objects(source, DataSet(data), calibration, out)
+        quantize = quantize_evidence if is_evidence_network(source) else quantize_objects
+        card = quantize(source, DataSet(data), calibration, out)
     if as_json:
         print_json(card)
         return

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mirrorwave.commands.learn.train_objects import VALIDATION_SAMPLES, Maker, object_samples
 from mirrorwave.console import AsJson, print_json, print_line, progress_bar
+
+if TYPE_CHECKING:
+    from models.perception.evidence.predictor import EvidenceCard
+    from models.perception.objects.predictor import ObjectCard
 
 
 def probabilities(
@@ -36,18 +40,18 @@ def probabilities(
     """Fit the tables from an object network's answers to probabilities, and its threshold, to validation scans."""
     import msgspec
 
+    from models.perception.cards import is_evidence_network
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
-    from models.perception.objects.predictor import ObjectPredictor
-    from models.training.data.frames import DataSet
     from models.training.export.onnx import write_card
-    from models.training.object_probabilities import with_probabilities
 
-    detector, judges = model or DEFAULT_MODEL, list(map(DataSet, validation))
-    predictor = ObjectPredictor(network, flip_test=flip_test)
-    maker = Maker(detector, predictor.card.encoding, flip_test)
-    files = object_samples(judges, maker, out / VALIDATION_SAMPLES, None, workers)
-    with progress_bar("answers"):
-        card = with_probabilities(predictor.card, predictor, files, false_cost)
+    card: EvidenceCard | ObjectCard
+    detector, samples = model or DEFAULT_MODEL, out / VALIDATION_SAMPLES
+    if is_evidence_network(network):
+        if flip_test:
+            raise ValueError(f"--flip-test is for object networks, {network} is an evidence network")
+        card = _of_evidence(network, validation, detector, samples, false_cost, workers)
+    else:
+        card = _of_objects(network, validation, detector, samples, flip_test, false_cost, workers)
     command = f"mirrorwave train probabilities {network}{''.join(f' --validation {path}' for path in validation)}"
     command += f" --out {out} --model {detector.name}{' --flip-test' if flip_test else ''} --false-cost {false_cost:g}"
     fitted = {"command": command, "detector_sha256": load_card(detector).sha256}
@@ -61,3 +65,37 @@ def probabilities(
         f"{network}: least loss {scores['loss_per_scan']:.3f} a scan from {card.threshold:g} on: "
         f"{scores.get('recall', 0.0):.1%} found, {scores['false_per_scan']:.2f} false a scan"
     )
+
+
+def _of_objects(
+    network: Path,
+    validation: list[Path],
+    detector: Path,
+    samples: Path,
+    flip_test: bool,
+    false_cost: float,
+    workers: int,
+) -> ObjectCard:
+    from models.perception.objects.predictor import ObjectPredictor
+    from models.training.data.frames import DataSet
+    from models.training.object_probabilities import with_probabilities
+
+    predictor = ObjectPredictor(network, flip_test=flip_test)
+    maker = Maker(detector, predictor.card.encoding, flip_test)
+    files = object_samples(list(map(DataSet, validation)), maker, samples, None, workers)
+    with progress_bar("answers"):
+        return with_probabilities(predictor.card, predictor, files, false_cost)
+
+
+def _of_evidence(
+    network: Path, validation: list[Path], detector: Path, samples: Path, false_cost: float, workers: int
+) -> EvidenceCard:
+    from models.perception.evidence.predictor import EvidencePredictor
+    from models.training.data.evidence_store import EvidenceTask, make_files
+    from models.training.evidence.scoring import with_probabilities
+
+    predictor = EvidencePredictor(network)
+    task = EvidenceTask(predictor.card.encoding, detector, predictor.fields_path)
+    with progress_bar("samples and answers"):
+        files = sorted(make_files(validation, task, samples, None, workers))
+        return with_probabilities(predictor.card, predictor, files, false_cost)

@@ -44,6 +44,8 @@ LEVEL_DB, CONTRAST_DB = (-5.0, 85.0), 40.0
 NEAR_CELLS, AROUND_CELLS = (3, 5), (17, 17)
 #: Least depth of an image behind its wall; places nearer to the end of their way are on the wall.
 MIN_DEPTH_M = 0.7
+#: Two walls that show a place so near to each other are one mirror.
+SAME_IMAGE_M = 0.7
 #: Directions are known this well; a wall may reach beyond its ends by twice as much, and this much more.
 AZIMUTH_STD_RAD, END_M, MAX_MISSED_M = 0.035, 0.5, 8.0
 #: Bounds of distances, lengths and errors in channels.
@@ -205,6 +207,7 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
     bins, azimuths = fields.shape[1], fields.shape[2]
     walls, each = len(table), len(BY_MIRROR)
     features, key, of = np.zeros((max(walls, 1), each)), np.zeros(max(walls, 1)), np.zeros(max(walls, 1), np.int64)
+    image = np.zeros((max(walls, 1), 2))
     over = mirrors * each
     place = over + len(OVER_MIRRORS)
     for i in range(len(xs)):
@@ -244,20 +247,28 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 key[count] = heat + 0.5 * contrast + (1.0 if both else 0.0) + (0.3 if missed == 0.0 else 0.0)
                 key[count] += 0.1 * table[wall, SURE]
                 of[count] = wall
+                image[count, 0], image[count, 1] = ix, iy
                 count += 1
-                if both:
-                    free, level_sum, heat_sum = free + 1, level_sum + level, heat_sum + heat
-                    least_contrast = min(least_contrast, contrast)
-                    second, most = (most, heat) if heat > most else (max(second, heat), most)
-            for k in range(min(mirrors, count)):
+            for k in range(count):
                 best = 0
                 for other in range(1, count):
                     best = other if key[other] > key[best] else best
-                key[best] = -np.inf
+                if key[best] == -np.inf:
+                    break
+                f = features[best]
                 if k == 0:
                     mirror[i, j] = of[best]
-                for q in range(each):
-                    channels[k * each + q, i, j] = features[best, q]
+                if k < mirrors:
+                    for q in range(each):
+                        channels[k * each + q, i, j] = f[q]
+                if f[8] > 0.0 and f[9] > 0.0:
+                    free, level_sum, heat_sum = free + 1, level_sum + f[1], heat_sum + f[5]
+                    least_contrast = min(least_contrast, f[2])
+                    second, most = (most, f[5]) if f[5] > most else (max(second, f[5]), most)
+                # walls that show the place at one image are one mirror
+                for other in range(count):
+                    if np.hypot(image[other, 0] - image[best, 0], image[other, 1] - image[best, 1]) < SAME_IMAGE_M:
+                        key[other] = -np.inf
             channels[over, i, j] = min(free / 4.0, 1.0)
             if free > 0:
                 channels[over + 1, i, j], channels[over + 2, i, j] = level_sum / free, least_contrast

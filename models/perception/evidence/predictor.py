@@ -26,7 +26,7 @@ from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
 from msgs.values.perception import HiddenObject, Peaks, Wall
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 #: The network in use where parameters say `default`.
 DEFAULT_EVIDENCE = learned_path("evidence_unet", ".onnx")
@@ -89,7 +89,9 @@ class EvidencePredictor:
         self.card = read_card(card_path(self._path), EvidenceCard)
         self.threshold = self.card.threshold if threshold is None else threshold
         require_within("threshold", 0.0, 1.0, self.threshold)
-        self._fields = FieldPredictor(self._path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name)), threads)
+        #: File of the field network, beside this one.
+        self.fields_path = self._path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name))
+        self._fields = FieldPredictor(self.fields_path, threads)
         wanted = self.card.data.get("fields_sha256", self._fields.card.sha256)
         if self._fields.card.sha256 != wanted:
             raise ValueError(
@@ -98,7 +100,7 @@ class EvidencePredictor:
         shapes = self.card.input_shape, self.card.output_shape
         self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
         self._odd_channels = self.card.encoding.odd_channels
-        silent = silent_map(self._fields.card.grid)
+        silent = silent_map(self.grid)
         returns, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
         self.judge(silent, made_up_peaks(), walls, returns)()
 
@@ -107,9 +109,14 @@ class EvidencePredictor:
         """How the walls are fitted that its own walls join."""
         return self.card.encoding.walls
 
+    @property
+    def grid(self) -> RangeAzimuthGrid:
+        """Cells of the maps that it answers."""
+        return self._fields.card.grid
+
     def suits(self, ra_map: RangeAzimuthMap) -> bool:
         """Return whether the networks were trained on maps of this kind."""
-        return ra_map.grid == self._fields.card.grid and ra_map.mode != "photons"
+        return ra_map.grid == self.grid and ra_map.mode != "photons"
 
     def judge(
         self,
@@ -126,7 +133,7 @@ class EvidencePredictor:
         networks, and for answers that are not finite.
         """
         if not self.suits(ra_map):
-            require_grid(self.card.name, self._fields.card.grid, ra_map.grid)
+            require_grid(self.card.name, self.grid, ra_map.grid)
             raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
         return begun(partial(self._objects, ra_map, walls, moving))
 

@@ -66,12 +66,11 @@ def scan_evidence(
 ) -> ScanEvidence:
     """Return the evidence of a map by the field network's answer [answers, range, azimuth].
 
-    `fitted`: walls known otherwise, by a fit of direct returns or a map; its walls join them where they are
-    others.
+    `fitted`: walls known otherwise, by a fit of direct returns or a map; they join its own where they are others.
     """
     elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
     grown, _ = grown_walls(elements, encoding.growth)
-    walls = [*fitted, *further_walls(grown, fitted)][: encoding.max_walls]
+    walls = [*grown, *further_walls(fitted, grown)][: encoding.max_walls]
     arrays = wall_arrays(walls)
     certainty = certainties(arrays, answer, ra_map.grid)
     support = nearest_walls(elements.place_m, arrays)

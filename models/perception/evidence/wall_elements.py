@@ -36,7 +36,7 @@ ELEMENT_STD_M, ELEMENT_STD_RAD = 0.15, math.radians(4.0)
 #: Elements nearer than this come from the same beams and share their errors.
 SHARED_M = 1.0
 #: Two walls are one within these: off its line, turned against it, beyond its ends.
-SAME_WALL_M, SAME_WALL_COS, SAME_END_M = 0.6, math.cos(math.radians(8.0)), 2.0
+SAME_WALL_M, SAME_WALL_COS, SAME_END_M = 0.2, math.cos(math.radians(1.0)), 2.0
 #: An element is of a wall within this of its line and ends.
 OF_WALL_M = 0.8
 #: Places of a wall at which its certainty is read.

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from models.evaluation.object_rows import ScanRow, is_false, single_reaches
 from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.evidence.answers import evidence_detections
+from models.perception.evidence.predictor import EvidenceCard, EvidencePredictor
 from models.perception.evidence.scan_evidence import EvidenceEncoding
-from models.training.data.evidence_store import ScanTruth
+from models.training.data.evidence_samples import SCALE
+from models.training.data.evidence_store import ScanTruth, load_truths
+from models.training.object_probabilities import THRESHOLDS, probability_table
 from models.training.object_scoring import add_rows, as_answered
+from msgs.files.array_files import load_arrays
 
+#: False reports a scan at which the recall is shown.
+SHOWN_FALSE = (0.10, 0.15, 0.24)
 #: Thresholds watched; the loss of the best one selects the checkpoint.
 WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
 
@@ -56,6 +64,33 @@ class CurvePoint:
     recall_single_25_db: float
     false_per_scan: float
     loss_per_scan: float
+
+
+def with_probabilities(
+    card: EvidenceCard, predictor: EvidencePredictor, files: Sequence[Path], false_cost: float
+) -> EvidenceCard:
+    """Return a card with tables for a vehicle at rest and for one that moves, and with the threshold of the least loss
+    and its scores by them, of a predictor's answers to files of validation samples.
+    """
+    azimuth_rad = predictor.grid.azimuth_at(np.arange(predictor.grid.azimuth_bins))
+    answered = [
+        (stored, predictor.answer(channels.astype(np.float32) / SCALE))
+        for path in files
+        for stored, channels in zip(load_truths(path), load_arrays(path, only=("channels",))["channels"], strict=True)
+    ]
+    tallies = [EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS) for _ in (False, True)]
+    for stored, answer in answered:
+        tallies[stored.ego_compensated].add(stored, answer)
+    at_rest, moving = (probability_table(tally.rows) for tally in tallies)
+    card = msgspec.structs.replace(card, calibration=at_rest, calibration_moving=moving)
+    tally = EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS, card.calibration_of)
+    for stored, answer in answered:
+        tally.add(stored, answer)
+    points = tally.points()
+    best = min(points, key=lambda point: point.loss_per_scan + (false_cost - 1.0) * point.false_per_scan)
+    scores = {name: round(getattr(best, name), 4) for name in CurvePoint.__dataclass_fields__ if name != "threshold"}
+    scores |= {f"recall_at_{false}": round(recall_at(points, false), 4) for false in SHOWN_FALSE}
+    return msgspec.structs.replace(card, threshold=best.threshold, scores={"scans": float(len(answered)), **scores})
 
 
 def _point(threshold: float, rows: Sequence[ScanRow]) -> CurvePoint:

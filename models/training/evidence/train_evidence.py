@@ -16,13 +16,11 @@ from models.perception.objects.answers import ANSWERS
 from models.training.data.evidence_samples import SCALE, EvidenceObjects, joined_objects
 from models.training.data.evidence_store import load_objects, load_truths
 from models.training.evidence.grid_training import GridSchedule, GridTraining
-from models.training.evidence.scoring import EvidenceTally, recall_at
+from models.training.evidence.scoring import SHOWN_FALSE, EvidenceTally, recall_at
 from models.training.objectives.evidence import EvidenceLossConfig, EvidenceTargets, evidence_loss
 from msgs.files.array_files import load_arrays
 from msgs.values.radar import RangeAzimuthGrid
 
-#: False reports a scan at which the recall is shown.
-SHOWN_FALSE = (0.10, 0.15, 0.24)
 #: Direction of the way on at a place by its likeliest mirror.
 TOWARD = slice(BY_MIRROR.index("toward_x"), BY_MIRROR.index("toward_y") + 1)
 

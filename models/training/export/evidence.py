@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 import torch
+from scipy.special import expit
 from torch import nn
 
 from models.networks.compact_unet import CompactUNet
 from models.networks.evidence_unet import EvidenceUNet, EvidenceUNetConfig
-from models.perception.detection.encoding import Encoding
-from models.perception.evidence.field_predictor import FieldCard
-from models.perception.evidence.predictor import EvidenceCard
-from models.perception.evidence.scan_evidence import EvidenceEncoding
+from models.perception.cards import card_path, read_card
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.encoding import Encoding, encode_map
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.evidence.field_predictor import FieldCard, FieldPredictor
+from models.perception.evidence.predictor import EvidenceCard, EvidencePredictor
+from models.perception.evidence.scan_evidence import EvidenceEncoding, scan_evidence
+from models.perception.geometry.stage import GeometryParams, direct_structure
 from models.perception.objects.answers import ANSWERS
 from models.perception.onnx_session import open_session
+from models.training.data.frames import DataSet
 from models.training.evidence.train_fields import field_network
 from models.training.export.onnx import require_onnx, write_card, write_onnx
+from models.training.export.quantize import quantize_int8
 from models.training.files import file_sha256
 from models.training.run_folder import BEST, load_state
 from msgs.values.radar import RangeAzimuthGrid
 
 #: Largest difference of an answer between torch and ONNX Runtime, relative to the largest answer.
 PARITY = 1e-4
+
+Card = TypeVar("Card", FieldCard, EvidenceCard)
 
 
 def export_fields(
@@ -54,6 +64,46 @@ def export_evidence(run_dir: Path, encoding: EvidenceEncoding, model_path: Path,
     card = EvidenceCard(encoding=encoding, **facts)
     write_card(card, model_path)
     return card
+
+
+def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path) -> EvidenceCard:
+    """Write an exported evidence network and its field network, beside it, in 8-bit integers, their ranges set on the
+    first `count` scans of a data set that they were trained on; threshold and tables are those of the source.
+
+    Raises `ValueError` naming a source that is no evidence network, or a data set of another radar.
+    """
+    require_onnx(model_path)
+    exact = EvidencePredictor(source)
+    card, fields_path = exact.card, exact.fields_path
+    maps = [frame.ra_map for frame in data.frames(range(min(count, len(data))))]
+    command = f"mirrorwave export {source} --precision int8 --data {data.directory} --calibration {count} "
+    command += f"--out {model_path}"
+    rounded_path = model_path.with_name(f"{fields_path.stem}.int8.onnx")
+    fields = read_card(card_path(fields_path), FieldCard)
+    quantize_int8(fields_path, rounded_path, np.stack([encode_map(fields.encoding, ra_map) for ra_map in maps]))
+    write_card(_rounded(fields, rounded_path, command), rounded_path)
+    detector, rounded = NetworkDetector(data.setup, DEFAULT_MODEL), FieldPredictor(rounded_path)
+    geometry = GeometryParams(walls=card.encoding.walls)
+    inputs = []
+    for ra_map in maps:
+        _, walls = direct_structure(detector.detect(ra_map), geometry)
+        inputs.append(scan_evidence(card.encoding, ra_map, rounded.answer(ra_map), walls).evidence.channels)
+    quantize_int8(source, model_path, np.stack(inputs))
+    names = {"fields": rounded_path.name, "fields_sha256": rounded.card.sha256}
+    card = msgspec.structs.replace(_rounded(card, model_path, command), data={**card.data, **names})
+    write_card(card, model_path)
+    predictor = EvidencePredictor(model_path)
+    answers = [[expit(one.answer(channels)[0]) for channels in inputs] for one in (exact, predictor)]
+    difference = float(np.abs(np.array(answers[0]) - np.array(answers[1])).max())
+    card = msgspec.structs.replace(card, scores={"largest_probability_difference": round(difference, 4)})
+    write_card(card, model_path)
+    return card
+
+
+def _rounded(card: Card, path: Path, command: str) -> Card:
+    """Return the card of a network written anew."""
+    training = {**card.training, "quantized": {"command": command, "source_sha256": card.sha256}}
+    return msgspec.structs.replace(card, name=path.stem, sha256=file_sha256(path), training=training, scores={})
 
 
 def _load(network: nn.Module, run_dir: Path) -> int:

@@ -233,7 +233,7 @@ def test_calibration_counts_reports_that_are_objects() -> None:
             ReportRow(score=score, found=index < true, error_m=None, centre_m=None, box_m=None) for index in range(200)
         ]
         tally.rows[0.1].append(ScanRow(place=len(tally.rows[0.1]), scan=0, hidden=[], reports=reports))
-    table = probability_table(tally)
+    table = probability_table(tally.rows)
     at = calibrated(table, np.array([0.3, 0.7]))
     np.testing.assert_allclose(at, [0.3, 0.8], atol=0.05)
 
@@ -252,5 +252,5 @@ def test_a_fainter_report_takes_no_object_from_a_surer_one() -> None:
         both = [report(0.75, not nearer), report(0.15, nearer)]
         tally.rows[0.1].append(ScanRow(place=scan, scan=0, hidden=[], reports=both))
         tally.rows[0.5].append(ScanRow(place=scan, scan=0, hidden=[], reports=[report(0.75, True)]))
-    at = calibrated(probability_table(tally), np.array([0.15, 0.75]))
+    at = calibrated(probability_table(tally.rows), np.array([0.15, 0.75]))
     np.testing.assert_allclose(at, [0.4, 0.97], atol=0.03)
