@@ -16,6 +16,8 @@ from models.evaluation.frame_scores import Estimate
 from models.evaluation.object_metrics import Draws, ObjectScores, Ratio
 from models.evaluation.object_rows import (
     BAND_EDGES_DB,
+    FALSE_M,
+    GospaRow,
     HiddenRow,
     ScanRow,
     TrackRow,
@@ -47,6 +49,11 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     in_sight_tracks_per_minute: Ratio
     #: Changes of the id on an object, of the objects that a track stood on.
     id_switches: Ratio
+    #: Mean of the GOSPA of the scans [m], cut off at 2 m, and its squared parts a scan [m2].
+    gospa_m: Ratio
+    gospa_pairs_m2: Ratio
+    gospa_missed_m2: Ratio
+    gospa_false_m2: Ratio
     #: Quantiles [m/s]: at the first scan of a track that stands on an object, and from 1 s later on.
     first_velocity_error_mps: dict[str, Estimate]
     later_velocity_error_mps: dict[str, Estimate]
@@ -78,6 +85,11 @@ def drive_report(scores: ObjectScores, weights: np.ndarray) -> DriveReport:
             firsts += [(row, error) for error in first]
             laters += [(row, error) for error in later]
     stands = [_stands(scans) for scans in drives]
+
+    def gospa(value: Callable[[GospaRow], float]) -> Ratio:
+        parts = np.array([sum(value(scan.gospa) for scan in scans) for scans in drives], np.float64)
+        return draw.ratio(parts, scores.scans_by_place)
+
     return DriveReport(
         drives=len(drives),
         minutes=float(minutes.sum()),
@@ -88,6 +100,10 @@ def drive_report(scores: ObjectScores, weights: np.ndarray) -> DriveReport:
             np.array([where.count("in sight") for where in stands], np.float64), minutes
         ),
         id_switches=sums(lambda history: history.id_switches()),
+        gospa_m=gospa(lambda row: row.distance_m),
+        gospa_pairs_m2=gospa(lambda row: row.pairs_m2),
+        gospa_missed_m2=gospa(lambda row: 0.5 * FALSE_M**2 * row.missed),
+        gospa_false_m2=gospa(lambda row: 0.5 * FALSE_M**2 * row.false),
         first_velocity_error_mps=draw.quantiles(firsts),
         later_velocity_error_mps=draw.quantiles(laters),
         lead=sums(lambda history: history.lead_s()),

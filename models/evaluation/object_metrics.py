@@ -132,6 +132,10 @@ class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
     not_mirrored: int
     reports: int
     precision: Ratio
+    #: Mean precision over recall from 0 to 1, reports by falling score, found within 1 m and within 2 m; what the
+    #: profile's threshold leaves out counts as missed.
+    average_precision: Estimate
+    average_precision_2_m: Estimate
     #: Share of the reports, and their number a scan.
     false: Ratio
     false_per_scan: Ratio
@@ -188,6 +192,8 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         not_mirrored=scores.unseen,
         reports=len(scores.reports),
         precision=draw.ratio(scores.of_reports(lambda item: item.found), reports),
+        average_precision=draw.average_precision(lambda item: item.found),
+        average_precision_2_m=draw.average_precision(lambda item: item.found_wide),
         false=draw.ratio(false, reports),
         false_per_scan=draw.ratio(false, scans),
         nothing=draw.ratio(nothing, reports),
@@ -240,6 +246,17 @@ class Draws:
         """Return the found share of each group."""
         return {group: self.recall(lambda row, group=group: name(row) == group) for group in names}  # type: ignore[misc]
 
+    def average_precision(self, found: Callable[[ReportRow], bool]) -> Estimate:
+        """Return the area under precision over recall, precision at each recall the best there or beyond."""
+        ranked = sorted(self._scores.reports, key=lambda pair: -pair[1].score)
+        rows = np.array([row for row, _ in ranked], np.int64)
+        is_found = np.array([found(report) for _, report in ranked], bool)
+        asked = self._scores.of_objects(lambda item: True)
+        drawn = np.concatenate([np.ones((1, len(asked))), self._weights])
+        areas = np.array([_area(weights[rows], is_found, float(weights @ asked)) for weights in drawn])
+        low, high = _interval(areas[1:])
+        return Estimate(float(areas[0]), math.nan if low is None else low, math.nan if high is None else high)
+
     def quantiles(self, values: Sequence[tuple[int, float | None]]) -> dict[str, Estimate]:
         """Return quantiles of the known values, with intervals: the smallest value that so large a share reaches."""
         pairs = sorted((value, row) for row, value in values if value is not None)
@@ -255,6 +272,14 @@ class Draws:
             ends = (math.nan if low is None else low, math.nan if high is None else high)
             estimates[f"p{100.0 * share:g}"] = Estimate(float(at[first[0]]), *ends)
         return estimates
+
+
+def _area(weight: np.ndarray, is_found: np.ndarray, asked: float) -> float:
+    """Return the average precision of ranked reports of some weights [R]; 0 where none is asked for."""
+    found, reports = np.cumsum(weight * is_found), np.cumsum(weight)
+    precision = np.divide(found, reports, out=np.zeros(len(found)), where=reports > 0.0)
+    best = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((best * weight * is_found).sum() / asked) if asked else 0.0
 
 
 def object_measures(scores: ObjectScores, weights: np.ndarray | None = None) -> dict[str, np.ndarray]:

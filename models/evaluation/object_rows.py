@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from models.evaluation.metrics import assign_within
 from models.evaluation.object_error import as_object, object_distances
@@ -62,12 +63,27 @@ class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
     box_m: float | None
 
 
+class GospaRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Parts of the generalised optimal sub-pattern assignment of a scan's confirmed tracks and hidden objects."""
+
+    #: Sum of the squared errors of the pairs nearer than the cut-off, `FALSE_M`.
+    pairs_m2: float
+    missed: int
+    false: int
+
+    @property
+    def distance_m(self) -> float:
+        """The metric, of order 2 and with alpha = 2 (Rahmathullah et al. 2017)."""
+        return math.sqrt(self.pairs_m2 + 0.5 * FALSE_M**2 * (self.missed + self.false))
+
+
 class ReportRow(msgspec.Struct, frozen=True, kw_only=True):
     """One reported object."""
 
     score: float
-    #: Whether it found a hidden object.
+    #: Whether it found a hidden object; and whether it would within `FALSE_M`, one to one as well.
     found: bool
+    found_wide: bool = False
     #: Position error, and distance of centres, to the nearest object out of sight; None: there is none.
     error_m: float | None
     centre_m: float | None
@@ -86,6 +102,7 @@ class ScanRow(msgspec.Struct, frozen=True, kw_only=True):
     #: Objects in direct sight.
     in_sight: list[int] = []
     tracks: list[TrackRow] = []
+    gospa: GospaRow = GospaRow(pairs_m2=0.0, missed=0, false=0)
 
 
 def scan_row(
@@ -107,6 +124,7 @@ def scan_row(
     mahalanobis2 = distances.mahalanobis2[:, out_of_sight]
     mirrored = np.array([images[index].mirrored for index in out_of_sight], bool)
     by = {int(column): int(row) for row, column in _matched(error_m, mirrored)}
+    wide = {int(row) for row, _ in _matched(error_m, mirrored, FALSE_M)}
     by_centre = {int(column) for _, column in _matched(centre_m, mirrored)}
     track_error_m, track_box_m = _track_distances_m(tracks, truth, out_of_sight)
     followed = {int(column): tracks[int(row)] for row, column in _matched(track_error_m, mirrored)}
@@ -128,6 +146,7 @@ def scan_row(
         ReportRow(
             score=report.score,
             found=row in by.values(),
+            found_wide=row in wide,
             error_m=_least(error_m[row]),
             centre_m=_least(centre_m[row]),
             box_m=_least(distances.box_m[row]),
@@ -145,6 +164,7 @@ def scan_row(
             TrackRow(id=track.id, error_m=_least(track_error_m[row]), box_m=_least(track_box_m[row]))
             for row, track in enumerate(tracks)
         ],
+        gospa=_gospa(track_error_m[:, mirrored]),
     )
 
 
@@ -164,9 +184,18 @@ def _track_of(track: Track | None, truth: TruthObject) -> dict[str, Any]:
     return {"track_id": track.id, "velocity_error_mps": off_mps}
 
 
-def _matched(distance_m: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
-    """Return pairs (report, object) within reach, one to one, of the objects [N] that a mirror shows."""
-    pairs = assign_within(distance_m[:, mirrored], FOUND_M)
+def _gospa(error_m: np.ndarray) -> GospaRow:
+    """Return the parts for errors [tracks, objects that a mirror shows]."""
+    squared_m2 = np.minimum(error_m, FALSE_M) ** 2
+    rows, columns = linear_sum_assignment(squared_m2)
+    paired_m2 = squared_m2[rows, columns][error_m[rows, columns] < FALSE_M]
+    tracks, objects = error_m.shape
+    return GospaRow(pairs_m2=float(paired_m2.sum()), missed=objects - len(paired_m2), false=tracks - len(paired_m2))
+
+
+def _matched(distance_m: np.ndarray, mirrored: np.ndarray, gate_m: float = FOUND_M) -> np.ndarray:
+    """Return pairs (report, object) within a gate, one to one, of the objects [N] that a mirror shows."""
+    pairs = assign_within(distance_m[:, mirrored], gate_m)
     return np.stack([pairs[:, 0], np.flatnonzero(mirrored)[pairs[:, 1]]], axis=1)
 
 

@@ -180,7 +180,7 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
 
 
 HEADINGS = ("profile", "hidden objects found", "vehicles", "by centre", "reports", "false", "nothing there",
-            "false a scan", "loss a scan")  # fmt: skip
+            "false a scan", "loss a scan", "AP at 1 m", "AP at 2 m")  # fmt: skip
 
 
 def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
@@ -194,6 +194,8 @@ def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
         _short(report.nothing),
         _rate(report.false_per_scan),
         _rate(report.loss),
+        _rate(report.average_precision),
+        _rate(report.average_precision_2_m),
     )
 
 
@@ -223,7 +225,7 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
     """Return what is said of objects over a drive."""
     columns = ("profile", "after 1 s in view", "by one mirror, 25 dB on", "false tracks a minute",
                "in plain sight, a minute", "id switches an object", "velocity error, first scan: p50, p90 [m/s]",
-               "after 1 s", "lead of the most possible [s]")  # fmt: skip
+               "after 1 s", "lead of the most possible [s]", "GOSPA [m]", "its pairs, missed, false [m2]")  # fmt: skip
     rows = [
         (
             profile,
@@ -235,10 +237,16 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
             _quantile_pair(report.first_velocity_error_mps),
             _quantile_pair(report.later_velocity_error_mps),
             str(report.lead),
+            _rate(report.gospa_m),
+            _parts(report.gospa_pairs_m2, report.gospa_missed_m2, report.gospa_false_m2),
         )
         for profile, report in reports.items()
     ]
     return f"{name}: confirmed tracks", columns, rows
+
+
+def _parts(*ratios: Ratio) -> str:
+    return ", ".join("-" if ratio.value is None else f"{ratio.value:.2f}" for ratio in ratios)
 
 
 def _quantile_pair(estimates: Mapping[str, Estimate]) -> str:
@@ -249,7 +257,7 @@ def _short(ratio: Ratio) -> str:
     return "-" if ratio.value is None else f"{ratio.part:g} of {ratio.whole:g} ({ratio.value:.2f})"
 
 
-def _rate(ratio: Ratio) -> str:
+def _rate(ratio: Ratio | Estimate) -> str:
     return "-" if ratio.value is None else f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
 
 

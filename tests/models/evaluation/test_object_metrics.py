@@ -27,7 +27,7 @@ from models.evaluation.object_rows import (
     is_nothing,
     scan_row,
 )
-from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
+from msgs.values.perception import HiddenObject, SceneTruth, Track, TruthObject
 
 SHOWN = ImageTruth(direct=False, mirrored=True, snr_db=30.0, single_snr_db=30.0)
 IN_SIGHT = ImageTruth(direct=True, mirrored=True, snr_db=30.0, single_snr_db=None)
@@ -173,6 +173,30 @@ def test_measures_of_two_places_by_hand() -> None:
     assert found.centre_found_m["p50"].value == pytest.approx(1.4)
     # errors 0.4, 1.5 and 7.0 of three reports: half of them lies within 1.5 m, nine tenths within 7
     assert (found.error_ungated_m["p50"].value, found.error_ungated_m["p90"].value) == (1.5, 7.0)
+
+
+def test_average_precision_by_hand() -> None:
+    """Two objects of three are found by the first and third of three reports: precision 1 and 2/3 where they come."""
+    reports = [said(0.7, 0.3, found=True), said(0.8, 9.0), said(0.9, 0.3, found=True)]
+    scan = ScanRow(place=0, scan=0, hidden=[hidden(0.3), hidden(0.3), hidden(None)], reports=reports)
+    result = object_report(ObjectScores([scan]), np.ones((1, 1)), 1.0)
+    assert result.average_precision.value == pytest.approx((1.0 + 2.0 / 3.0) / 3.0)
+    # drawn twice, the place is the same
+    assert result.average_precision.low == pytest.approx(result.average_precision.value)
+    assert result.average_precision_2_m.value == 0.0
+
+
+def test_gospa_by_hand() -> None:
+    """Tracks 0.6 m before the face of one car, and on nothing; the other shown car is missed: with a cut-off of 2 m."""
+    tracks = [
+        Track(
+            id=number, x_m=x, y_m=10.0, velocity_x_mps=0.0, velocity_y_mps=0.0, age_s=1.0, cov_m2=((1.0, 0.0), (0.0, 1.0)),
+        )
+        for number, x in enumerate((7.4, 60.0))
+    ]  # fmt: skip
+    gospa = scan_row(0, [], truth(), IMAGES, tracks).gospa
+    assert (gospa.pairs_m2, gospa.missed, gospa.false) == (pytest.approx(0.36), 1, 1)
+    assert gospa.distance_m == pytest.approx(np.sqrt(0.36 + 2.0 * 2))
 
 
 def test_scores_by_bin_and_their_calibration_error_by_hand() -> None:
