@@ -190,7 +190,8 @@ def test_gospa_by_hand() -> None:
     """Tracks 0.6 m before the face of one car, and on nothing; the other shown car is missed: with a cut-off of 2 m."""
     tracks = [
         Track(
-            id=number, x_m=x, y_m=10.0, velocity_x_mps=0.0, velocity_y_mps=0.0, age_s=1.0, cov_m2=((1.0, 0.0), (0.0, 1.0)),
+            id=number, x_m=x, y_m=10.0, velocity_x_mps=0.0, velocity_y_mps=0.0, age_s=1.0,
+            cov_m2=((1.0, 0.0), (0.0, 1.0)),
         )
         for number, x in enumerate((7.4, 60.0))
     ]  # fmt: skip
