@@ -12,12 +12,14 @@ from scipy.special import expit
 from models.perception.evidence.gathering import BirdsEyeGrid, Evidence, channel_names, gathered, odd_channels
 from models.perception.evidence.wall_elements import (
     WALL_ANSWERS,
+    WallElements,
     WallGrowth,
     certainties,
     further_walls,
     grown_walls,
     nearest_walls,
     wall_elements,
+    weighed_together,
 )
 from models.perception.geometry.mirrors import WallArrays, wall_arrays
 from models.perception.geometry.walls import WallParams
@@ -50,11 +52,14 @@ class EvidenceEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 @dataclass(frozen=True)
 class ScanEvidence:
-    """Walls of a scan, as messages and arrays, how certain each is [walls], and the evidence."""
+    """Walls of a scan, as messages and arrays, how certain each is [walls], the elements that it showed of them, and
+    the evidence.
+    """
 
     walls: list[Wall]
     arrays: WallArrays
     certainty: np.ndarray
+    elements: WallElements
     evidence: Evidence
 
 
@@ -63,17 +68,20 @@ def scan_evidence(
     ra_map: RangeAzimuthMap,
     answer: np.ndarray,
     fitted: Sequence[Wall] = (),
+    earlier: Sequence[WallElements] = (),
 ) -> ScanEvidence:
     """Return the evidence of a map by the field network's answer [answers, range, azimuth].
 
     `fitted`: walls known otherwise, by a fit of direct returns or a map; they join its own where they are others.
+    `earlier`: elements of earlier scans in the frame of this one; each scan weighs the same.
     """
     elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
-    grown, _ = grown_walls(elements, encoding.growth)
+    every = weighed_together([elements, *earlier]) if earlier else elements
+    grown, _ = grown_walls(every, encoding.growth)
     walls = [*grown, *further_walls(fitted, grown)][: encoding.max_walls]
     arrays = wall_arrays(walls)
     certainty = certainties(arrays, answer, ra_map.grid)
-    support = nearest_walls(elements.place_m, arrays)
+    support = nearest_walls(every.place_m, arrays)
     heat = expit(answer[WALL_ANSWERS:])
-    evidence = gathered(encoding.grid, ra_map, heat, arrays, certainty, elements.place_m, support, encoding.mirrors)
-    return ScanEvidence(walls, arrays, certainty, evidence)
+    evidence = gathered(encoding.grid, ra_map, heat, arrays, certainty, every.place_m, support, encoding.mirrors)
+    return ScanEvidence(walls, arrays, certainty, elements, evidence)

@@ -98,6 +98,14 @@ def wall_elements(answer: np.ndarray, grid: RangeAzimuthGrid, least: float) -> W
     return WallElements(place_m, toward, expit(logit[row, column].astype(np.float64)))
 
 
+def weighed_together(scans: Sequence[WallElements]) -> WallElements:
+    """Return the likeliest elements of several scans, each weighed by its share of the scans."""
+    joined = WallElements.joined(scans)
+    likeliest = np.sort(np.argsort(-joined.probability, kind="stable")[:MAX_ELEMENTS])
+    kept = joined.take(likeliest)
+    return WallElements(kept.place_m, kept.toward, kept.probability / len(scans))
+
+
 def grown_walls(elements: WallElements, params: WallGrowth) -> tuple[list[Wall], np.ndarray]:
     """Return the walls that elements form, best supported first, and the wall of each element (-1: none), int64 [N]."""
     table = np.column_stack([elements.place_m, elements.toward, elements.probability])
@@ -168,20 +176,17 @@ def _grow(table, across_m, least_cos, max_gap_m, min_length_m, min_support, max_
     walls = 0
     own = np.empty(count, np.int64)
     along = np.empty(count)
+    # what agrees with the line of each element
+    support_of = np.zeros(count)
+    for seed in range(count):
+        for k in range(count):
+            if _agrees(table, k, table[seed, 0], table[seed, 1], table[seed, 2], table[seed, 3], across_m, least_cos):
+                support_of[seed] += table[k, 4]
     while walls < max_walls:
         best, most = -1, 0.0
         for seed in range(count):
-            if not free[seed]:
-                continue
-            support = 0.0
-            for k in range(count):
-                if free[k] and _agrees(
-                    table, k, table[seed, 0], table[seed, 1], table[seed, 2], table[seed, 3], across_m, least_cos
-                ):
-                    support += table[k, 4]
-            support *= table[seed, 4]
-            if support > most:
-                best, most = seed, support
+            if free[seed] and support_of[seed] * table[seed, 4] > most:
+                best, most = seed, support_of[seed] * table[seed, 4]
         if best < 0:
             break
         px, py, mx, my = table[best, 0], table[best, 1], table[best, 2], table[best, 3]
@@ -194,7 +199,7 @@ def _grow(table, across_m, least_cos, max_gap_m, min_length_m, min_support, max_
                 break
             px, py, mx, my = _line(table, own, size, mx, my)
         if size == 0:
-            free[best] = False
+            _take(table, best, free, support_of, across_m, least_cos)
             continue
         support, first, last = 0.0, np.inf, -np.inf
         for k in range(size):
@@ -208,9 +213,20 @@ def _grow(table, across_m, least_cos, max_gap_m, min_length_m, min_support, max_
                 wall_of[own[k]] = walls
             walls += 1
         for k in range(size):
-            free[own[k]] = False
-        free[best] = False
+            _take(table, own[k], free, support_of, across_m, least_cos)
+        _take(table, best, free, support_of, across_m, least_cos)
     return rows[:walls], wall_of
+
+
+@compiled(error_model="numpy")
+def _take(table, k, free, support_of, across_m, least_cos):  # type: ignore[no-untyped-def]
+    """Take a free element out of the support of all others."""
+    if not free[k]:
+        return
+    free[k] = False
+    for seed in range(len(table)):
+        if _agrees(table, k, table[seed, 0], table[seed, 1], table[seed, 2], table[seed, 3], across_m, least_cos):
+            support_of[seed] -= table[k, 4]
 
 
 @compiled(error_model="numpy")

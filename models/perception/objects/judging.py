@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.walls import WallParams
 from models.perception.trained_radar import TrainedRadar
+from msgs.values.frames import Pose2
 from msgs.values.perception import HiddenObject, Peaks, Wall
 from msgs.values.radar import RangeAzimuthMap
+
+
+class RadarPose(NamedTuple):
+    """Pose of a radar in an odometry frame of some number; poses of other frames do not compare."""
+
+    frame: int
+    odom_from_radar: Pose2
 
 
 class JudgeCard(Protocol):
@@ -45,5 +53,9 @@ class ScanJudge(Protocol):
         walls: list[Wall],
         returns: DirectReturns,
         moving: bool = False,
+        pose: RadarPose | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
-        """Begin with a scan; the function returned waits for its hidden objects, likeliest first."""
+        """Begin with a scan; the function returned waits for its hidden objects, likeliest first.
+
+        `pose`: of the radar, None where no vehicle state has arrived.
+        """

@@ -21,6 +21,7 @@ from models.perception.geometry.walls import WallParams
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, detections, hidden_objects
 from models.perception.objects.encoding import BINS, ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
+from models.perception.objects.judging import RadarPose
 from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
@@ -132,6 +133,7 @@ class ObjectPredictor:
         walls: list[Wall],
         returns: DirectReturns,
         moving: bool = False,
+        pose: RadarPose | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the network begin with a scan; the function returned waits for its hidden objects, likeliest first.
 

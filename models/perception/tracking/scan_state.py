@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from models.perception.geometry.stage import WallPrior
+from models.perception.objects.judging import RadarPose
 from models.perception.tracking.odometry import OdometryParams, ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker, TrackerParams
 from models.perception.tracking.wall_fusion import WallFusionParams
@@ -49,6 +50,13 @@ class ScanMemory:
     def add_walls(self, message: WallPriors) -> None:
         """Take in walls from elsewhere; see `WallPriorStore` for the messages that each scan uses."""
         self._priors.add(message)
+
+    def radar_pose(self, peaks: Peaks) -> RadarPose | None:
+        """Return the radar's pose at a scan; None while no vehicle state has arrived or none is near enough."""
+        pose = self._odometry.at(peaks.stamp_ns)
+        if pose is None or pose == stationary_pose():
+            return None
+        return RadarPose(pose.frame, pose.odom_from_vehicle @ peaks.vehicle_from_radar)
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:

@@ -23,6 +23,7 @@ from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
 from msgs.values.array_table import ArrayTable
 from msgs.values.environment import PriorWall
+from msgs.values.frames import Pose2
 from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, mps_from_speed_codes
 from msgs.values.units import ns_from_s
@@ -82,6 +83,8 @@ class Scan:
     places_m: np.ndarray | None = None
     #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
     ego: VehicleState | None = None
+    #: Pose of the radar in its frame at the start of the drive; None: the data set does not say.
+    pose: Pose2 | None = None
     #: Walls in the radar's frame, exact and as a poor map has them; empty: the data set does not say.
     walls: tuple[PriorWall, ...] = ()
     map_walls: tuple[PriorWall, ...] = ()
@@ -106,6 +109,7 @@ class Frame:
     truth: tuple[TruthObject, ...] | None = None
     #: Of a beam for profiles, of a cell for values; per bin.
     noise_power_mw: float = 0.0
+    pose: Pose2 | None = None
     walls: tuple[PriorWall, ...] = ()
     map_walls: tuple[PriorWall, ...] = ()
 
@@ -185,6 +189,7 @@ class DataSet:
             "places_m",
             "truth",
             "noise_power_mw",
+            "pose",
             "walls",
             "map_walls",
         )
@@ -229,6 +234,7 @@ ARRAYS = {
     **dict.fromkeys(("scene_yaml", "sequence", "object_class", "facts"), ("SU", 1)),
     "missing_beams": ("b", 2),
     "odometry": ("f", 3),
+    "pose": ("f", 2),
     "radial_speed_cmps": ("i", 3),
 }
 
@@ -348,6 +354,7 @@ def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
         "sequence",
         "missing_beams",
         "odometry",
+        "pose",
         "radial_speed_cmps",
     )
     lengths = dict.fromkeys(per_scene, scenes)
@@ -407,6 +414,7 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         if "places_m" in arrays
         else None,
         ego=_ego(path, arrays["odometry"][scene], scene) if "odometry" in arrays else None,
+        pose=Pose2(*arrays["pose"][scene].tolist()) if "pose" in arrays else None,
         radial_speed_mps=_speeds(path, arrays, scene),
         **measured,
     )
