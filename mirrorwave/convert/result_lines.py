@@ -28,6 +28,7 @@ def bev_to_json(frame: BevFrame) -> dict[str, object]:
                 "id": hidden.id,
                 "x_m": hidden.x_m,
                 "y_m": hidden.y_m,
+                "centre_m": hidden.centre_m,
                 "length_m": hidden.length_m,
                 "width_m": hidden.width_m,
                 "yaw_rad": hidden.yaw_rad,

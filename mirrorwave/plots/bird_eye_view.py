@@ -270,7 +270,8 @@ def box_corners_m(box: HiddenObject | TruthObject) -> np.ndarray:
     """Corners [4, 2] of an oriented box in metres."""
     cos, sin = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
     half = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [box.length_m, box.width_m]
-    return half @ np.array([[cos, sin], [-sin, cos]]) + [box.x_m, box.y_m]
+    centre_m = box.box_centre_m if isinstance(box, HiddenObject) else (box.x_m, box.y_m)
+    return half @ np.array([[cos, sin], [-sin, cos]]) + centre_m
 
 
 def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:

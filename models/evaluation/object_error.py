@@ -1,8 +1,8 @@
 """Position errors of a reported object, at the time it was measured: one definition for all figures.
 
-- Face error: from the reported centre to the nearest visible face of the true box, to a visible scattering centre, or
+- Face error: from the reported position to the nearest visible face of the true box, to a visible scattering centre, or
   to the box's centre, whichever is nearest. Objects are matched by it: a radar sees a face of a vehicle.
-- Centre error: from the reported centre to the centre of the true box. Never less than the face error.
+- Centre error: from the centre of the reported box to that of the true one.
 """
 
 from __future__ import annotations
@@ -85,11 +85,13 @@ def _distances_m(
     elapsed_s = s_from_ns(report.stamp_ns - scene.stamp_ns) if report.stamp_ns else 0.0
     moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
     at_m = np.array([[report.x_m, report.y_m]]) - moved_m
-    in_box_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).inverse().apply(at_m)[0]
+    vehicle = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).inverse()
+    in_box_m = vehicle.apply(at_m)[0]
     outside_m = np.maximum(np.abs(in_box_m) - 0.5 * np.array([truth.length_m, truth.width_m]), 0.0)
-    centre_m = float(np.linalg.norm(in_box_m))
+    to_centre_m = float(np.linalg.norm(in_box_m))
+    centre_m = float(np.linalg.norm(vehicle.apply(np.array([report.box_centre_m]) - moved_m)))
     to_faces_m = segment_distance_m(at_m, faces_m[:, 0], faces_m[:, 1])
-    error_m = float(min(centre_m, to_faces_m.min(initial=np.inf)))
+    error_m = float(min(to_centre_m, to_faces_m.min(initial=np.inf)))
     marks_m = np.concatenate([faces_m, np.full((1, 2, 2), [truth.x_m, truth.y_m])]) - at_m
     return error_m, centre_m, float(np.linalg.norm(outside_m)), _mahalanobis2(marks_m, np.array(report.cov_m2))
 

@@ -167,7 +167,7 @@ class RadialSpeed(Checked, frozen=True, kw_only=True):
 
 
 class HiddenObject(Checked, frozen=True, kw_only=True):
-    """A recovered object: oriented box, score, covariance of its centre."""
+    """A recovered object: position of what a mirror shows of it, with its covariance; score; oriented box."""
 
     label: ClassVar[str] = "object"
 
@@ -178,8 +178,10 @@ class HiddenObject(Checked, frozen=True, kw_only=True):
     width_m: LengthM
     yaw_rad: AngleRad
     score: Share
-    #: Of the centre [m^2].
+    #: Of the position [m^2].
     cov_m2: Covariance
+    #: Centre of the box; None: the position.
+    centre_m: tuple[Metres, Metres] | None = None
     #: Acquisition time of the beams that saw it (a moving object was there then).
     stamp_ns: StampNs = 0
     points: Count = 0
@@ -187,6 +189,11 @@ class HiddenObject(Checked, frozen=True, kw_only=True):
     object_class: str = ""
     #: None: not measured.
     radial_speed: RadialSpeed | None = None
+
+    @property
+    def box_centre_m(self) -> tuple[float, float]:
+        """Centre of the box."""
+        return self.centre_m or (self.x_m, self.y_m)
 
 
 class Track(Checked, frozen=True, kw_only=True):

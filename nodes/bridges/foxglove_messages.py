@@ -246,8 +246,9 @@ def _line(points_m: Sequence[tuple[float, float]], colour: Colour) -> Body:
 
 
 def _cube(box: HiddenObject | TruthObject, colour: Colour) -> Body:
+    centre_m = box.box_centre_m if isinstance(box, HiddenObject) else (box.x_m, box.y_m)
     return {
-        "pose": _pose(box.x_m, box.y_m, box.yaw_rad, 0.5 * OBJECT_HEIGHT_M),
+        "pose": _pose(*centre_m, box.yaw_rad, 0.5 * OBJECT_HEIGHT_M),
         "size": _vector(box.length_m, box.width_m, OBJECT_HEIGHT_M),
         "color": _colour(colour),
     }

@@ -245,7 +245,7 @@ class Ros2Messages:
             "objects",
             hidden.id & _MARKER_NUMBERS,
             _CUBE,
-            pose=Pose2(hidden.x_m, hidden.y_m, hidden.yaw_rad),
+            pose=Pose2(*hidden.box_centre_m, hidden.yaw_rad),
             z_m=0.5 * OBJECT_HEIGHT_M,
             scale_m=(hidden.length_m, hidden.width_m, OBJECT_HEIGHT_M),
             colour=OBJECT_COLOUR,
@@ -278,12 +278,13 @@ class Ros2Messages:
             hypothesis=self._make("vision_msgs/msg/ObjectHypothesis", class_id=hidden.object_class, score=hidden.score),
             pose=self._make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel()),
         )
+        box = self._pose(Pose2(*hidden.box_centre_m, hidden.yaw_rad), 0.5 * OBJECT_HEIGHT_M)
         size = self._vector(hidden.length_m, hidden.width_m, OBJECT_HEIGHT_M)
         return self._make(
             "vision_msgs/msg/Detection3D",
             header=self._header(stamp_ns, self._frames.radar),
             results=[with_pose],
-            bbox=self._make("vision_msgs/msg/BoundingBox3D", center=pose, size=size),
+            bbox=self._make("vision_msgs/msg/BoundingBox3D", center=box, size=size),
             id=str(hidden.id),
         )
 

@@ -303,6 +303,7 @@ def _object_json(item: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]
         "nearest": None if truth is None else _nearest_json(item, truth),
         "id": item.id,
         "at": _metres((item.x_m, item.y_m)),
+        "centre": _metres(item.box_centre_m),
         "size": _metres((item.length_m, item.width_m)),
         "yaw": round(item.yaw_rad, 4),
         "score": round(item.score, 3),

@@ -161,6 +161,7 @@ def hidden_objects(
             yaw_rad=float(reports.yaw_rad[index]),
             score=float(reports.score[index]),
             cov_m2=tuple(map(tuple, reports.covariance_m2[index].tolist())),  # type: ignore[arg-type]
+            centre_m=tuple(reports.centre_m[index].tolist()),
             stamp_ns=int(stamp_ns[index]),
             object_class=CLASSES[reports.object_class[index]],
             radial_speed=radial_speeds[index] if radial_speeds else None,

@@ -936,11 +936,11 @@ function stroke(c, flat, colour, width, dash = []) {
   c.setLineDash([]);
 }
 
-function cornersOf({ at, size, yaw }) {
+function cornersOf({ at, centre = at, size, yaw }) {
   const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
   return [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([u, v]) => {
     const [dx, dy] = [(u * size[0]) / 2, (v * size[1]) / 2];
-    return [at[0] + cos * dx - sin * dy, at[1] + sin * dx + cos * dy];
+    return [centre[0] + cos * dx - sin * dy, centre[1] + sin * dx + cos * dy];
   });
 }
 

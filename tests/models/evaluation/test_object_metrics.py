@@ -74,6 +74,13 @@ def test_distances_are_to_face_or_centre_to_the_centre_and_to_the_box() -> None:
     assert match_objects([report(7.4, 10.0)], truth()).centre_m == (pytest.approx(2.6),)
 
 
+def test_the_centre_error_is_that_of_the_box() -> None:
+    """A position on the face, 2.6 m from the car's centre, with a box 0.5 m from it."""
+    placed = msgspec.structs.replace(report(7.4, 10.0), centre_m=(10.3, 10.4))
+    found = object_distances([placed], truth(), truth().objects[1:2])
+    np.testing.assert_allclose([found.error_m[0, 0], found.centre_m[0, 0]], [0.6, 0.5])
+
+
 def test_a_scan_becomes_a_row_of_its_hidden_objects_and_its_reports() -> None:
     """One report at a visible face, a second on the same car, one in plain sight, one at what no mirror shows."""
     objects = [report(7.4, 10.0), report(10.1, 10.0), report(0.0, -9.0), report(40.0, 1.5), report(60.0, 60.0)]
