@@ -21,7 +21,6 @@ from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
 from models.perception.geometry.walls import WallParams
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
-from models.perception.objects.judging import RadarPose
 from models.perception.objects.predictor import begun, silent_map
 from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import ArraySession
@@ -101,7 +100,6 @@ class EvidencePredictor:
             )
         shapes = self.card.input_shape, self.card.output_shape
         self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
-        self._memory = WallMemory()
         self._odd_channels = self.card.encoding.odd_channels
         silent = silent_map(self.grid)
         returns, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
@@ -128,11 +126,11 @@ class EvidencePredictor:
         walls: list[Wall],
         returns: DirectReturns,
         moving: bool = False,
-        pose: RadarPose | None = None,
+        memory: WallMemory | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        Walls of earlier scans count as well where poses of the radar are given, scan after scan. Scores are
+        Walls of earlier scans count as well where a memory of them is given. Scores are
         probabilities where the card says how, of a vehicle that is `moving` or not. All runs in a thread of its own,
         beside what the caller does until it waits. Raises `ValueError` for a map that does not suit the networks, and
         for answers that are not finite.
@@ -140,14 +138,15 @@ class EvidencePredictor:
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
             raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
-        return begun(partial(self._objects, ra_map, walls, moving, pose))
+        return begun(partial(self._objects, ra_map, walls, moving, memory))
 
     def _objects(
-        self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, pose: RadarPose | None
+        self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None
     ) -> tuple[HiddenObject, ...]:
-        earlier = self._memory.earlier(pose)
+        earlier = memory.earlier() if memory else ()
         scan = scan_evidence(self.card.encoding, ra_map, self._fields.answer(ra_map), walls, earlier)
-        self._memory.add(pose, scan.elements)
+        if memory:
+            memory.add(scan.elements)
         table = self.card.calibration_of(moving)
         answer = self.answer(scan.evidence.channels)
         least = score_of(table, self.threshold)

@@ -3,36 +3,48 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
 from models.perception.evidence.wall_elements import WallElements
-from models.perception.objects.judging import RadarPose
 from msgs.values.frames import Pose2
 
 #: Scans that are remembered beside the present one: over a second, in which odometry errs by centimetres.
 EARLIER_SCANS = 4
 
 
+class RadarPose(NamedTuple):
+    """Pose of a radar in an odometry frame of some number; poses of other frames do not compare."""
+
+    frame: int
+    odom_from_radar: Pose2
+
+
 class WallMemory:
-    """Wall elements of the last scans of a radar that moves; they are forgotten where the odometry frame ends."""
+    """Wall elements of the last scans of one radar that moves; they are forgotten where the odometry frame ends."""
 
     def __init__(self) -> None:
+        self._pose: RadarPose | None = None
         self._scans: deque[tuple[RadarPose, WallElements]] = deque(maxlen=EARLIER_SCANS)
 
-    def earlier(self, pose: RadarPose | None) -> list[WallElements]:
-        """Return the elements of earlier scans in the frame of the radar at a pose; none without a pose."""
-        if pose is None or (self._scans and self._scans[-1][0].frame != pose.frame):
+    def move(self, pose: RadarPose | None) -> None:
+        """Take in the radar's pose of the scan to come; None: not known."""
+        if pose is None or (self._pose is not None and self._pose.frame != pose.frame):
             self._scans.clear()
-        if pose is None:
+        self._pose = pose
+
+    def earlier(self) -> list[WallElements]:
+        """Return the elements of earlier scans in the frame of the radar at its pose; none without a pose."""
+        if self._pose is None:
             return []
-        radar_from_odom = pose.odom_from_radar.inverse()
+        radar_from_odom = self._pose.odom_from_radar.inverse()
         return [carried(elements, radar_from_odom @ before.odom_from_radar) for before, elements in self._scans]
 
-    def add(self, pose: RadarPose | None, elements: WallElements) -> None:
-        """Remember the elements of the scan at a pose, in its own frame."""
-        if pose is not None:
-            self._scans.append((pose, elements))
+    def add(self, elements: WallElements) -> None:
+        """Remember the elements of the scan at the pose, in its own frame."""
+        if self._pose is not None:
+            self._scans.append((self._pose, elements))
 
 
 def carried(elements: WallElements, radar_from_earlier: Pose2) -> WallElements:

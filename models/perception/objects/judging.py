@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
+from models.perception.evidence.wall_memory import WallMemory
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.walls import WallParams
 from models.perception.trained_radar import TrainedRadar
-from msgs.values.frames import Pose2
 from msgs.values.perception import HiddenObject, Peaks, Wall
 from msgs.values.radar import RangeAzimuthMap
-
-
-class RadarPose(NamedTuple):
-    """Pose of a radar in an odometry frame of some number; poses of other frames do not compare."""
-
-    frame: int
-    odom_from_radar: Pose2
 
 
 class JudgeCard(Protocol):
@@ -53,9 +46,9 @@ class ScanJudge(Protocol):
         walls: list[Wall],
         returns: DirectReturns,
         moving: bool = False,
-        pose: RadarPose | None = None,
+        memory: WallMemory | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        `pose`: of the radar, None where no vehicle state has arrived.
+        `memory`: the walls of earlier scans of this radar, at its pose of this scan; it takes in those of this one.
         """

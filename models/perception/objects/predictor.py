@@ -14,6 +14,7 @@ import numpy as np
 
 from models.perception.cards import card_path, learned_path, read_card
 from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
+from models.perception.evidence.wall_memory import WallMemory
 from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.mirrors import wall_arrays
 from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
@@ -21,7 +22,6 @@ from models.perception.geometry.walls import WallParams
 from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, detections, hidden_objects
 from models.perception.objects.encoding import BINS, ObjectEncoding, encode_objects
 from models.perception.objects.hypotheses import HYPOTHESES
-from models.perception.objects.judging import RadarPose
 from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
@@ -133,7 +133,7 @@ class ObjectPredictor:
         walls: list[Wall],
         returns: DirectReturns,
         moving: bool = False,
-        pose: RadarPose | None = None,
+        memory: WallMemory | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the network begin with a scan; the function returned waits for its hidden objects, likeliest first.
 

@@ -7,8 +7,8 @@ from functools import partial
 import msgspec
 import numpy as np
 
+from models.perception.evidence.wall_memory import RadarPose, WallMemory
 from models.perception.geometry.stage import WallPrior
-from models.perception.objects.judging import RadarPose
 from models.perception.tracking.odometry import OdometryParams, ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker, TrackerParams
 from models.perception.tracking.wall_fusion import WallFusionParams
@@ -42,6 +42,7 @@ class ScanMemory:
         self._tracker = Tracker(params.tracker) if params.tracking else None
         self._walls = WallMap(params.walls) if params.wall_map else None
         self._priors = WallPriorStore(params.wall_priors)
+        self._elements = WallMemory()
 
     def add(self, state: VehicleState) -> None:
         """Take in a state of the vehicle; see `ScanOdometry` for the states that each scan uses."""
@@ -51,12 +52,14 @@ class ScanMemory:
         """Take in walls from elsewhere; see `WallPriorStore` for the messages that each scan uses."""
         self._priors.add(message)
 
-    def radar_pose(self, peaks: Peaks) -> RadarPose | None:
-        """Return the radar's pose at a scan; None while no vehicle state has arrived or none is near enough."""
+    def wall_elements_at(self, peaks: Peaks) -> WallMemory:
+        """Return what earlier scans showed of walls, at the radar's pose of a scan; nothing where that is not known."""
         pose = self._odometry.at(peaks.stamp_ns)
         if pose is None or pose == stationary_pose():
-            return None
-        return RadarPose(pose.frame, pose.odom_from_vehicle @ peaks.vehicle_from_radar)
+            self._elements.move(None)
+        else:
+            self._elements.move(RadarPose(pose.frame, pose.odom_from_vehicle @ peaks.vehicle_from_radar))
+        return self._elements
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:

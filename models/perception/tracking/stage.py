@@ -114,7 +114,8 @@ class ViewStage:
         if self.predictor is None or ra_map is None or not peaks.detector or not self.predictor.suits(ra_map):
             return None
         moving = ego is not None and ego.valid and abs(ego.speed_mps) >= MOVING_MPS
-        return partial(self.predictor.judge, ra_map, peaks, moving=moving, pose=self._memory.radar_pose(peaks))
+        memory = self._memory.wall_elements_at(peaks)
+        return partial(self.predictor.judge, ra_map, peaks, moving=moving, memory=memory)
 
 
 def judged_params(params: GeometryParams, predictor: ScanJudge | None) -> GeometryParams:

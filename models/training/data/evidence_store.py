@@ -17,10 +17,9 @@ from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.encoding import Encoding
 from models.perception.evidence.field_predictor import FieldPredictor
 from models.perception.evidence.scan_evidence import EvidenceEncoding, scan_evidence
-from models.perception.evidence.wall_memory import WallMemory
+from models.perception.evidence.wall_memory import RadarPose, WallMemory
 from models.perception.geometry.mirrors import WallArrays
 from models.perception.geometry.stage import GeometryParams, direct_structure
-from models.perception.objects.judging import RadarPose
 from models.training.data.evidence_samples import EvidenceObjects, evidence_objects, quantized
 from models.training.data.field_samples import field_sample
 from models.training.data.frames import DataSet, Frame, FrameLabels, Scan
@@ -151,11 +150,11 @@ def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Pat
     for frame in frames:
         if frame.sequence != drive:
             memory, drive = WallMemory(), frame.sequence
-        pose = RadarPose(0, frame.pose) if frame.sequence and frame.pose else None
+        memory.move(RadarPose(0, frame.pose) if frame.sequence and frame.pose else None)
         _, fitted = direct_structure(detector.detect(frame.ra_map), task.geometry)
         answer = fields.answer(frame.ra_map)
-        scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier(pose))
-        memory.add(pose, scan.elements)
+        scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier())
+        memory.add(scan.elements)
         channels.append(quantized(scan.evidence.channels))
         objects.append(evidence_objects(frame, scan))
         truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from models.perception.evidence.wall_elements import WallElements, WallGrowth, grown_walls, weighed_together
-from models.perception.evidence.wall_memory import EARLIER_SCANS, WallMemory
-from models.perception.objects.judging import RadarPose
+from models.perception.evidence.wall_memory import EARLIER_SCANS, RadarPose, WallMemory
 from msgs.values.frames import Pose2
 
 #: A wall along x, 8 m to the left of the start, as the odometry frame has it.
@@ -33,8 +32,9 @@ def seen(number: int, first_m: float, last_m: float) -> WallElements:
 def test_parts_of_a_wall_of_several_scans_are_one_wall() -> None:
     memory, scans = WallMemory(), [seen(number, 4.0 * number, 4.0 * number + 5.0) for number in range(4)]
     for number, elements in enumerate(scans):
-        earlier = memory.earlier(pose(number))
-        memory.add(pose(number), elements)
+        memory.move(pose(number))
+        earlier = memory.earlier()
+        memory.add(elements)
     walls, _ = grown_walls(weighed_together([scans[-1], *earlier]), WallGrowth())
     (wall,) = walls
     radar_from_odom = pose(3).odom_from_radar.inverse()
@@ -48,20 +48,26 @@ def test_parts_of_a_wall_of_several_scans_are_one_wall() -> None:
 def test_scans_are_forgotten_with_their_odometry_frame_and_after_a_while() -> None:
     memory = WallMemory()
     for number in range(2 * EARLIER_SCANS):
-        memory.add(pose(number), seen(number, 0.0, 2.0))
-    assert len(memory.earlier(pose(8))) == EARLIER_SCANS
-    assert memory.earlier(RadarPose(1, Pose2())) == []
-    assert memory.earlier(pose(9)) == []
-    memory.add(pose(9), seen(9, 0.0, 2.0))
-    assert memory.earlier(None) == []
-    assert memory.earlier(pose(10)) == []
+        memory.move(pose(number))
+        memory.add(seen(number, 0.0, 2.0))
+    assert len(memory.earlier()) == EARLIER_SCANS
+    memory.move(RadarPose(1, Pose2()))
+    assert memory.earlier() == []
+    memory.add(seen(0, 0.0, 2.0))
+    assert len(memory.earlier()) == 1
+    memory.move(None)
+    assert memory.earlier() == []
+    memory.move(RadarPose(1, Pose2()))
+    assert memory.earlier() == []
 
 
 def test_a_line_passed_by_the_radar_is_seen_from_its_other_side() -> None:
     """A wall across the road, 5 m ahead, of which the radar has passed the line: its foot lies behind."""
     memory = WallMemory()
     ahead = WallElements(np.array([[5.0, 3.0]]), np.array([[1.0, 0.0]]), np.array([0.5]))
-    memory.add(RadarPose(0, Pose2()), ahead)
-    (carried,) = memory.earlier(RadarPose(0, Pose2(6.0, 0.0, 0.0)))
+    memory.move(RadarPose(0, Pose2()))
+    memory.add(ahead)
+    memory.move(RadarPose(0, Pose2(6.0, 0.0, 0.0)))
+    (carried,) = memory.earlier()
     np.testing.assert_allclose(carried.place_m, [[-1.0, 3.0]])
     np.testing.assert_allclose(carried.toward, [[-1.0, 0.0]])

@@ -213,7 +213,7 @@ def test_the_object_network_gets_the_walls_with_priors() -> None:
             return True
 
         def judge(
-            self, ra_map: object, peaks: Peaks, walls: list, returns: object, moving: bool, pose: object = None
+            self, ra_map: object, peaks: Peaks, walls: list, returns: object, moving: bool, memory: object = None
         ) -> Callable[[], tuple]:
             judged.append(len(walls))
             return tuple
