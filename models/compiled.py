@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import sys
 from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any, ClassVar
@@ -18,7 +17,6 @@ from typing import Any, ClassVar
 import llvmlite.binding as llvm
 import numpy as np
 from numba import njit
-from numba.core import environment
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
@@ -126,20 +124,3 @@ class KernelCache(FunctionCache):
         if isinstance(item, np.ndarray):
             return hashlib.sha256(item.tobytes()).hexdigest()
         return repr(item) if isinstance(item, (bool, int, float, complex, str, tuple, np.generic)) else ""
-
-
-@functools.wraps(environment._rebuild_env)
-def _environment(modname: str, consts: list[Any], env_name: str) -> environment.Environment:
-    """Return a loaded function's environment without importing its module, which only interpreted code uses."""
-    made = environment.lookup_environment(env_name)
-    if made is None:
-        module = sys.modules.get(modname)
-        made = environment.Environment({"__name__": modname} if module is None else module.__dict__)
-        made.consts[:] = consts
-        made.env_name = env_name
-        environment.Environment._memo[env_name] = made
-    return made
-
-
-# as numba's own, which imports the module: its files name it, and stay numba's
-environment._rebuild_env = _environment

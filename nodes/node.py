@@ -623,8 +623,6 @@ def _lower_priority(nice: int) -> None:
 
 
 def _load_or_say_why(module: str, params: Mapping[str, Any], name: str, heartbeat: Heartbeat) -> Node | None:
-    # imported modules stay: repeated garbage collection of them took a tenth of the start
-    gc.disable()
     try:
         return load_node(module, params, name)
     except (ValueError, FileNotFoundError, msgspec.MsgspecError) as error:
@@ -633,8 +631,8 @@ def _load_or_say_why(module: str, params: Mapping[str, Any], name: str, heartbea
         heartbeat.beat(NodeState.STOPPING, reason)
         return None
     finally:
+        # imported modules stay: nothing of them is collected
         gc.freeze()
-        gc.enable()
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:

@@ -8,13 +8,13 @@ from typing import get_args
 import msgspec
 import numpy as np
 
+from benchmarks.full_wave.line_source import LineEcho, thread_amplitude
 from benchmarks.full_wave.rays import RayField, ray_field
 from benchmarks.full_wave.scenes import RADAR, THREAD_PERMITTIVITY, MiniScene
 from benchmarks.full_wave.waves import Waves
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.names import PATH_EFFECTS
 from sim_player.effects.table import WEIGHTS
-from sim_player.fdtd.line_source import LineEcho, thread_amplitude
 from sim_player.scene.description import DiffuseLobe
 from sim_player.scene.world import World
 

@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import hankel2
 
+from benchmarks.full_wave.line_source import LineGrid
 from models.physics.mirror import mirrored
 from models.physics.rough_lobe import RoughLobe
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
-from sim_player.fdtd.line_source import LineGrid
 from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import Snapshot, World, snapshot
 from sim_player.trace.conversion import weights

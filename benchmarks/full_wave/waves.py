@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.full_wave.line_source import HALF_LENGTH, LineEcho, LineGrid, deviation_s, empty_echo, line_source_echo
 from benchmarks.full_wave.scenes import MiniScene
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.fdtd.line_source import HALF_LENGTH, LineEcho, LineGrid, deviation_s, empty_echo, line_source_echo
 
 ORIGIN_M = (0.0, 0.0)
 

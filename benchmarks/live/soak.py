@@ -13,6 +13,7 @@ Usage: python -m benchmarks.live.soak [--duration 3600] [--seed 0] [--gap 20] [-
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import platform
@@ -30,10 +31,11 @@ import numpy as np
 import psutil
 from rich.progress import Progress
 from scipy.stats import theilslopes
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
 
 from benchmarks.live.faults import hear_ctrl_c, processes_of
 from benchmarks.live.live_graph import quantiles, shed_of
-from benchmarks.live.viewer_load import Pages
 from mirrorwave.plots.style import legend_beside, new_figure, save
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT
@@ -101,7 +103,7 @@ class Reader:
         if url != self._url:
             self.close()
             self._url, self._ended = url, threading.Event()
-            self._thread = threading.Thread(target=self._read, args=(Pages(url), self._ended), daemon=True)
+            self._thread = threading.Thread(target=self._read, args=(url, self._ended), daemon=True)
             self._thread.start()
 
     def close(self) -> None:
@@ -109,12 +111,23 @@ class Reader:
         if self._thread is not None:
             self._thread.join(10.0)
 
-    def _read(self, pages: Pages, ended: threading.Event) -> None:
-        while not ended.wait(1.0):
-            try:
-                pages.reads(ended)
-            except Exception:  # noqa: BLE001 - the viewer was killed: its next life has another address
-                return
+    def _read(self, url: str, ended: threading.Event) -> None:
+        """Take and acknowledge every update, as the page does, until the end or until the viewer is killed."""
+        origin, address = url.rsplit("/", 2)[0], url.replace("http://", "ws://") + "ws"
+        if ended.wait(1.0):
+            return
+        # a viewer that was killed has another address in its next life
+        with (
+            contextlib.suppress(WebSocketException, OSError),
+            connect(address, origin=origin, max_size=2**24) as page,  # type: ignore[arg-type]
+        ):
+            while not ended.is_set():
+                with contextlib.suppress(TimeoutError):
+                    message = page.recv(timeout=0.2)
+                    if isinstance(message, str) and (update := json.loads(message)).get("type") == "update":
+                        for _ in range(update.get("messages", 0)):
+                            page.recv(timeout=5.0)
+                        page.send(json.dumps({"type": "ack", "number": update["number"]}))
 
 
 class Soak:

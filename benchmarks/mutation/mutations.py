@@ -91,22 +91,6 @@ def load_list(path: Path = LIST) -> list[Mutation]:
     return mutations
 
 
-class _BlockDumper(yaml.SafeDumper):
-    """Text of several lines as it stands."""
-
-
-_BlockDumper.add_representer(
-    str,
-    lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None),
-)
-
-
-def as_yaml(mutations: Sequence[Mutation]) -> str:
-    """Mutations as they stand in a list."""
-    rows = [msgspec.to_builtins(mutation) for mutation in mutations]
-    return yaml.dump(rows, Dumper=_BlockDumper, sort_keys=False, allow_unicode=True, width=1000)
-
-
 def mutated(source: str, mutation: Mutation) -> str:
     """The text of a mutant's file; raises `ValueError` where the old text does not stand exactly once."""
     if (count := source.count(mutation.old)) != 1:

@@ -18,7 +18,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks.perception.geometry_switches import machine
+from benchmarks.perception.ra_forming import machine
 from mirrorwave.calibrate.drive import DriveParams, solve_drive
 from mirrorwave.console import progress_bar
 from models.vehicle.mounting import Mounting

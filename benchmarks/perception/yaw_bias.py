@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from benchmarks.accuracy.side_street_drives import read_states
+from mirrorwave.convert.can_log import log_states
 from models.perception.tracking.odometry import Odometry
 from models.perception.tracking.yaw_rate_bias import BiasSource
 from models.vehicle.can_state import CanDecoder, StateReporter
@@ -35,7 +35,8 @@ from msgs.files.shipped import CHECKOUT
 from msgs.values.frames import wrap_angle
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from nodes.can.bus import load_dbc, load_mapping
+from nodes.can.bus import load_dbc, load_decoder, load_mapping
+from nodes.can.log_file import read_log
 from sim_player.car import SimulatedCar
 
 CAN = CHECKOUT / "launch" / "can"
@@ -52,6 +53,15 @@ LAG_S = 0.12
 REST_MPS = 0.3
 #: Biases that are put on a recorded drive, deg/s.
 PUT_ON_DPS = (-0.41, 0.0, 1.0)
+
+
+def read_states(log: Path, dbc: Path, mapping: Path) -> list[VehicleState]:
+    """All states of a log; raises ValueError naming the file that says nothing, else OSError."""
+    states = [state for step in log_states(load_decoder(dbc, mapping), read_log(log)) for state in step.states]
+    if not any(state.valid for state in states):
+        why = states[-1].reason if states else "it holds no frames"
+        raise ValueError(f"{log}: no valid vehicle state: {why}")
+    return states
 
 
 class Drive(NamedTuple):

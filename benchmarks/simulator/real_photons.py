@@ -22,11 +22,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.captures import add_data_option, capture_folder
-from mirrorwave.convert.transients import draw_shape
-from models.perception.transients.light_cone import DEFAULT_SNR, reconstruct
-from models.perception.transients.scan import ConfocalTransients
-from models.perception.transients.shape import HiddenShape, hidden_shape
-from models.perception.transients.target import (
+from benchmarks.simulator.photon_target import (
     BINS_PER_CELL,
     Loss,
     Observed,
@@ -41,6 +37,10 @@ from models.perception.transients.target import (
     plane_patches,
     retroreflected_share,
 )
+from mirrorwave.convert.transients import draw_shape
+from models.perception.transients.light_cone import DEFAULT_SNR, reconstruct
+from models.perception.transients.scan import ConfocalTransients
+from models.perception.transients.shape import HiddenShape, hidden_shape
 from models.physics.photons.counting import draw_histogram, expected_histogram
 from models.sensors.confocal import read_confocal
 from msgs.values.lidar import SpadParams

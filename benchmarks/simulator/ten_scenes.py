@@ -26,8 +26,8 @@ import numpy as np
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
+from benchmarks.simulator.city import made_city
 from msgs.files.shipped import CHECKOUT
-from sim_player.generate.city import made_city
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, manual_plan, plan_world, planned_profiles
 from sim_player.planner.purposes import Purpose

@@ -1,7 +1,7 @@
-"""Effect of roughness on the mirror: two laws of the coherent share, the diffuse rest.
+"""Effect of roughness on the mirror: the coherent share, the diffuse rest.
 
 g = 4 pi s cos(theta) / lambda is the rms phase that heights of rms s put on a reflected wave. At grazing g -> 0 and
-every wall is smooth. Heights are zero-mean; shadowing and multiple scattering are neglected, so both laws require
+every wall is smooth. Heights are zero-mean; shadowing and multiple scattering are neglected, so the laws require
 gentle slopes and a correlation length of a wavelength or more (Kirchhoff regime).
 """
 
@@ -23,21 +23,6 @@ def phase_deviation_rad(roughness_m: np.ndarray, cos_theta: np.ndarray, waveleng
     if not np.all((cos_theta >= 0.0) & (cos_theta <= 1.0 + 1e-12)):
         raise ValueError(f"cos_theta must lie in 0..1, got {cos_theta!r}")
     return 4.0 * np.pi * roughness_m * cos_theta / wavelength_m
-
-
-def coherent_power_miller_brown(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the power share of the mirror for wave-like heights, (exp(-g^2/2) I0(g^2/2))^2 (broadcast).
-
-    The law of Miller, Brown and Vegh, found on the sea, where sinusoids of random amplitude make the heights. It equals
-    `coherent_power` to first order in g^2 and falls as 1 / (pi g^2) instead of exp(-g^2), so it is the larger one
-    everywhere. Where `coherent_power` is below about -10 dB (g > 1.5), the tails of the heights decide and textbooks
-    prefer this one; no measurement of walls was found that decides, so take the two as a span there.
-    exp and I0 are taken as one scaled function: I0 alone overflows at g^2/2 > 713.
-    """
-    # imported here: the usual mirror law needs no Bessel function
-    from scipy.special import i0e
-
-    return np.square(i0e(0.5 * np.square(phase_deviation_rad(roughness_m, cos_theta, wavelength_m))))
 
 
 def diffuse_share(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:

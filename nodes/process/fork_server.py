@@ -259,8 +259,6 @@ def main(argv: list[str] | None = None) -> int:
     except ProcessLookupError:
         # the command has ended before there was a graph
         return 0
-    # not while modules are loaded, and not of them in a forked node: it would copy the pages of all that is shared
-    gc.disable()
     load_libraries()
     if threads() > 1:
         sys.stderr.write(
@@ -268,8 +266,8 @@ def main(argv: list[str] | None = None) -> int:
         )
         return 1
     release_unused()
+    # collecting them in a forked node would copy the pages of all that is shared
     gc.freeze()
-    gc.enable()
     words = None
     # a parent that ends takes its end of the channel with it, whatever is on its way
     with socket.socket(fileno=os.dup(0)) as channel, contextlib.suppress(ConnectionError):

@@ -39,9 +39,8 @@ from sim_player.scene.description import (
 
 #: Pieces of wall of a scene.
 MAX_WALLS = 10_000
-#: Radius of a scene, and its default: as far as echoes are followed in a large scene (`sim_player.scene.reach`).
+#: Least and greatest radius of a scene.
 RADIUS_M = (5.0, 5000.0)
-DEFAULT_RADIUS_M = 165.0
 #: Corners are rounded to this, and points nearer to the last are left out: finer than any map.
 CORNER_M = 1e-3
 #: The same in digits of metres.

@@ -1,6 +1,6 @@
 """Walls drawn in one place: the last one drawn stands there, the others are cut.
 
-Two flat walls, or two arcs of one circle, coincide where they lie within `SAME_LINE_M` of each other: a mirror counts
+Two flat walls, or two arcs of one circle, coincide where they lie within `NODE_M` of each other: a mirror counts
 once. Of those higher than the radar the last one drawn stands; one that is no higher yields to one that is. What stands
 is as high there as the highest. Mirrors and foliage do not cut each other. Walls further apart are two walls, of which
 the nearer hides the other.
@@ -16,9 +16,8 @@ import numpy as np
 
 from models.compiled import compiled
 from models.physics.curved_mirror import arc_from_ends, arc_points
+from sim_player.scene.wall_ends import NODE_M
 
-#: Walls nearer than this are one.
-SAME_LINE_M = 1e-3
 #: Sine of the angle between walls beyond which they can not be one over any length.
 STEEPEST = 0.2
 
@@ -66,7 +65,7 @@ def cut_coincident(walls: WallPieces, radar_height_m: float) -> Stretches:
     ends, height, piece = [], [], []
     for index in range(len(walls.a)):
         own = raised.get(index, [])
-        for begin, end in _left(cuts.get(index, []), own, SAME_LINE_M / _length_m(walls, index)):
+        for begin, end in _left(cuts.get(index, []), own, NODE_M / _length_m(walls, index)):
             middle = 0.5 * (begin + end)
             higher = [top for low, high, top in own if low <= middle <= high]
             ends.append(_points(walls, index, np.array([begin, end])))
@@ -109,7 +108,7 @@ def _plain(walls: WallPieces) -> tuple[np.ndarray, ...]:
 
 def _is_arc(walls: WallPieces) -> np.ndarray:
     """Return which pieces leave their chord by more than counts."""
-    return np.asarray(np.abs(walls.curvature_per_m) * np.sum((walls.b - walls.a) ** 2, axis=1) > 2.0 * SAME_LINE_M)
+    return np.asarray(np.abs(walls.curvature_per_m) * np.sum((walls.b - walls.a) ** 2, axis=1) > 2.0 * NODE_M)
 
 
 def _length_m(walls: WallPieces, index: int) -> float:
@@ -136,11 +135,11 @@ def _on_one_circle(
     for own, other in ((first, second), (second, first)):
         place = np.sort(_shares(walls, own, np.stack([walls.a[other], walls.b[other]])))
         low, high = np.clip(place, 0.0, 1.0)
-        if (high - low) * _length_m(walls, own) <= SAME_LINE_M:
+        if (high - low) * _length_m(walls, own) <= NODE_M:
             return None
         points = _points(walls, own, np.array([low, 0.5 * (low + high), high]))
         centre, radius, *_ = arc_from_ends(walls.a[other], walls.b[other], float(walls.curvature_per_m[other]))
-        if (np.abs(np.hypot(*(points - centre).T) - radius) > SAME_LINE_M).any():
+        if (np.abs(np.hypot(*(points - centre).T) - radius) > NODE_M).any():
             return None
         shares.append((float(low), float(high)))
     return shares[0], shares[1]
@@ -160,8 +159,8 @@ def _straight_pairs(a, b, is_volume, order):  # type: ignore[no-untyped-def]
     rows, count = np.empty((16, 6)), 0
     for place in range(len(order)):
         m = order[place]
-        until = max(a[m, 0], b[m, 0]) + SAME_LINE_M
-        low_y, high_y = min(a[m, 1], b[m, 1]) - SAME_LINE_M, max(a[m, 1], b[m, 1]) + SAME_LINE_M
+        until = max(a[m, 0], b[m, 0]) + NODE_M
+        low_y, high_y = min(a[m, 1], b[m, 1]) - NODE_M, max(a[m, 1], b[m, 1]) + NODE_M
         for further in range(place + 1, len(order)):
             n = order[further]
             if min(a[n, 0], b[n, 0]) > until:
@@ -191,10 +190,10 @@ def _shared(a, b, own, other):  # type: ignore[no-untyped-def]
     at_a = ((a[other, 0] - a[own, 0]) * wx + (a[other, 1] - a[own, 1]) * wy) / square
     at_b = ((b[other, 0] - a[own, 0]) * wx + (b[other, 1] - a[own, 1]) * wy) / square
     low, high = max(min(at_a, at_b), 0.0), min(max(at_a, at_b), 1.0)
-    if (high - low) * math.sqrt(square) <= SAME_LINE_M:
+    if (high - low) * math.sqrt(square) <= NODE_M:
         return 1.0, 0.0
     for share in (low, high):
         x, y = a[own, 0] + share * wx - a[other, 0], a[own, 1] + share * wy - a[other, 1]
-        if abs(x * vy - y * vx) > SAME_LINE_M * long:
+        if abs(x * vy - y * vx) > NODE_M * long:
             return 1.0, 0.0
     return low, high

@@ -43,9 +43,8 @@ class Mesh:
     faces: np.ndarray
     material: str
     name: str
-    #: Faces without area that the file had, and faces that it had drawn before, either side up.
+    #: Faces without area that the file had.
     degenerate_faces: int = 0
-    repeated_faces: int = 0
 
     @cached_property
     def corners_m(self) -> np.ndarray:
@@ -115,9 +114,8 @@ def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, n
         raise ValueError(f"faces: all {len(faces)} are degenerate (no area)")
     vertices_m, faces = _used(vertices_m, faces[solid])
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    repeated = len(faces) - len(first)
     faces = _wind_outward(vertices_m, faces[np.sort(first)])
-    return grounded(Mesh(vertices_m, faces, material, name, int((~solid).sum()), repeated))
+    return grounded(Mesh(vertices_m, faces, material, name, int((~solid).sum())))
 
 
 def grounded(mesh: Mesh) -> Mesh:

@@ -11,7 +11,7 @@ from models.compiled import compiled
 
 #: Ends of walls nearer than this are one.
 SAME_END_M = 1e-6
-#: Ends nearer than this meet in one node, and an end so near to another wall stands against it.
+#: Ends nearer than this meet in one node, an end so near to another wall stands against it, and walls so near are one.
 NODE_M = 1e-3
 #: Rounding of ends that are one.
 ALIKE_M = 1e-5

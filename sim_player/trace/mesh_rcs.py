@@ -9,7 +9,6 @@ Not modelled: diffraction by edges beyond physical optics, creeping waves, trans
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,36 +64,6 @@ def mesh_field(
         1e-7 * float(mesh.extent_m.max()),
     )
     return complex(math.sqrt(4.0 * math.pi) / wavelength_m * cell[0] * cell[1] * field)
-
-
-@dataclass(frozen=True)
-class MeshCentres:
-    """Points of a mesh so dense that each one's lobe is that of a small plate: cos^q, as K points."""
-
-    #: Position and outward normal [K, 3], RCS along the normal [K] m^2, exponent q of the lobe (of power) [K].
-    position_m: np.ndarray
-    normal: np.ndarray
-    peak_rcs_m2: np.ndarray
-    lobe_exponent: np.ndarray
-
-
-def mesh_centres(mesh: Mesh, wavelength_m: float) -> MeshCentres:
-    """Return a convex mesh as plain points, none longer than half a wavelength: physical optics by a sum over them.
-
-    A point of area A: 4 pi A^2 |r|^2 / lambda^2, with the lobe of exponent 2 of its slant. Scenes have far fewer
-    centres, whose lobes `sim_player.bodies.fields` integrates; this sum is what they are tested against, also nearby.
-    """
-    pieces, owner = cut_triangles(mesh.corners_m, 0.5 * wavelength_m)
-    normal, both = mesh.normals[owner], 1 if mesh.closed else 2
-    epsilon = permittivity(mesh.material, SPEED_OF_LIGHT_MPS / wavelength_m)
-    reflectance = float(np.abs(half_space_reflection(np.array(epsilon), np.array(1.0))) ** 2)
-    peak = 4.0 * math.pi * reflectance * (triangle_areas(pieces) / wavelength_m) ** 2
-    return MeshCentres(
-        position_m=np.tile(pieces.mean(axis=1), (both, 1)),
-        normal=np.concatenate([normal, -normal][:both]),
-        peak_rcs_m2=np.tile(peak, both),
-        lobe_exponent=np.full(both * len(pieces), 2.0),
-    )
 
 
 def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
+
+from numba.core.registry import cpu_target
 
 from models.compiled import compiled
 from tests.graph.toy_nodes import Echo, Params
@@ -20,5 +21,5 @@ def doubled(value):  # type: ignore[no-untyped-def]
 def create(params: Params) -> Echo:
     node = Echo(params)
     node.total = doubled(node.total)
-    os.write(1, b"made with the compiler\n" if "numba.np.linalg" in sys.modules else b"made from the cache\n")
+    os.write(1, b"made with the compiler\n" if cpu_target.typing_context._functions else b"made from the cache\n")
     return node

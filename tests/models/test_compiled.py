@@ -41,11 +41,12 @@ import sys
 import llvmlite.binding as llvm
 import numpy as np
 import caller
+from numba.core.registry import cpu_target
 sizes, parse = [], llvm.parse_bitcode
 llvm.parse_bitcode = lambda code: sizes.append(len(code)) or parse(code)
 found = caller.total(np.ones(2)).sum()
 hits = sum(caller.total.stats.cache_hits.values())
-print(found, "numba.np.linalg" in sys.modules, hits, sum(size > 2000 for size in sizes))
+print(found, bool(cpu_target.typing_context._functions), hits, sum(size > 2000 for size in sizes))
 """
 
 

@@ -9,10 +9,10 @@ import pytest
 from mpmath import mp, mpf
 from scipy.special import ndtr
 
+from benchmarks.simulator.photon_target import Observed, Response, Window, fit_at, plane_patches
 from models.perception.transients.light_cone import LightCone, reconstruct
 from models.perception.transients.scan import ConfocalTransients
 from models.perception.transients.shape import hidden_shape
-from models.perception.transients.target import Observed, Response, Window, fit_at, plane_patches
 from models.physics.photons.flux import counts_between, pulses_of
 from msgs.values.lidar import SpadParams
 from tests.models.perception.transients.scans import scan_of

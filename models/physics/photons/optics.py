@@ -221,48 +221,6 @@ def confocal_photons(
     return photons_per_pulse(spad) * np.square(wall_albedo) * object_albedo * out * back * caught
 
 
-def retroreflected_photons(
-    spad: SpadParams,
-    wall_range_m: ArrayLike,
-    wall_albedo: ArrayLike,
-    spot_cosine: ArrayLike,
-    segment_m: ArrayLike,
-    wall_cosine: ArrayLike,
-    object_cosine: ArrayLike,
-    object_area_m2: ArrayLike,
-    object_reflectance: ArrayLike,
-    cone_rad: float,
-    entrance_exponent: float = 1.0,
-) -> np.ndarray:
-    """Return mean detections per pulse of a hidden retroreflecting patch via a matt wall (broadcast).
-
-    As `confocal_photons`, but the patch sends light back in a Gaussian cone of `cone_rad` rms about where it came from.
-    While the cone is narrower than the spot all of it comes home, L^-2; far away the spot cuts out its share, L^-4. The
-    patch takes in cos^entrance_exponent of the light: 1 is its projected area, sheeting takes in less at an angle.
-    `spot_cosine` is that of the sensor's ray at the spot. Raises ValueError as `confocal_photons`, unless the cone is
-    positive, and for a negative exponent.
-    """
-    wall_range_m, segment_m = _lengths("wall_range_m", wall_range_m), _lengths("segment_m", segment_m)
-    wall_cosine, spot_cosine = _share("wall_cosine", wall_cosine), _share("spot_cosine", spot_cosine)
-    cone_rad = float(_lengths("cone_rad", cone_rad))
-    if not np.all(np.asarray(object_area_m2) >= 0.0):
-        raise ValueError(f"object_area_m2 must not be negative, got {object_area_m2!r}")
-    if not 0.0 <= entrance_exponent < np.inf:
-        raise ValueError(f"entrance_exponent must be finite and not negative, got {entrance_exponent!r}")
-    taken_in = np.power(_share("object_cosine", object_cosine), entrance_exponent)
-    out = np.minimum(wall_cosine * taken_in * object_area_m2 / (np.pi * np.square(segment_m)), 1.0)
-    # the spot as the sensor sees it; on the wall it is longer by 1 / cos psi, and the aperture sees it under cos psi
-    seen_m2 = np.pi * np.square(0.5 * spad.divergence_rad * wall_range_m)
-    exponent = seen_m2 * wall_cosine / (2.0 * np.pi * np.square(cone_rad * segment_m))
-    grazing = spot_cosine == 0.0
-    within = np.where(grazing, 0.0, -np.expm1(-exponent / np.where(grazing, 1.0, spot_cosine)))
-    caught = (
-        spot_cosine * np.square(spad.aperture_radius_m) / (np.square(wall_range_m) + np.square(spad.aperture_radius_m))
-    )
-    returned = _share("object_reflectance", object_reflectance) * within
-    return photons_per_pulse(spad) * np.square(_share("wall_albedo", wall_albedo)) * out * returned * caught
-
-
 def _permittivity(index: ArrayLike) -> np.ndarray:
     """Return (n - jk)^2, the sign of e^{+jwt}; ValueError unless n > 0 and k >= 0."""
     index = np.asarray(index, np.complex128)

@@ -8,12 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from benchmarks.mutation.draw import draw
 from benchmarks.mutation.mutations import (
     ROOT,
     Mutation,
     as_json,
-    as_yaml,
     digest_of,
     first_failed,
     known_verdicts,
@@ -125,7 +123,7 @@ def test_what_does_not_fit_its_file_is_refused_before_any_test(tree: Path, tmp_p
     with pytest.raises(ValueError, match=r"models/shapes\.py: text of 'twice' must stand once, stands 4 times"):
         run([KILLED, twice], tmp_path / "log", tree)
     assert not (tmp_path / "log").exists()
-    (tmp_path / "list.yaml").write_text(as_yaml([KILLED, KILLED]))
+    (tmp_path / "list.yaml").write_bytes(msgspec.yaml.encode([KILLED, KILLED]))
     with pytest.raises(ValueError, match=r"list\.yaml: names must differ, 'sum' repeats"):
         load_list(tmp_path / "list.yaml")
 
@@ -153,13 +151,3 @@ def test_the_name_of_a_failed_test_may_hold_spaces(name: str) -> None:
     for end in (f"{name} - assert 3 == 12", f"{name} - KeyError: 'a [b] - c'", name):
         assert first_failed(f".F\n== short test summary info ==\nFAILED {end}\n1 failed in 0.1s") == name
     assert first_failed("1 passed in 0.1s") == ""
-
-
-@pytest.mark.slow
-def test_the_same_seed_draws_the_same_mutations() -> None:
-    drawn, again, other = draw(5, 3), draw(5, 3), draw(5, 4)
-    assert drawn == again
-    assert {one.name for one in drawn} != {one.name for one in other}
-    for one in drawn:
-        assert ast.dump(ast.parse(mutated((ROOT / one.file).read_text(), one)))
-    assert msgspec.convert(msgspec.to_builtins(drawn), list[Mutation]) == drawn

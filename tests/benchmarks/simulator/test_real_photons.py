@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulator.photon_target import fit_at, retroreflected_share
 from benchmarks.simulator.real_photons import Fitted, Scene, compare, statistics
-from models.perception.transients.target import fit_at, retroreflected_share
-from tests.models.perception.transients.test_target import TRUE, WINDOW, observed, scan_and_plane
+from tests.benchmarks.simulator.test_photon_target import TRUE, WINDOW, observed, scan_and_plane
 
 
 def test_statistics_by_hand() -> None:

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from benchmarks.accuracy import severity, walls_and_corners
+from benchmarks.accuracy import severity
 from benchmarks.live import soak
-from benchmarks.perception import peak_refinement
 from mirrorwave.plots.style import legend_below, legend_beside, legend_of_figure, new_figure, save
 from mirrorwave.plots.training_curves import draw_curves as draw_training
 from mirrorwave.studies.evaluate.figures import draw_curves as draw_precision
@@ -135,25 +134,6 @@ def severity_rows() -> list[severity.Row]:
     ]  # fmt: skip
 
 
-def refinement() -> dict[str, Any]:
-    keys = [f"{way}_{key}" for way in ("ridge", "likelihood", "bound") for key in ("range_m", "azimuth_deg")]
-    keys += [f"{way}_median_azimuth_deg" for way in ("ridge", "likelihood", "bound")] + ["windowed_bound_range_m"]
-    rows = [{"snr_db": snr_db, **dict.fromkeys(keys, 0.1 + 0.1 / snr_db)} for snr_db in peak_refinement.SNR_DB]
-    pairs = [{**row, "cells": cells} for cells in peak_refinement.SEPARATIONS for row in rows]
-    return {"one_point": rows, "model_errors": rows, "two_points": pairs}
-
-
-def folded_rows() -> list[walls_and_corners.Row]:
-    ways = {"curved": ("straight", "arc"), "corner": ("folded once", "folded twice")}
-    return [
-        walls_and_corners.Row(scene=scene, at=at, order=order, way=way, labels=9, median_m=0.5 + at, within_1m=0.5)
-        for scene, names in ways.items()
-        for way in names
-        for at in (0.0, 0.5)
-        for order in (1, 2)
-    ]
-
-
 def an_hour() -> dict[str, Any]:
     nodes = {name: 100.0 + 10.0 * index for index, name in enumerate(("geometry", "dense_predictor", "player"))}
     latency = {"p50": 45.0, "p99": 64.0, "max": 80.0}
@@ -174,11 +154,9 @@ def an_hour() -> dict[str, Any]:
     ("draw", "result", "signs"),
     [
         (severity.draw, severity_rows, {"made up, per scan", "flagged in half of the scans or more"}),
-        (peak_refinement.draw, refinement, {"likelihood", "bound of the pair", "bound, raw samples"}),
-        (walls_and_corners.draw_figure, folded_rows, {"arc", "image in two walls, folded twice"}),
         (soak.draw, an_hour, {"p99", "deadline", "kills", "dense_predictor"}),
     ],
-    ids=["severity", "peak_refinement", "walls_and_corners", "soak"],
+    ids=["severity", "soak"],
 )
 def test_figures_of_benchmarks(
     draw: Any, result: Any, signs: set[str], tmp_path: Path, saved_figures: list[Figure]

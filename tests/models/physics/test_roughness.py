@@ -7,7 +7,6 @@ import pytest
 
 from models.physics.fresnel import coherent_power
 from models.physics.roughness import (
-    coherent_power_miller_brown,
     diffuse_share,
     phase_deviation_rad,
     specular_gain,
@@ -26,38 +25,6 @@ def test_gaussian_law_is_the_mean_phasor_of_gaussian_heights(phase_rad: float) -
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
     mean = np.sum(weights * np.exp(1j * phase_rad * nodes)) / np.sqrt(2.0 * np.pi)
     assert coherent_power(roughness_of(phase_rad), 1.0, WAVELENGTH_M) == pytest.approx(abs(mean) ** 2, rel=1e-9)
-
-
-@pytest.mark.parametrize("phase_rad", [0.1, 0.5, 1.0, 2.0, 5.0])
-def test_miller_brown_is_the_mean_phasor_of_random_sinusoids(phase_rad: float) -> None:
-    """Heights H sin(phi), phi even, H normal of variance 2 (so the rms is 1): <e^{jgz}> = <exp(-g^2 sin^2 phi)>_phi.
-
-    Mean over 4,096 even phases, exact to rounding for a periodic integrand.
-    """
-    phi = 2.0 * np.pi * np.arange(4096) / 4096
-    mean = np.mean(np.exp(-np.square(phase_rad * np.sin(phi))))
-    found = coherent_power_miller_brown(roughness_of(phase_rad), 1.0, WAVELENGTH_M)
-    assert found == pytest.approx(mean**2, rel=1e-12)
-
-
-def test_both_laws_agree_where_smooth_and_part_where_rough() -> None:
-    """First difference is g^4 / 8 of the field; at g = 0.1 that is 1.25e-5, squared 2.5e-5. Rough: 1 / (pi g^2)."""
-    both = [law(roughness_of(0.1), 1.0, WAVELENGTH_M) for law in (coherent_power, coherent_power_miller_brown)]
-    assert both[1] / both[0] - 1.0 == pytest.approx(0.1**4 / 8.0, rel=0.01)
-    rough = coherent_power_miller_brown(roughness_of(100.0), 1.0, WAVELENGTH_M)
-    assert rough == pytest.approx(1.0 / (np.pi * 1e4), rel=1e-3)
-    phases = np.linspace(0.01, 20.0, 400)
-    heights = phases * WAVELENGTH_M / (4.0 * np.pi)
-    assert np.all(coherent_power_miller_brown(heights, 1.0, WAVELENGTH_M) > coherent_power(heights, 1.0, WAVELENGTH_M))
-
-
-def test_boithias_formula_approximates_miller_brown() -> None:
-    """The rational form 1 / sqrt(3.2 x - 2 + sqrt((3.2 x)^2 - 7 x + 9)), x = g^2 / 2, of the field: within 0.3 dB."""
-    phases = np.linspace(0.01, 10.0, 500)
-    x = phases**2 / 2.0
-    boithias = 1.0 / (3.2 * x - 2.0 + np.sqrt(np.square(3.2 * x) - 7.0 * x + 9.0))
-    ours = coherent_power_miller_brown(phases * WAVELENGTH_M / (4.0 * np.pi), 1.0, WAVELENGTH_M)
-    assert np.abs(10.0 * np.log10(ours / boithias)).max() < 0.3
 
 
 def test_criteria_are_phases_of_a_right_angle_and_its_quarter() -> None:
@@ -86,6 +53,6 @@ def test_specular_gain_is_a_power_ratio() -> None:
 @pytest.mark.parametrize("roughness_m", [-1e-3, np.nan, np.inf])
 def test_impossible_walls_are_refused(roughness_m: float) -> None:
     with pytest.raises(ValueError, match="roughness_m must be finite and not negative"):
-        coherent_power_miller_brown(roughness_m, 1.0, WAVELENGTH_M)
+        diffuse_share(roughness_m, 1.0, WAVELENGTH_M)
     with pytest.raises(ValueError, match=r"cos_theta must lie in 0\.\.1"):
         diffuse_share(1e-3, 1.5, WAVELENGTH_M)

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.side_street import drift, drive, ways
-from benchmarks.accuracy.side_street_drives import BIAS_RPS, CAR, PERIOD_S, SCANS, logged, read_states
+from benchmarks.perception.yaw_bias import read_states
 from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
-from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from tests.captures import DATA, needs
 
@@ -125,53 +122,3 @@ def test_a_parked_car_stands_beside_the_drive(driven: list[VehicleState], places
     assert np.hypot(moving.velocity_x_mps, moving.velocity_y_mps) < 1.0
     assert np.hypot(moving.x_m - 25.0, moving.y_m - 8.0) < 0.6
     assert all(np.hypot(one.velocity_x_mps, one.velocity_y_mps) > 0.5 * slowest_mps for one in standing_ego)
-
-
-@pytest.mark.slow
-def test_the_log_drives_past_the_side_street(states: list[VehicleState]) -> None:
-    """`benchmarks.accuracy.side_street --log` in short: three scans, two chirps a beam; where odometry has the corner.
-
-    A bias of 1 deg/s that nobody learnt, at rest or from steering and wheels, turns the way by 1 deg/s: 4.8 deg and, at
-    4 m/s, some 0.8 m at the corner.
-    Tolerance with the bias learnt at rest: 0.1 m, 0.2 deg, a tenth of what the gyroscope's steps of 0.3 deg/s allow.
-    """
-    course = logged(states, "log")
-    assert course.stretch is not None
-    assert 2.0 < course.stretch.slowest_mps < course.stretch.fastest_mps < 8.0
-    assert course.stretch.rest_s > 1.0
-    scans = drive(course, 0, "cfar", 2, most=3)
-    assert [scan.truth.objects[CAR].hidden for scan in scans] == [True] * 3
-    assert {len(said) for cars in ways(scans).values() for said in cars} == {2}
-    assert drift(course, scans).away_m < 0.05
-    start_ns, corner_s = scans[0].frame.stamp_ns, 16 * PERIOD_S
-    without_rest = [
-        msgspec.structs.replace(state, steering_rad=0.0, wheel_speed_difference_mps=None)
-        for state in course.states(0)
-        if state.stamp_ns >= start_ns - 100_000_000
-    ]
-    for told, turned_rad, least_m, most_m in (
-        (course.states(0), 0.0, 0.0, 0.1),
-        (without_rest, BIAS_RPS * corner_s, 0.4, 1.5),
-    ):
-        odometry = ScanOdometry()
-        for state in told:
-            odometry.add(state)
-        start, corner = (odometry.at(start_ns + ns_from_s(time_s)) for time_s in (0.0, corner_s))
-        assert start is not None
-        assert corner is not None
-        off = course.motion.pose(corner_s).inverse() @ start.odom_from_vehicle.inverse() @ corner.odom_from_vehicle
-        assert off.yaw_rad == pytest.approx(turned_rad, abs=np.radians(0.2))
-        assert least_m <= np.hypot(off.x_m, off.y_m) < most_m
-
-
-def test_the_true_motion_is_the_logs(states: list[VehicleState]) -> None:
-    """Smoothing over 0.1 s changes neither way nor heading of 6 s beyond the log's own steps."""
-    course = logged(states, "log")
-    start_ns = course.player(0, 1).stamp_ns(0)
-    part = [one for one in states if start_ns <= one.stamp_ns <= start_ns + ns_from_s(SCANS * PERIOD_S)]
-    time_s = np.array([1e-9 * (one.stamp_ns - start_ns) for one in part])
-    grid_s = np.arange(0.0, time_s[-1], 0.01)
-    way_m = np.trapezoid([one.speed_mps for one in part], time_s)
-    turned_rad = np.trapezoid([one.yaw_rate_rps for one in part], time_s)
-    assert np.trapezoid(course.motion.speed_at(grid_s), grid_s) == pytest.approx(way_m, abs=0.15)
-    assert np.trapezoid(course.motion.yaw_rate_at(grid_s), grid_s) == pytest.approx(turned_rad, abs=2e-3)

@@ -657,7 +657,7 @@ def test_another_program_decodes_the_mounting_as_a_late_joiner(domain: int) -> N
 def test_a_node_of_ros_2_receives_and_knows_the_types(domain: int) -> None:
     """Every topic whose types that ROS 2 has; those that ROS 2 itself brings are among them."""
     node = create(Params(domain=domain))
-    script = CHECKOUT / "benchmarks/live/ros2_subscriber.py"
+    script = CHECKOUT / "tests/nodes/bridges/ros2_subscriber.py"
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     environment.pop("PYTHONPATH", None)
     command = [os.environ["MIRRORWAVE_RCLPY"], str(script)]

@@ -14,7 +14,7 @@ from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.meshes import Mesh, box, cylinder, mesh_from_arrays, plate, sphere, trihedral
 from sim_player.scene.world import World, prepare, snapshot
 from sim_player.trace.echoes import cofocal, echo_amplitude, object_echoes
-from sim_player.trace.mesh_rcs import mesh_centres, mesh_field
+from sim_player.trace.mesh_rcs import cut_triangles, mesh_field, triangle_areas
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.routes import NONE, Routes
@@ -161,13 +161,19 @@ def test_near_and_far_are_the_plain_integral(primitive: str, size_m: tuple[float
     ours, plain = [], []
     for yaw_deg in (0.3, 1.7, 7.7, 19.7, 33.0, 46.0, 71.0, 88.0):
         target = standing(primitive, *size_m, x_m=range_m, yaw_deg=yaw_deg)
-        points = mesh_centres(target.shape, WAVELENGTH_M)  # type: ignore[arg-type]
-        turned = target.place(points.normal[:, :2]) - target.place(np.zeros(2))
-        at_m = np.column_stack([target.place(points.position_m[:, :2]), points.position_m[:, 2]])
+        mesh = target.shape
+        assert mesh is not None
+        pieces, owner = cut_triangles(mesh.corners_m, 0.5 * WAVELENGTH_M)
+        both = (1.0,) if mesh.closed else (1.0, -1.0)
+        normal = np.concatenate([side * mesh.normals[owner] for side in both])
+        position_m = np.tile(pieces.mean(axis=1), (len(both), 1))
+        peak_rcs_m2 = np.tile(4.0 * math.pi * (triangle_areas(pieces) / WAVELENGTH_M) ** 2, len(both))
+        turned = target.place(normal[:, :2]) - target.place(np.zeros(2))
+        at_m = np.column_stack([target.place(position_m[:, :2]), position_m[:, 2]])
         to_radar = np.array([0.0, 0.0, HIGH_M]) - at_m
         distance_m = np.linalg.norm(to_radar, axis=1)
-        cosine = np.maximum((np.column_stack([turned, points.normal[:, 2]]) * to_radar).sum(axis=1) / distance_m, 0.0)
-        weight = np.sqrt(points.peak_rcs_m2) * cosine * (range_m / distance_m) ** 2
+        cosine = np.maximum((np.column_stack([turned, normal[:, 2]]) * to_radar).sum(axis=1) / distance_m, 0.0)
+        weight = np.sqrt(peak_rcs_m2) * cosine * (range_m / distance_m) ** 2
         plain.append((weight * np.exp(-2j * WAVENUMBER * (distance_m - range_m))).sum())
         ours.append(in_scene(target))
     fields, expected = np.array(ours), np.array(plain)

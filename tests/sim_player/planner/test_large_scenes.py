@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.simulator.city import CityKind, made_city
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.generate.city import CityKind, made_city
 from sim_player.planner.ablation import signal_effects
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, plan_world, planned_profiles

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.simulator.city import CityKind, made_city
 from msgs.values.frames import Pose2
 from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.generate.city import CityKind, made_city
 from sim_player.generate.places import random_place
 from sim_player.scene import reach
 from sim_player.scene.description import Scene, SceneObject, Surface

@@ -14,7 +14,7 @@ CHILD = """
 import importlib
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from benchmarks.perception.geometry_speed import place_peaks
+from tests.models.perception.geometry.place_peaks import place_peaks
 from models.perception.geometry.stage import GeometryParams, recover_bev, warm
 
 ROOMS = ("perception.geometry.lines", "perception.geometry.wall_search", "perception.geometry.arcs",

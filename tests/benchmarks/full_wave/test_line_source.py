@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import hankel2
 
-from models.physics.fresnel import half_space_reflection
-from models.physics.materials import permittivity
-from sim_player.fdtd.grid import Drive, Media, YeeGrid
-from sim_player.fdtd.line_source import (
+from benchmarks.full_wave.line_source import (
     CONDUCTOR_PERMITTIVITY,
     HALF_LENGTH,
     PULSE_SHARE,
@@ -20,6 +17,9 @@ from sim_player.fdtd.line_source import (
     line_source_echo,
     thread_amplitude,
 )
+from models.physics.fresnel import half_space_reflection
+from models.physics.materials import permittivity
+from sim_player.fdtd.grid import Drive, Media, YeeGrid
 
 FREQUENCY_HZ = 10e9
 CELL_M = 1.5e-3
