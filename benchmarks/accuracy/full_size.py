@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.accuracy.kernels_ahead import compile_ahead
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.training.data.frames import DataSet, fixed_splits
 from models.training.data.map_arrays import ArrayMaker, MapArrays, View
@@ -144,6 +145,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     options.out.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault("NUMBA_CACHE_DIR", str((options.work / "kernels").resolve()))
+    say(f"{compile_ahead(options.workers)} kernels compiled")
     _compile(options.work / "first_places")
     say("first places simulated")
     _Run(options).run()
