@@ -57,7 +57,7 @@ PATH_SHARE, SQUINT_SHARE, OVERLAP_SHARE, WEIGHT_SHARE = 0.3, 0.15, 0.15, 0.05
 #: What two steps have of each other beyond their sum: a path without squint overlaps by another pattern, some percent.
 INFLATION = 1.02
 #: What a beat in single precision misses in a range bin, of the sum of its echoes at the array's peak.
-SINGLE = 1e-5
+SINGLE = 3e-6
 #: A truth point may be so much weaker here than where it is judged, where columns couple.
 TRUTH_MARGIN = 0.7
 

@@ -308,7 +308,7 @@ def group_beats(
     beams: slice = slice(None),
     precision: str = "float64",
 ) -> np.ndarray:
-    """Return the same of groups of paths that each have effects of their own, at the price of one; in float32 to 1e-5
+    """Return the same of groups of paths that each have effects of their own, at the price of one; in float32 to 3e-6
     of all echoes together.
     """
     rows = len(range(len(setup.beams))[beams])

@@ -144,7 +144,7 @@ def test_beats_in_single_precision_miss_no_more_than_plans_allow(paths: int) -> 
     single, double = (group_beats(setup, groups, FAULTS, precision=precision) for precision in TOLERANCE)
     missed = np.abs(hann_profiles(single - double, setup.radar.samples_per_chirp)).max()
     peak = setup.array.columns * setup.array.rows
-    assert missed <= 0.7 * SINGLE * peak * np.abs(some.amplitude).sum()
+    assert missed <= 0.5 * SINGLE * peak * np.abs(some.amplitude).sum()
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
