@@ -135,11 +135,11 @@ class Plan:
     def groups(self) -> list[tuple[Paths, SignalEffects]]:
         """Paths that share the same effects of the sweep, up to four groups; a few go with those that have them all."""
         whole = self.signal.squint, self.signal.chirp_overlap
-        kinds = {}
+        kinds: dict[tuple[bool, bool], np.ndarray] = {}
         for squints, overlaps in itertools.product((False, True), repeat=2):
             mask = (self.squints == squints) & (self.overlaps == overlaps)
             kind = (squints, overlaps) if mask.sum() >= FEWEST else whole
-            kinds[kind] = kinds.get(kind, False) | mask
+            kinds[kind] = kinds.get(kind, np.zeros_like(mask)) | mask
         return [
             (
                 self.paths if mask.all() else self.paths.take(mask),
