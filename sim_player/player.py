@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -68,7 +69,6 @@ class ScenePlayer:
         self._seed = seed
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
-        self._bank = noise_bank(setup.radar, seed)
         self._precision = precision
         # a plan holds while nothing moves; of a moving scene its effects hold, its weakest paths are chosen as it goes
         self._plan = resolve_plan(self._world, self.setup, effects, budget_db, purpose=purpose_of(purpose))
@@ -76,6 +76,11 @@ class ScenePlayer:
         self._traced: dict[tuple[float, int], Paths] = {}
         self._drawn: tuple[int, Clutter, np.ndarray] | None = None
         self._still_beats = None if scene.moves else self._all_beats()
+
+    @cached_property
+    def _bank(self) -> np.ndarray:
+        """The white noise that beams read."""
+        return noise_bank(self.setup.radar, self._seed)
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
         """Return when a beam starts."""
@@ -166,10 +171,11 @@ class ScenePlayer:
         return PLAIN if plan is None else plan.signal
 
     def _all_beats(self) -> np.ndarray:
-        """Return the echoes of every beam of a scene at rest, complex128 [beams, samples]."""
+        """Return the echoes of every beam of a scene at rest, complex [beams, samples]."""
         plan = self.plan(0)
         groups = [(self.paths(0.0), self.signal(0))] if plan is None else plan.groups()
-        return group_beats(self.setup, groups, self.scene.radar.front_end)
+        precision = "float64" if plan is None else plan.precision
+        return group_beats(self.setup, groups, self.scene.radar.front_end, precision=precision)
 
     def beam_paths(self, scan: int, index: int) -> Paths:
         """Return the paths of one beam, frozen at its middle, from where slow time counts."""

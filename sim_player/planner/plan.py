@@ -17,6 +17,7 @@ one instant of tracing to the next, and effects are left out only that it has no
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -49,8 +50,8 @@ from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
 
 BUDGET_DB = -20.0
-#: So many steady paths for each that is swept have a signal of their own.
-FEWEST = 1.0 / 3.0
+#: So many paths that lack squint or overlap have a signal of their own.
+FEWEST = 16
 #: Share of the budget that echoes of rain, snow and fog may take if they go.
 RAIN_SHARE = 0.05
 #: Why nothing is left out that a scene has.
@@ -99,6 +100,8 @@ class Plan:
     #: The answer at the kernel level, found on the way to the plan: profiles of its echoes with all effects but leakage
     #: and spurs; None where nothing was evaluated or the error is over the budget; complex64 [beams, bins].
     evaluated: np.ndarray | None = None
+    #: Precision in which the beats of a scene at rest keep the law.
+    precision: str = "float64"
     #: What chooses the paths of a scene that moves, from one instant of tracing to the next; None: all of them.
     spans: Weakest | None = None
     #: How long what is left out stays so before it is chosen again: from one instant of tracing to the next.
@@ -130,19 +133,21 @@ class Plan:
         return 100.0 * effect.cost_s / whole_s if whole_s else 0.0
 
     def groups(self) -> list[tuple[Paths, SignalEffects]]:
-        """Paths that share the same effects of the sweep, one group or two: what squints or overlaps does both.
-
-        A few steady paths are swept with the others, for a group has transforms of its own.
-        """
-        swept = self.squints | self.overlaps
-        flags = msgspec.structs.replace(
-            self.signal, squint=bool(self.squints.any()), chirp_overlap=bool(self.overlaps.any())
-        )
-        if FEWEST * swept.sum() > (~swept).sum():
-            return [(self.paths, flags)]
-        steady = msgspec.structs.replace(flags, squint=False, chirp_overlap=False)
-        groups = [(self.paths.take(mask), part) for mask, part in ((swept, flags), (~swept, steady)) if mask.any()]
-        return groups or [(self.paths, flags)]
+        """Paths that share the same effects of the sweep, up to four groups; a few go with those that have them all."""
+        whole = self.signal.squint, self.signal.chirp_overlap
+        kinds: dict[tuple[bool, bool], np.ndarray] = {}
+        for squints, overlaps in itertools.product((False, True), repeat=2):
+            mask = (self.squints == squints) & (self.overlaps == overlaps)
+            kind = (squints, overlaps) if mask.sum() >= FEWEST else whole
+            kinds[kind] = kinds.get(kind, np.zeros_like(mask)) | mask
+        return [
+            (
+                self.paths if mask.all() else self.paths.take(mask),
+                msgspec.structs.replace(self.signal, squint=squints, chirp_overlap=overlaps),
+            )
+            for (squints, overlaps), mask in kinds.items()
+            if mask.any() or len(kinds) == 1
+        ]
 
 
 def plan_world(
@@ -283,6 +288,7 @@ class _Planner:
         self.profiles: np.ndarray | None = None
         self.weakest: Weakest | None = None
         self.spent = self.saved_s = 0.0
+        self.precision = "float64"
 
     def run(self) -> None:
         """All questions."""
@@ -306,6 +312,8 @@ class _Planner:
         self._timed("choose", self._choose)
         if self.profiles_only and not world.scene.moves:
             self._timed("evaluate", self._evaluate)
+        else:
+            self._round_beats()
 
     def bound_each(self) -> None:
         """Add what each effect alone would change of everything at most; where the scene moves nothing bounds it."""
@@ -334,6 +342,7 @@ class _Planner:
             saved_s=self.saved_s,
             present=self.present,
             evaluated=self.profiles,
+            precision=self.precision,
             spans=self.weakest if moves else None,
             holds_s=scene_step_s(self.world) if moves and self.weakest is not None else math.inf,
         )
@@ -414,6 +423,13 @@ class _Planner:
         answer = evaluated(self.setup, paths, left, signal_effects(used), self.front_end, law)
         if answer is not None:
             self.profiles, self.spent = answer.profiles, self.spent + answer.spent
+
+    def _round_beats(self) -> None:
+        """Have beats in single precision where that fits what is left of the budget."""
+        assert self.weakest is not None
+        missed = self.weakest.rounding(self.span, self.choice.kept)
+        if missed <= 1.0 - self.spent:
+            self.precision, self.spent = "float32", self.spent + missed
 
     @property
     def used(self) -> frozenset[str]:

@@ -56,6 +56,8 @@ CUBIC = 4.0 / 27.0
 PATH_SHARE, SQUINT_SHARE, OVERLAP_SHARE, WEIGHT_SHARE = 0.3, 0.15, 0.15, 0.05
 #: What two steps have of each other beyond their sum: a path without squint overlaps by another pattern, some percent.
 INFLATION = 1.02
+#: What a beat in single precision misses in a range bin, of the sum of its echoes at the array's peak.
+SINGLE = 3e-6
 #: A truth point may be so much weaker here than where it is judged, where columns couple.
 TRUTH_MARGIN = 0.7
 
@@ -160,6 +162,12 @@ class Weakest:
             squints, more = self._weakest(self._turned(span), swept, SQUINT_SHARE, self._any_skirt, kept)
             squints, spent = squints & kept, spent + more
         return Choice(kept, squints, overlaps, spent)
+
+    def rounding(self, span: Span, kept: np.ndarray) -> float:
+        """Return what beats of the kept paths in single precision miss at most, as a share of the budget."""
+        array = self._setup.array
+        peak = float(array.columns * array.rows) ** (1.0 if array.steered_ways != 1 else 0.5)
+        return SINGLE * peak * float(span.amplitude[kept].sum() / self.limit.min())
 
     def _kept(self, first: Paths, span: Span, share: float) -> tuple[np.ndarray, float]:
         """Return the paths that are kept, bool [P], and what the others spend of the budget, a share at most."""

@@ -68,7 +68,7 @@ def profile_power_mw(
     basis = slow_time_basis(setup.radar)
     turned = basis * _carrier(setup.radar, _speeds(setup, clutter))[:, None]
     coherent = np.sum(np.abs(turned.mean(axis=2)) ** 2, axis=1)
-    tones = np.abs(_tones(setup.radar.samples_per_chirp, range_bins)) ** 2
+    tones = _tone_powers(setup.radar.samples_per_chirp, range_bins)
     power_mw = clutter.beam_power_mw(setup, effects, front_end)[:, : len(tones)]
     return np.asarray(coherent[:, None] * (power_mw @ tones))
 
@@ -167,6 +167,12 @@ def _tones(samples: int, range_bins: int) -> np.ndarray:
     """Return the Hann-windowed profiles of the cells that reach some bins, complex128 [cells, range_bins]."""
     cells = min(CELLS_PER_BIN * (range_bins + 8), CELLS)
     return tone_profile(samples, np.arange(cells) / CELLS_PER_BIN, range_bins)
+
+
+@lru_cache(maxsize=4)
+def _tone_powers(samples: int, range_bins: int) -> np.ndarray:
+    """Return the power of the same, float64 [cells, range_bins]."""
+    return np.square(np.abs(_tones(samples, range_bins)))
 
 
 def _normal(seed: list[int], shape: tuple[int, ...]) -> np.ndarray:

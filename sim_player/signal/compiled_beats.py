@@ -19,7 +19,7 @@ from msgs.values.radar import RadarParams
 from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_nodes
 
 #: Grid steps that a tone is spread over, on a grid of twice the samples, and taps of the interpolation, by precision.
-SPREAD, TAPS = {"float32": 7, "float64": 14}, {"float32": 10, "float64": 24}
+SPREAD, TAPS = {"float32": 7, "float64": 14}, {"float32": 14, "float64": 24}
 #: Real numbers of a precision, and least singular value of the fit of the taps.
 KIND, LEAST = {"float32": np.float32, "float64": np.float64}, {"float32": 1e-9, "float64": 1e-14}
 #: The low rate is this many times the band of the echoes, or more.

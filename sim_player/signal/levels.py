@@ -302,13 +302,19 @@ def beam_beats(
 
 
 def group_beats(
-    setup: RadarSetup, groups: Sequence[Group], front_end: FrontEnd = NO_FAULTS, beams: slice = slice(None)
+    setup: RadarSetup,
+    groups: Sequence[Group],
+    front_end: FrontEnd = NO_FAULTS,
+    beams: slice = slice(None),
+    precision: str = "float64",
 ) -> np.ndarray:
-    """Return the same of groups of paths that each have effects of their own, at the price of one."""
+    """Return the same of groups of paths that each have effects of their own, at the price of one; in float32 to 3e-6
+    of all echoes together.
+    """
     rows = len(range(len(setup.beams))[beams])
     with _one_thread():
-        echoes = [swept_echoes(setup, paths, effects, front_end, beams) for paths, effects in groups]
-        return _summed(setup.radar, echoes, rows)
+        echoes = [swept_echoes(setup, paths, effects, front_end, beams, precision) for paths, effects in groups]
+        return _summed(setup.radar, echoes, rows, precision)
 
 
 def echo_terms(
@@ -425,10 +431,10 @@ def record_beam(
     return beam_codes(setup, *terms, noise, mixing, converter_step(front_end) if effects.adc else 1)
 
 
-def _summed(radar: RadarParams, groups: Sequence[SweptEchoes], rows: int) -> np.ndarray:
-    """Return the samples of swept echoes over one chirp, complex128 [rows, samples]."""
+def _summed(radar: RadarParams, groups: Sequence[SweptEchoes], rows: int, precision: str = "float64") -> np.ndarray:
+    """Return the samples of swept echoes over one chirp, complex [rows, samples] of the precision."""
     longest_m = max(float(echoes.length_m.max(initial=0.0)) for echoes in groups)
-    sums = ToneSums(radar, longest_m, rows, "float64")
+    sums = ToneSums(radar, longest_m, rows, precision)
     for echoes in groups:
         cycles = beat_frequency_hz(radar, echoes.length_m) / radar.sample_rate_hz
         sums.add(cycles, np.stack([echoes.weights.real, echoes.weights.imag]))

@@ -20,7 +20,7 @@ from sim_player.planner.cells import Cells, cells_of
 from sim_player.planner.plan import clean_profiles, manual_plan, noisy_profiles, plan_world
 from sim_player.scene.meshes import primitive_mesh
 from sim_player.scene.world import prepare
-from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles, noise_profiles, noise_rms
+from sim_player.signal.levels import beam_beats, group_beats, hann_profiles, kernel_profiles, noise_profiles, noise_rms
 from sim_player.signal.literal import literal_profiles
 from sim_player.signal.switches import PLAIN
 from sim_player.trace.mesh_rcs import mesh_field
@@ -179,8 +179,7 @@ class _Planned(_Place):
         with clock.part("signal"):
             clean = clean_profiles(plan, self.setup, self.index)
         with clock.aside("beats"):
-            for paths, flags in plan.groups():
-                beam_beats(self.setup, paths, flags, self.front_end)
+            group_beats(self.setup, plan.groups(), self.front_end, precision=plan.precision)
         return clean + noise_profiles(self.setup, self.index, plan.signal, self.front_end)
 
     def _basic(self, clock: Clock) -> np.ndarray:

@@ -8,10 +8,12 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup
+from sim_player.planner.weakest import SINGLE
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.signal.compiled_beats import decimation
-from sim_player.signal.levels import Terms, echo_terms, group_beats, group_terms
+from sim_player.signal.levels import Terms, echo_terms, group_beats, group_terms, hann_profiles
 from sim_player.signal.literal import literal_echoes
+from sim_player.signal.swept_echoes import TOLERANCE
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
 from sim_player.trace.paths import Paths
 from tests.sim_player.signal.references import ALL
@@ -132,6 +134,17 @@ def test_groups_with_effects_of_their_own_add_up() -> None:
     literal = sum(literal_echoes(SMALL, some, effects, FAULTS, BEAM, range(4)) for some, effects in groups)
     for precision, most in (("float32", 1e-4), ("float64", 2e-5)):
         assert error_over_largest(samples_of(group_terms(SMALL, groups, FAULTS, BEAM, precision)), literal) < most
+
+
+@pytest.mark.parametrize("paths", [1, 40])
+def test_beats_in_single_precision_miss_no_more_than_plans_allow(paths: int) -> None:
+    """Full-size radar, in every range bin of every beam: a share of all echoes at the array's peak."""
+    setup, some = RadarSetup(), some_paths(paths, 200.0)
+    groups = in_groups(some) if paths > 4 else [(some, ALL)]
+    single, double = (group_beats(setup, groups, FAULTS, precision=precision) for precision in TOLERANCE)
+    missed = np.abs(hann_profiles(single - double, setup.radar.samples_per_chirp)).max()
+    peak = setup.array.columns * setup.array.rows
+    assert missed <= 0.5 * SINGLE * peak * np.abs(some.amplitude).sum()
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
