@@ -48,7 +48,7 @@ def measured(place: LabelledPlace, parts: SharedParts) -> dict[str, ScanRow]:
     truth, images = player.truth(0), image_truth(player)
     rows = {}
     for kind in KINDS:
-        placing = parts.params.geometry
+        placing = parts.placing
         views = ViewStage(placing, parts.residual, parts.confidence, placing.memory, predictor=parts.predictor)
         if kind != "none":
             views.add_walls(priors(place, kind, ra_map.stamp_ns))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.perception.chain import Chain
-from models.perception.detection.detectors import CfarDetector
 from models.perception.forming.ra_forming import FormingParams
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
+from tests.builders import cfar_chain
 
 SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=2))
 
@@ -31,7 +30,7 @@ def noise_beams() -> list[RadarBeam]:
 def test_maps_are_formed_as_the_parameters_say() -> None:
     """Every fifth of 25 beams: 0, 5, 10, 15 and 20 are used, which beam 20 completes; unless told, all are."""
     for forming, last, used in ((FormingParams(beam_step=5), 20, range(0, 25, 5)), (None, 24, range(25))):
-        chain = Chain.of(SETUP, CfarDetector(SETUP), forming=forming)
+        chain = cfar_chain(SETUP, forming)
         views = [chain.add(beam) for beam in noise_beams()]
         assert [index for index, some in enumerate(views) if some] == [last]
         assert set(range(25)) - set(views[last][0].ra_map.unused_beams) == set(used)
