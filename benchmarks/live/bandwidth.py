@@ -23,6 +23,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from mirrorwave.studies.report import table
 from mirrorwave.studies.tradeoff.runner import socket_hop
 from models.compiled import compiled
 from models.perception.forming.ra_forming import BeamFolder, FormingParams
@@ -171,10 +172,8 @@ def main() -> None:
         print(json.dumps({"machine": machine, "rows": rows}))
         return
     print(machine)
-    print("| step | MiB | ms | p90 | GB/s | of a copy's rate |")
-    print("|" + " --- |" * 6)
-    for name, row in rows.items():
-        print(f"| {name} | " + " | ".join(str(value) for value in row.values()) + " |")
+    heads = ("step", "MiB", "ms", "p90", "GB/s", "of a copy's rate")
+    print("\n".join(table(heads, [(name, *row.values()) for name, row in rows.items()])))
 
 
 if __name__ == "__main__":

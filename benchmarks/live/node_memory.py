@@ -35,6 +35,7 @@ import psutil
 from benchmarks.live.faults import LAUNCHES, Graph, hear_ctrl_c
 from mirrorwave.node_chain import SharedParts, stage_params
 from mirrorwave.profiles import read_profile
+from mirrorwave.studies.report import table
 from msgs.bus.codec import decode_inline, encode_inline
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState, NodeStatus
@@ -195,12 +196,10 @@ def graph_memory(launch: Path, after_s: float, groups: list[str]) -> str:
         finally:
             graph.stop()
     kinds = dict.fromkeys(kind for column in columns.values() for kind in column)
-    lines = [f"| | {' | '.join(columns)} |", "| --- " * (len(columns) + 1) + "|"]
-    for kind in sorted(kinds, key=lambda kind: -sum(column[kind].resident for column in columns.values())):
-        lines.append(f"| {kind} | {' | '.join(str(column[kind]) for column in columns.values())} |")
+    largest_first = sorted(kinds, key=lambda kind: -sum(column[kind].resident for column in columns.values()))
     sums = [_sum(column.values()) for column in columns.values()]
-    lines.append(f"| all | {' | '.join(map(str, sums))} |")
-    return "\n".join([*lines, f"In all: {_sum(sums)}."])
+    rows = [*((kind, *(column[kind] for column in columns.values())) for kind in largest_first), ("all", *sums)]
+    return "\n".join([*table(("", *columns), rows), f"In all: {_sum(sums)}."])
 
 
 def stopped_receiver(launch: Path) -> list[int]:

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.live.faults import HEARD, LAUNCHES, ROOT, Graph, hear_ctrl_c
+from mirrorwave.studies.report import table
 from msgs.bus.interface import Received
 from msgs.files.shipped import LAUNCH
 from msgs.values.diagnostics import NodeState, NodeStatus
@@ -170,14 +171,11 @@ def _medians(runs: list[dict[str, float]]) -> dict[str, float]:
     return {name: round(statistics.median(run[name] for run in runs if name in run), 3) for name in names}
 
 
-def table(columns: dict[str, dict[str, float]]) -> str:
+def page(columns: dict[str, dict[str, float]]) -> str:
     """Return a table in Markdown, a row a step."""
-    rows = dict.fromkeys(step for column in columns.values() for step in column)
-    lines = [f"| | {' | '.join(columns)} |", "| --- " * (len(columns) + 1) + "|"]
-    for row in rows:
-        cells = (f"{column[row]:g}" if row in column else "" for column in columns.values())
-        lines.append(f"| {row} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    steps = dict.fromkeys(step for column in columns.values() for step in column)
+    rows = [(step, *(f"{column[step]:g}" if step in column else "" for column in columns.values())) for step in steps]
+    return "\n".join(table(("", *columns), rows))
 
 
 def main() -> None:
@@ -199,7 +197,7 @@ def main() -> None:
     else:
         options = ["--headless", *(part for group in arguments.group for part in ("--group", group))]
         found = launches(arguments.launch, arguments.repeats, options)
-    print(json.dumps(found) if arguments.json else table(found))
+    print(json.dumps(found) if arguments.json else page(found))
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 from rich.progress import track
 
+from mirrorwave.studies.report import table
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.city import made_city
 from sim_player.planner.ablation import signal_effects
@@ -175,11 +176,10 @@ PLANNED = (
 
 def show(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> None:
     """Print a table."""
-    print("\n| kind | " + " | ".join(name for name, _ in columns) + " |")
-    print("|" + " --- |" * (len(columns) + 1))
-    for row in rows:
-        cells = [format(row[name], form) if name in row else "-" for name, form in columns]
-        print(f"| {row['kind']} | " + " | ".join(cells) + " |")
+    cells = [
+        [row["kind"], *(format(row[name], form) if name in row else "-" for name, form in columns)] for row in rows
+    ]
+    print("\n".join(["", *table(["kind", *(name for name, _ in columns)], cells)]))
 
 
 def main() -> None:
