@@ -6,7 +6,7 @@ import numpy as np
 
 from models.perception.forming.ra_forming import FormingParams
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
-from tests.builders import cfar_chain
+from tests.builders import cfar_chain, example_beam
 
 SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=2))
 
@@ -14,11 +14,9 @@ SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=2))
 def noise_beams() -> list[RadarBeam]:
     rng, radar = np.random.default_rng(0), SETUP.radar
     return [
-        RadarBeam(
+        example_beam(
             stamp_ns=index * SETUP.beam_interval_ns,
-            scan_id=0,
             beam_index=index,
-            beam_count=25,
             azimuth_rad=float(SETUP.beams.azimuth_rad[index]),
             samples=rng.integers(-60, 60, (2, radar.samples_per_chirp, 2)).astype(np.int16),
             full_scale_dbm=SETUP.full_scale_dbm,
