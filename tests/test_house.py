@@ -50,7 +50,8 @@ def source_of(path: Path) -> str:
     return path.read_text()
 
 
-@functools.cache
+# the trees of all modules at once would be looked through for garbage again and again
+@functools.lru_cache(maxsize=1)
 def parsed(source: str) -> ast.Module:
     return ast.parse(source)
 
