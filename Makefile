@@ -28,7 +28,7 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 	@$(call beat,set-up 1 of 2: mirrorwave itself) $(call install_here,.)
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
 	@echo "set-up 2 of 2: compiling kernels, a minute or a few"
-	@$(call beat,set-up 2 of 2: compiling kernels) $(BIN)/python -c "from mirrorwave.node_chain import NodeParams; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; chain = NodeParams.of(read_profile('default')).chain(); chain.forming.set_up(RadarSetup()); chain.detection.set_up(RadarSetup())" & perception=$$!; \
+	@$(call beat,set-up 2 of 2: compiling kernels) $(BIN)/python -c "from mirrorwave.node_chain import SharedParts; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; SharedParts.of(read_profile('default'), RadarSetup()).chain()" & perception=$$!; \
 	for scene in scenes/corner drives/side_street; do \
 	    $(BIN)/mirrorwave sim run launch/$$scene.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && rm $(VENV)/compiled.mcap || exit 1; \
 	done && wait $$perception

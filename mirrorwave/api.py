@@ -89,7 +89,11 @@ class Perception:
         """Fold a beam; the last one of a scan brings its view. Raises `ValueError` where the beam does not fit."""
         if state is not None:
             self.feed(state)
-        return _as_views(self._pipeline.views(self._pipeline.chain.forming.add(beam)))
+        refused = self._pipeline.refused_beams
+        views = self.feed(beam)
+        if self._pipeline.refused_beams > refused:
+            raise ValueError(self._pipeline.refusal)
+        return views
 
     def see(self, samples: np.ndarray, stamp_ns: int | None = None, state: VehicleState | None = None) -> View:
         """The view of one whole scan.

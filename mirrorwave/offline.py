@@ -38,28 +38,17 @@ RECORDING = "view.mcap"
 _ORIGIN = {"made_by": "mirrorwave process"}
 #: The first line of a file of ours is shorter.
 _MAX_LINE_BYTES = 1 << 26
-#: Node that runs each stage in the live graph, in the order of the graph.
-_NODE_OF_STAGE = {
-    "synthesise": "player",
-    "beam": "ra_former",
-    "last beam": "ra_former",
-    "map": "lidar_former",
-    "detect": "dense_predictor",
-    "classify": "detection_peaks",
-    "geometry": "geometry",
-    "tracking": "geometry",
-}
 
 
 class Results:
     """Writes what comes out, line by line: objects, tracks, times; keeps the last scan for picture and score."""
 
     def __init__(
-        self, files: Sequence[_LineFile], clock: StageClock, on_scan: Callable[[], None],
+        self, files: Sequence[_LineFile], pipeline: Pipeline, on_scan: Callable[[], None],
         recording: ResultRecording | None,
     ) -> None:  # fmt: skip
         self._objects, self._tracks, self._timing = files
-        self._clock, self._on_scan, self._recording = clock, on_scan, recording
+        self._pipeline, self._on_scan, self._recording = pipeline, on_scan, recording
         self.scoreboard = Scoreboard()
         self.last: ScanView | None = None
         #: Maps, and those that lack beams.
@@ -80,11 +69,9 @@ class Results:
         self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
         scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
         self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(track) for track in frame.tracks]}) + "\n")
-        times = {stage.name: stage for stage in self._clock.drain()}
         stages = {
-            f"{node}.{name}": {"count": times[name].count, "mean_ms": times[name].mean_ms, "max_ms": times[name].max_ms}
-            for name, node in _NODE_OF_STAGE.items()
-            if name in times
+            name: {"count": stage.count, "mean_ms": stage.mean_ms, "max_ms": stage.max_ms}
+            for name, stage in self._pipeline.stage_times().items()
         }
         self._timing.write(json.dumps({"scan_id": frame.scan_id, "stages": stages}) + "\n")
         self._on_scan()
@@ -111,9 +98,8 @@ def run_capture(
     require_own_results(out)
     require_raw(capture)
     launch = launch_for(capture, profile, overrides or [])
-    clock = StageClock()
     events = events_of(convert_at(launch.nodes["player"].params, Params, "player.params"))
-    pipeline = Pipeline(launch, clock)
+    pipeline = Pipeline(launch)
     out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         paths = [out / f"{name}.jsonl" for name in LINES]
@@ -122,8 +108,8 @@ def run_capture(
         picture = stack.enter_context(whole(out / PICTURE, ".png"))
         files = [stack.enter_context(_LineFile(path, part)) for path, part in zip(paths, parts, strict=True)]
         recording = stack.enter_context(_recording(out / RECORDING)) if records else None
-        results = Results(files, clock, on_scan, recording)
-        timed = _timed(events, clock)
+        results = Results(files, pipeline, on_scan, recording)
+        timed = _timed(events, pipeline.reading)
         for result in played(timed if recording is None else recording.passed(timed), pipeline):
             results.add(result)
         results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss

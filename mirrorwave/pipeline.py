@@ -1,162 +1,135 @@
-"""The perception chain fed with messages: what sensors and the vehicle say in, views out, without a bus or a clock.
-
-What the graph does with messages that its nodes cannot take is done here too: they are logged and left out.
-"""
+"""The graph in one process, fed with messages: what sensors and the vehicle say in, views out, on a virtual clock."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import nullcontext
-from functools import partial
+from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from mirrorwave.node_chain import NodeParams
 from models.perception.chain import ScanView
-from models.perception.forming.photon_map import PhotonFormer
-from models.perception.timing import Timed
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.local import LocalNetwork
+from msgs.bus.topics import topic_facts
 from msgs.values.detections import RadarDetections
-from msgs.values.environment import WallPriors
-from msgs.values.lidar import LidarSetup, PhotonHistograms
-from msgs.values.perception import SceneTruth
-from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
-from msgs.values.vehicle import VehicleState
-from nodes import detection_peaks
-from nodes.geometry import BiasLog
-from nodes.inputs.refusals import Refusals
-from nodes.node import ShedTally
-from nodes.player import Event
+from msgs.values.diagnostics import StageTime
+from msgs.values.perception import BevFrame, Peaks, SceneTruth
+from msgs.values.radar import RangeAzimuthMap
+from nodes.node import InProcessGraph, Node, StageClock, load_node
+from nodes.player import SENSED_TOPICS, Event
 from nodes.process.launch_file import LaunchFile
-from nodes.process.validation import convert_at
-from nodes.ra_former import PATIENCE_NS
 
 _LOG = logging.getLogger(__name__)
 
+#: Topic of what sensors and the vehicle say.
+_TOPICS = {topic_facts(topic).type: topic for topic in SENSED_TOPICS if topic != "sim/truth"}
+
 
 class Pipeline:
-    """A chain with the parameters of a launch file's nodes, for a radar or a LiDAR whose set-up comes first."""
+    """The nodes of a launch file but its player, for a radar or a LiDAR whose set-up comes first.
 
-    def __init__(self, launch: LaunchFile, timed: Timed = nullcontext) -> None:
-        values = {name: entry.params for name, entry in launch.nodes.items()}
-        self.chain = NodeParams.of(values, "{node}.params").chain(timed)
-        self._photons = PhotonFormer(timed)
-        of_detections = convert_at(values.get("detection_peaks", {}), detection_peaks.Params, "detection_peaks.params")
-        self._detections = detection_peaks.detections_stage(of_detections, timed)
-        shed = ShedTally()
-        self._refused_beams = Refusals(_LOG, shed, "beam")
-        self._refused_histograms = Refusals(_LOG, shed, "scan")
-        self._refused_scans = Refusals(_LOG, shed)
-        self._bias_log = BiasLog()
+    What nodes cannot take they log and leave out, as in the live graph.
+    """
+
+    def __init__(self, launch: LaunchFile) -> None:
+        self._nodes = {
+            name: load_node(entry.module, entry.params, name)
+            for name, entry in launch.nodes.items()
+            if name != "player"
+        }
+        self._views = _Views()
+        self._network = LocalNetwork(lossless=True)
+        self._graph = InProcessGraph(self._network, {**self._nodes, "views": self._views})
+        self._bus = self._network.bus("player")
+        #: Of what makes or reads messages.
+        self.reading = StageClock()
         self._doubt = ""
-        #: When the last beam came, while its scan may be unfinished.
-        self._last_beam_ns: int | None = None
-        #: Maps so far, and those that lack beams.
+        #: Maps and detections so far, and those that lack beams.
         self.scans = self.scans_with_loss = 0
 
     @property
+    def refused_beams(self) -> int:
+        """How many beams were refused so far."""
+        counts = self._nodes["ra_former"].shed.counts()
+        return sum(item.count for item in counts if (item.what, item.reason) == ("beam", "refused"))
+
+    @property
     def refusal(self) -> str:
-        """Why the last set-up, beam or scan was refused; empty once another was taken."""
-        return self._refused_beams.reason or self._refused_scans.reason
+        """Why a node refused its last input; empty once all take theirs."""
+        return next((reason for node in self._nodes.values() if (reason := node.shed.refusal)), "")
 
     def feed(self, message: msgspec.Struct, offset_ns: int = 0) -> list[ScanView]:
         """Take in a message that was sent `offset_ns` after the first; return the views that it brings.
 
         A scan whose next beam is silent for as long as the live graph would wait is closed first.
         """
-        is_silent = self._last_beam_ns is not None and offset_ns > self._last_beam_ns + PATIENCE_NS
-        views = self.finish() if is_silent else []
-        match message:
-            case RadarSetup():
-                self._set_up(message)
-            case LidarSetup():
-                self._photons.set_up(message)
-            case VehicleState():
-                self.chain.add_state(message)
-                self._detections.add_state(message)
-            case WallPriors():
-                self.chain.add_walls(message)
-            case RadarBeam():
-                self._last_beam_ns = offset_ns
-                views += self._of_beam(message)
-            case PhotonHistograms():
-                views += self._of_histograms(message)
-            case RadarDetections():
-                views += self._of_detections(message)
-        return views
+        topic = _TOPICS.get(type(message))
+        if topic is None:
+            return []
+        self._graph.run(until_ns=offset_ns - 1)
+        self._network.advance(max(0, offset_ns - self._network.now_ns))
+        self._bus.publish(topic, message)
+        self._graph.run(until_ns=self._network.now_ns)
+        if isinstance(message, RadarDetections):
+            self._count(message.lost > 0)
+        return self._taken()
 
     def finish(self) -> list[ScanView]:
         """Return the view of a scan whose last beams never came, if one was begun."""
-        self._last_beam_ns = None
-        try:
-            maps = self.chain.forming.flush()
-        except ValueError as error:
-            # its first beam, which never came, would have a stamp that none can have
-            self._refused_beams.refuse("scan", error)
-            return []
-        return self.views(maps)
+        self._graph.run()
+        return self._taken()
 
-    def views(self, maps: Iterable[RangeAzimuthMap]) -> list[ScanView]:
-        """Return the views of maps but those of maps that a stage cannot take."""
-        views = []
-        for ra_map in maps:
-            self.scans_with_loss += bool(ra_map.missing_beams)
-            views += self._viewed(ra_map.scan_id, partial(self.chain.view, ra_map))
-        return views
+    def stage_times(self) -> dict[str, StageTime]:
+        """Return the times of stages since the last call, by "node.stage"."""
+        clocks = {"player": self.reading, **{name: node.stages for name, node in self._nodes.items()}}
+        return {f"{name}.{stage.name}": stage for name, clock in clocks.items() for stage in clock.drain()}
 
-    def _viewed(self, scan_id: int, view: Callable[[], ScanView]) -> list[ScanView]:
-        """Return the view of one scan; none where a stage cannot take it."""
+    def _taken(self) -> list[ScanView]:
+        """Return the views since the last call, and log in what the radar is not the one that networks know."""
+        for ra_map in self._views.new_maps:
+            self._count(bool(ra_map.missing_beams))
+        taken, self._views.taken, self._views.new_maps = self._views.taken, [], []
+        if taken:
+            doubts = (self._nodes[name].health()[1] for name in ("dense_predictor", "geometry"))
+            doubt = next(filter(None, doubts), "")
+            if doubt not in ("", self._doubt):
+                _LOG.warning("%s", doubt)
+            self._doubt = doubt
+        return taken
+
+    def _count(self, has_loss: bool) -> None:
         self.scans += 1
-        try:
-            result = view()
-        except ValueError as error:
-            self._refused_scans.refuse("scan", error, f"scan {scan_id}")
-            return []
-        self._refused_scans.accept()
-        self._bias_log.note(self.chain.views.yaw_rate_bias)
-        if self.chain.doubt not in ("", self._doubt):
-            _LOG.warning("%s", self.chain.doubt)
-        self._doubt = self.chain.doubt
-        return [result]
+        self.scans_with_loss += has_loss
 
-    def _set_up(self, setup: RadarSetup) -> None:
-        """Go on with another set-up; a stage that cannot use it keeps its own."""
-        for stage, refusals in (
-            (self.chain.forming, self._refused_beams),
-            (self.chain.detection, self._refused_scans),
-            (self.chain.views, self._refused_scans),
-        ):
-            try:
-                stage.set_up(setup)
-            except ValueError as error:
-                refusals.refuse("setup", error)
 
-    def _of_beam(self, beam: RadarBeam) -> list[ScanView]:
-        try:
-            maps = self.chain.forming.add(beam)
-        except ValueError as error:
-            self._refused_beams.refuse("beam", error)
-            return []
-        if maps:
-            self._refused_beams.accept()
-        return self.views(maps)
+class _Views(Node):
+    """Keeps each view with the map and the peaks that it was found in."""
 
-    def _of_detections(self, detections: RadarDetections) -> list[ScanView]:
-        self.scans_with_loss += detections.lost > 0
-        return self._viewed(detections.scan_id, partial(self._view_of, detections))
+    inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects")
+    wants_all = True
 
-    def _view_of(self, detections: RadarDetections) -> ScanView:
-        peaks = self._detections.peaks(detections)
-        return ScanView(self.chain.views.view(peaks), None, peaks)
+    def __init__(self) -> None:
+        super().__init__()
+        self.taken: list[ScanView] = []
+        self.new_maps: list[RangeAzimuthMap] = []
+        self._map: RangeAzimuthMap | None = None
+        self._peaks: Peaks | None = None
 
-    def _of_histograms(self, histograms: PhotonHistograms) -> list[ScanView]:
-        try:
-            ra_map = self._photons.add(histograms)
-        except ValueError as error:
-            self._refused_histograms.refuse("scan", error)
-            return []
-        self._refused_histograms.accept()
-        return self.views([ra_map])
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Note maps and peaks; a view takes those of its scan."""
+        for received in sorted(inputs, key=lambda item: self.inputs.index(item.topic)):
+            match received.message:
+                case RangeAzimuthMap() as ra_map:
+                    self.new_maps.append(ra_map)
+                    self._map = ra_map
+                case Peaks() as peaks:
+                    self._peaks = peaks
+                case BevFrame() as frame:
+                    assert self._peaks is not None
+                    # a radar of detections gives none
+                    own_map = None if self._peaks.sensor is not None else self._map
+                    self.taken.append(ScanView(frame, own_map, self._peaks))
+        return []
 
 
 def played(events: Iterable[Event], pipeline: Pipeline) -> Iterator[ScanView | SceneTruth]:

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import msgspec
 
+from mirrorwave.studies.report import table
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import MIB, SHIPPED, TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
@@ -244,8 +245,7 @@ def _mentioned(hint: Any) -> Iterator[type]:
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join(f"| {' | '.join(row)} |" for row in lines) + "\n"
+    return "\n".join(table(head, rows)) + "\n"
 
 
 def _link(kind: type) -> str:

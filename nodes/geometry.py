@@ -106,7 +106,7 @@ class GeometryNode(Node):
                 case WallPriors() as walls:
                     self._stage.add_walls(walls)
                 case RadarSetup() as setup:
-                    self._stage.set_up(setup)
+                    self._set_up(setup)
                 case RangeAzimuthMap() as ra_map:
                     self._maps.append(ra_map)
                 case Peaks() as peaks:
@@ -138,6 +138,13 @@ class GeometryNode(Node):
         if not self._refusals.reason and self._stage.doubt:
             return NodeState.DEGRADED, self._stage.doubt
         return self._refusals.health()
+
+    def _set_up(self, setup: RadarSetup) -> None:
+        """See by another set-up; one that cannot be used changes nothing."""
+        try:
+            self._stage.set_up(setup)
+        except ValueError as error:
+            self._refusals.refuse("setup", error)
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
         try:

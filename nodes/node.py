@@ -114,6 +114,8 @@ class ShedTally:
 
     def __init__(self) -> None:
         self._counts: dict[tuple[str, str], int] = {}
+        #: Why input was refused last; empty once input was accepted again.
+        self.refusal = ""
 
     def add(self, kind: str, reason: str, count: int = 1) -> None:
         """Count work that was shed."""

@@ -31,6 +31,9 @@ from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, sav
 from models.evaluation.metrics import Counts, match_objects, recovered_counts
 from models.perception.chain import Chain
 from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.stage import DetectionStage
+from models.perception.forming.stage import FormingStage
+from models.perception.tracking.stage import ViewStage
 from models.physics.antenna import setup_weights
 from models.physics.waveform import window_noise_gain
 from msgs.values.perception import BevFrame, SceneTruth
@@ -226,7 +229,8 @@ def _detector(radar_height_m: float) -> NetworkDetector:
 def view_of(radar: Hardware) -> tuple[BevFrame, SceneTruth]:
     """One scan through a chain that holds the radar for what its set-up says."""
     player, stated = radar.player(), radar.scene.setup
-    chain = Chain.of(stated, _detector(stated.radar_height_m))
+    chain = Chain(FormingStage(), DetectionStage(lambda setup: _detector(setup.radar_height_m)), ViewStage())
+    chain.set_up(stated)
     count = len(stated.beams)
     # the next scan's first beam closes a scan that lacks its last one
     beams = [player.beam(0, index) for index in range(count)] + [player.beam(1, 0)]

@@ -27,7 +27,10 @@ from models.evaluation.metrics import match_objects
 from models.perception.chain import Chain
 from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.detection.stage import DetectionStage
+from models.perception.forming.stage import FormingStage
 from models.perception.geometry.confidence import load_confidence
+from models.perception.tracking.stage import ViewStage
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import RadarSetup
@@ -78,7 +81,9 @@ def chain_of(way: argparse.Namespace, setup: RadarSetup) -> Chain:
         return SharedParts.of(read_profile(way.profile or DEFAULT), setup).chain()
     confidence = load_confidence(Path(way.confidence)) if way.confidence else None
     detector = NetworkDetector(setup, Path(way.model or DEFAULT_MODEL), refine=way.refine or True)
-    return Chain.of(setup, detector, confidence=confidence)
+    chain = Chain(FormingStage(), DetectionStage(lambda _: detector), ViewStage(confidence=confidence))
+    chain.set_up(setup)
+    return chain
 
 
 def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:

@@ -25,6 +25,7 @@ from mirrorwave.plots.style import (
     new_figure,
     save,
 )
+from mirrorwave.studies.report import table
 
 #: Groups this far below the strongest of their run are beyond the aim, and drawn hollow.
 CONSIDERED_DB = -30.0
@@ -203,8 +204,7 @@ def _without(group: Group) -> str:
 
 
 def _markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+    return "\n".join(table(head, rows)) + "\n"
 
 
 def draw(path: Path, wanted: list[MiniScene], found: list[Comparison]) -> None:

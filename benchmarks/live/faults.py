@@ -26,6 +26,7 @@ from typing import Any
 
 import psutil
 
+from mirrorwave.studies.report import table
 from msgs.bus.interface import Received
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT
@@ -252,7 +253,7 @@ def _progress(text: str) -> None:
 def fault_table(rows: list[dict[str, Any]]) -> list[str]:
     """One line of Markdown a node and fault: median / maximum of each time."""
     heads = ("graph", "node", "fault", "seen", "given up", "publishes again", "view again", "others ended")
-    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    lines = []
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["launch"], row["node"], row["signal"]), []).append(row)
@@ -261,8 +262,8 @@ def fault_table(rows: list[dict[str, Any]]) -> list[str]:
         kinds = ("seen", "given up", "again", "view")
         cells = [_span([item[kind] for item in times if kind in item]) for kind in kinds]
         others = sum(len(row["others_that_ended"]) for row in found)
-        lines.append(f"| {' | '.join([launch, node, number, *cells, str(others)])} |")
-    return lines
+        lines.append((launch, node, number, *cells, others))
+    return table(heads, lines)
 
 
 def _span(values: list[float]) -> str:

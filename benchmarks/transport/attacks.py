@@ -16,19 +16,19 @@ from collections.abc import Iterable
 
 from benchmarks.transport import attacks_hangup, attacks_ipc, attacks_link
 from benchmarks.transport.net import Row
+from mirrorwave.studies.report import table
 
 _HEAD = ("victim", "attack", "tried", "accepted", "what it did or said", "good peer served")
 
 
 def markdown(rows: Iterable[Row]) -> str:
     """The rows as a table."""
-    lines = ["| " + " | ".join(_HEAD) + " |", "|" + " --- |" * len(_HEAD)]
+    lines = []
     for row in rows:
         accepted = f"{row.accepted} (meant to)" if row.by_design else str(row.accepted)
         served = "yes" if row.serves else "NO"
-        cells = (row.victim, row.attack, str(row.tried), accepted, row.said.replace("|", "/"), served)
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append((row.victim, row.attack, row.tried, accepted, row.said.replace("|", "/"), served))
+    return "\n".join(table(_HEAD, lines))
 
 
 def main() -> int:

@@ -33,6 +33,7 @@ import yaml
 
 from benchmarks.live.live_graph import QUANTILES, quantiles
 from benchmarks.transport.net import Host, Wire, why_no_namespaces
+from mirrorwave.studies.report import table
 from msgs.bus.interface import Received
 from msgs.bus.zmq import ZmqBus
 from msgs.files.shipped import CHECKOUT
@@ -390,15 +391,16 @@ def markdown(result: dict[str, Any]) -> str:
     """The result as tables."""
     if "harm" not in result:
         return "\n".join(_slow_table(result["slow"]))
-    lines = ["| run | views/s | scans without view | late | age p50 ms | p90 | p99 | max |", "|" + " --- |" * 8]
+    runs = []
     for name in ("one_host", "two_hosts", "two_clocks"):
         row = result[name]
         if "views" in row:
-            age = " | ".join(str(row["age_ms"][quantile]) for quantile in ("p50", "p90", "p99", "max"))
-            lines.append(f"| {name} | {row['views_per_s']} | {row['scans_without_view']} | {row['late']} | {age} |")
+            age = (row["age_ms"][quantile] for quantile in ("p50", "p90", "p99", "max"))
+            runs.append((name, row["views_per_s"], row["scans_without_view"], row["late"], *age))
+    heads = ("run", "views/s", "scans without view", "late", "age p50 ms", "p90", "p99", "max")
     head = ("harm", "views during (age p50 ms)", "fresh view after heal s", "scans without view")
     head += ("counted", "said", "link's memory MiB, before and after", "restarted")
-    lines += ["", "| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    harms = []
     for name, row in result["harm"].items():
         counted = [f"{side}: {count} {what}" for side, own in row["counted"].items() for what, count in own.items()]
         said = [f"{side} {text}" for side, own in row["said"].items() for text in own]
@@ -406,24 +408,23 @@ def markdown(result: dict[str, Any]) -> str:
         cells = [f"{name}, {row['cut_s']:g} s", f"{row['views_during']} ({row['age_ms_during']['p50']})"]
         cells += [str(row["fresh_view_after_heal_s"]), str(row["scans_without_view"])]
         cells += ["; ".join(counted), "; ".join(said), "; ".join(memory), ", ".join(row["restarted"]) or "nothing"]
-        lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", *_slow_table(result["slow"])]
-    lines += ["", "| word on the wire | frames with keys | without |", "|" + " --- |" * 3]
+        harms.append(cells)
     plain = result["readable_without_keys"]
-    lines += [f"| {word} | {count} | {plain[word]} |" for word, count in result["readable_with_keys"].items()]
-    return "\n".join(lines)
+    words = [(word, count, plain[word]) for word, count in result["readable_with_keys"].items()]
+    lines = [*table(heads, runs), "", *table(head, harms), "", *_slow_table(result["slow"]), ""]
+    return "\n".join(lines + table(("word on the wire", "frames with keys", "without"), words))
 
 
 def _slow_table(rows: dict[str, dict[str, Any]]) -> list[str]:
     head = ("slow link", "views/s", "scans without view", "age of a view p50, p90, p99 ms")
     head += ("of a vehicle state", "Mbit/s", "counted")
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    lines = []
     for name, row in rows.items():
         counted = [f"{side}: {more} {what}" for side, own in row["counted"].items() for what, more in own.items()]
         cells = [name, row["views_per_s"], row["scans_without_view"], _in_words(row["age_ms"])]
         cells += [_in_words(row["state_age_ms"]), row["wire_mbit_per_s"], "; ".join(counted)]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return lines
+        lines.append(cells)
+    return table(head, lines)
 
 
 def _in_words(age_ms: dict[str, float | None]) -> str:

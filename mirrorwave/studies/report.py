@@ -101,10 +101,10 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: version(name) for name in packages}
 
 
-def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a Markdown table."""
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
+def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """Return the lines of a Markdown table; None is a dash."""
+    lines = (columns, ["---"] * len(columns), *rows)
+    return [f"| {' | '.join('-' if cell is None else str(cell) for cell in row)} |" for row in lines]
 
 
 def write_report(out: Path, name: str, report: Any, page: str) -> None:

@@ -8,17 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from models.perception.detection.detectors import Detector
 from models.perception.detection.stage import DetectionStage
-from models.perception.forming.ra_forming import FormingParams
 from models.perception.forming.stage import FormingStage
-from models.perception.geometry.confidence import Confidence
-from models.perception.geometry.recovery import Residual
-from models.perception.geometry.stage import GeometryParams
-from models.perception.objects.judging import ScanJudge
-from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
-from msgs.values.environment import WallPriors
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
@@ -38,45 +30,16 @@ class Chain:
     def __init__(self, forming: FormingStage, detection: DetectionStage, views: ViewStage) -> None:
         self.forming, self.detection, self.views = forming, detection, views
 
-    @classmethod
-    def of(
-        cls,
-        setup: RadarSetup,
-        detector: Detector,
-        forming: FormingParams | None = None,
-        geometry: GeometryParams | None = None,
-        residual: Residual | None = None,
-        confidence: Confidence | None = None,
-        memory: MemoryParams | None = None,
-        predictor: ScanJudge | None = None,
-    ) -> Chain:
-        """Return a chain of ready parts for one radar; None: default parameters, no learned residual, confidence or
-        object network.
-        """
-        views = ViewStage(geometry, residual, confidence, memory, predictor=predictor)
-        chain = cls(FormingStage(forming), DetectionStage(lambda _: detector), views)
-        chain.set_up(setup)
-        return chain
-
     def set_up(self, setup: RadarSetup) -> None:
         """Go on with another set-up; `ValueError` for one that a stage cannot use."""
         self.forming.set_up(setup)
         self.detection.set_up(setup)
         self.views.set_up(setup)
 
-    @property
-    def doubt(self) -> str:
-        """In what the radar is not the one that the networks were trained for, in one line; empty: in nothing."""
-        return self.detection.doubt or self.views.doubt
-
     def add_state(self, state: VehicleState) -> None:
         """Take in a state of the vehicle: its stamp says which beams and scans it counts for."""
         self.forming.add_state(state)
         self.views.add_state(state)
-
-    def add_walls(self, message: WallPriors) -> None:
-        """Take in walls from a map or another sensor."""
-        self.views.add_walls(message)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[ScanView]:
         """Fold a beam; the last one of a scan brings its view. Raises `ValueError` for what a stage cannot take."""

@@ -72,19 +72,23 @@ class _Header(msgspec.Struct, forbid_unknown_fields=True):
     body: dict[str, Any]
 
 
-def encode(envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
+def encode(envelope: Envelope, message: msgspec.Struct, any_size: bool = False) -> list[Buffer]:
     """Return the frames of a message; arrays are not copied, so they must not change while the frames are in use.
 
-    Raises `CodecError` when the message is not the topic's type, is too large, or holds a value that may not be sent.
+    Raises `CodecError` when the message is not the topic's type, is too large for it (unless `any_size`), or holds a
+    value that may not be sent.
     """
     topic = _topic_of(envelope)
     if type(message) is not topic.type:
         raise CodecError(f"{topic.name} carries {topic.type.__name__}, got {type(message).__name__}")
     try:
-        return _frames(topic, envelope, message)
+        frames = _frames(topic, envelope, message)
     except UnicodeEncodeError:
         # a path in a parameter or a reason; looked for where it fails alone, as most messages have none
-        return _frames(topic, envelope, _with_utf8(message))
+        frames = _frames(topic, envelope, _with_utf8(message))
+    if not any_size:
+        _require_size(topic, frames)
+    return frames
 
 
 def _frames(topic: Topic, envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
@@ -98,12 +102,10 @@ def _frames(topic: Topic, envelope: Envelope, message: msgspec.Struct) -> list[B
     header = _pack({"envelope": envelope, "body": message}, array_head)
     if len(header) > MAX_HEADER_BYTES:
         raise CodecError(f"{topic.name}: header of {len(header)} bytes exceeds {MAX_HEADER_BYTES}")
-    frames = [topic_frame(topic.name), header, *arrays]
-    _require_size(topic, frames)
-    return frames
+    return [topic_frame(topic.name), header, *arrays]
 
 
-def decode(frames: Sequence[Buffer]) -> Received:
+def decode(frames: Sequence[Buffer], any_size: bool = False) -> Received:
     """Return the message of `frames`; its arrays are read-only views on them.
 
     Raises `CodecError`, and nothing else, whatever the frames hold.
@@ -111,7 +113,8 @@ def decode(frames: Sequence[Buffer]) -> Received:
     if len(frames) < 2:
         raise CodecError(f"message must have at least 2 frames, got {len(frames)}")
     topic = _topic_of_frame(bytes(frames[0][:256]))
-    _require_size(topic, frames)
+    if not any_size:
+        _require_size(topic, frames)
     if len(frames[1]) > MAX_HEADER_BYTES:
         raise CodecError(f"{topic.name}: header of {len(frames[1])} bytes exceeds {MAX_HEADER_BYTES}")
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -56,15 +57,15 @@ class _Parcel(NamedTuple):
 class _Queue:
     """Messages that wait for one receiver on one topic; the oldest is dropped beyond the topic's history."""
 
-    def __init__(self, topic: Topic) -> None:
-        self._topic = topic
+    def __init__(self, history_bytes: float) -> None:
+        self._history_bytes = history_bytes
         self._parcels: list[_Parcel] = []
         self._bytes = 0
 
     def put(self, parcel: _Parcel) -> None:
         heapq.heappush(self._parcels, parcel)
         self._bytes += parcel.size
-        while self._bytes > self._topic.history_bytes:
+        while self._bytes > self._history_bytes:
             self._pop()
 
     def due(self, now_ns: int) -> list[_Parcel]:
@@ -84,11 +85,11 @@ class LocalNetwork:
     """Connects the buses of one process; time moves only by `advance`.
 
     Messages arrive in the order (delivery time, publisher, sequence); faults are drawn from `seed`: the same calls give
-    the same messages.
+    the same messages. `lossless`: messages of any size, and all of them, also where receivers want the newest.
     """
 
-    def __init__(self, start_ns: int = 0, seed: int = 0) -> None:
-        self._now_ns = start_ns
+    def __init__(self, start_ns: int = 0, seed: int = 0, lossless: bool = False) -> None:
+        self._now_ns, self.lossless = start_ns, lossless
         self._random = np.random.default_rng(seed)
         self._faults: dict[str, Faults] = {}
         self._queues: dict[str, list[_Queue]] = {}
@@ -117,7 +118,7 @@ class LocalNetwork:
         self._faults[topic_facts(topic).name] = faults
 
     def _join(self, topic: Topic) -> _Queue:
-        queue = _Queue(topic)
+        queue = _Queue(math.inf if self.lossless else topic.history_bytes)
         self._queues.setdefault(topic.name, []).append(queue)
         for key in sorted(self._latched):
             if key[0] == topic.name:
@@ -160,7 +161,7 @@ class LocalBus:
     def __init__(self, network: LocalNetwork, node: str) -> None:
         self._network = network
         self._node = node
-        self._tally = Tally(node)
+        self._tally = Tally(node, keeps_all=network.lossless, any_size=network.lossless)
         self._queues: dict[str, _Queue] = {}
 
     def publish(self, topic: str, message: msgspec.Struct) -> None:

@@ -62,10 +62,11 @@ class Tally:
     """Sequence numbers and counts of one node's connection."""
 
     def __init__(
-        self, node: str, paced: bool = False, keeps_all: bool = False, max_publishers: int = MAX_PUBLISHERS
-    ) -> None:
+        self, node: str, paced: bool = False, keeps_all: bool = False, max_publishers: int = MAX_PUBLISHERS,
+        any_size: bool = False,
+    ) -> None:  # fmt: skip
         self._node, self._max_publishers = node, max_publishers
-        self._paced, self._keeps_all = paced, keeps_all
+        self._paced, self._keeps_all, self._any_size = paced, keeps_all, any_size
         #: Outdated messages are delivered too.
         self.wants_all = False
         #: Topics whose last message was paced, and its time of arrival: messages derived from them are paced too.
@@ -84,7 +85,7 @@ class Tally:
         # limited in time: its player may have ended without notice, and an unpaced radar may follow
         paced = self._paced or any(now_ns - came_ns <= _PACED_NS for came_ns in self._paced_ns.values())
         envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
-        frames = encode(envelope, message)
+        frames = encode(envelope, message, self._any_size)
         self._sequences[topic] = sequence + 1
         self._published.setdefault(topic, _Count()).add(total_size(frames))
         return envelope, frames
@@ -100,7 +101,7 @@ class Tally:
     def accept(self, topic: str, frames: Sequence[Buffer], now_ns: int) -> Received | None:
         """Return the message of `frames`; None if it is unreadable (counted, logged) or older than an earlier one."""
         try:
-            received = decode(frames)
+            received = decode(frames, self._any_size)
             _check_origin(received, topic, now_ns)
         except CodecError as error:
             self._reject(topic, error)

@@ -15,8 +15,11 @@ class Refusals:
     def __init__(self, log: logging.Logger, shed: ShedTally, unit: str | None = None) -> None:
         self._log, self._shed, self._unit = log, shed, unit
         self._count = 0
-        #: Why input was refused last; empty once input was accepted again.
-        self.reason = ""
+
+    @property
+    def reason(self) -> str:
+        """Why input was refused last; empty once input was accepted again."""
+        return self._shed.refusal
 
     def refuse(self, kind: str, error: ValueError, name: str | None = None) -> None:
         """Count `kind`, in the log called `name`, as refused for an error; log the error unless it is the last one."""
@@ -24,11 +27,11 @@ class Refusals:
         self._shed.add(kind, "refused")
         if str(error) != self.reason:
             self._log.warning("%s", self._line(name or kind, error))
-        self.reason = str(error)
+        self._shed.refusal = str(error)
 
     def accept(self) -> None:
         """Note that input is accepted again."""
-        self.reason = ""
+        self._shed.refusal = ""
 
     def health(self) -> tuple[NodeState, str]:
         """Return DEGRADED with the reason while input is refused."""

@@ -18,6 +18,7 @@ from models.perception.detection.onnx_model import DensePredictor
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 MAKE = CHECKOUT / "examples" / "my_detector" / "make_detector.py"
 
@@ -35,15 +36,7 @@ def ra_map(*echoes: tuple[int, int, float]) -> RangeAzimuthMap:
     azimuth = np.arange(grid.azimuth_bins)
     for row, column, level_db in echoes:
         values[row] += 10.0 ** (level_db / 20.0) * np.exp(-0.5 * ((azimuth - column) / 9.0) ** 2)
-    return RangeAzimuthMap(
-        stamp_ns=0,
-        scan_id=0,
-        grid=grid,
-        values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
-        noise_power_mw=1.0,
-        incoherent=np.zeros(grid.range_bins, bool),
-    )
+    return example_map(values, grid=grid)
 
 
 def test_an_echo_behind_another_is_mirrored(model: Path) -> None:

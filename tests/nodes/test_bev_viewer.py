@@ -28,6 +28,7 @@ from nodes.viewer import server as server_module
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import MAX_CLIENT_MESSAGE_BYTES, MAX_CLIENT_MESSAGES_PER_S, Play, Seek, ViewerServer
+from tests.builders import example_map
 
 PATIENCE_S = 60.0
 
@@ -56,10 +57,7 @@ def frame(scan_id: int) -> BevFrame:
 
 def ra_map(scan_id: int) -> RangeAzimuthMap:
     grid = RangeAzimuthGrid(range_bins=512, azimuth_bins=256)
-    return RangeAzimuthMap(
-        stamp_ns=scan_id, scan_id=scan_id, grid=grid, values=np.ones(grid.shape, np.complex64),
-        azimuth_stamp_ns=np.zeros(256, np.int64), noise_power_mw=1.0, incoherent=np.zeros(512, bool),
-    )  # fmt: skip
+    return example_map(np.ones(grid.shape, np.complex64), stamp_ns=scan_id, scan_id=scan_id, grid=grid)
 
 
 def truth(scan_id: int) -> SceneTruth:

@@ -29,6 +29,7 @@ from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGri
 from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
+from tests.builders import example_map
 from tests.models.perception.geometry.test_confidence import model, scan_of
 from tests.models.perception.objects.object_scenes import empty_map, object_network
 from tests.models.perception.tracking.test_yaw_rate_bias import drive, town, turns
@@ -41,10 +42,7 @@ def received(message: msgspec.Struct, topic: str) -> Received:
 def noise_map() -> RangeAzimuthMap:
     rng = np.random.default_rng(0)
     values = (rng.standard_normal((512, 256)) + 1j * rng.standard_normal((512, 256))).astype("<c8") * 1e-7
-    return RangeAzimuthMap(
-        stamp_ns=7, scan_id=3, values=values, azimuth_stamp_ns=np.zeros(256, "<i8"), noise_power_mw=2e-14,
-        incoherent=np.zeros(512, bool),
-    )  # fmt: skip
+    return example_map(values, stamp_ns=7, scan_id=3, noise_power_mw=2e-14)
 
 
 @pytest.mark.parametrize("method", ["network", "cfar"])
@@ -226,10 +224,7 @@ def test_maps_and_setups_that_do_not_suit_the_network_are_refused_and_said() -> 
     node = dense_predictor.create(dense_predictor.Params())
     fine = RadarSetup(array=ArrayParams(columns=200))
     grid = RangeAzimuthGrid(range_bins=64, azimuth_bins=32)
-    other = RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, grid=grid, values=np.zeros(grid.shape, "<c8"), azimuth_stamp_ns=np.zeros(32, "<i8"),
-        noise_power_mw=1.0, incoherent=np.zeros(64, bool),
-    )  # fmt: skip
+    other = example_map(np.zeros(grid.shape, "<c8"), grid=grid)
     assert node.step([received(fine, "radar/setup"), received(other, "radar/ra_map")], 0) == []
     state, reason = node.health()
     assert state is NodeState.DEGRADED

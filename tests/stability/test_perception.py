@@ -43,6 +43,7 @@ from models.training.export.quantize import quantize_int8
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, SceneTruth, TruthObject
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 from tests.models.perception.detection.test_cfar import echo_map
 from tests.stability.catalogue import Errors
 
@@ -442,10 +443,7 @@ def first_bin_map(gain: float = 1.0, bin_at: int = 0, vertex: float = 0.0) -> Ra
     amplitude[-1 - bin_at] = 0.9
     values = np.zeros(grid.shape, np.complex64)
     values[:, 100] = gain * amplitude
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, grid=grid, values=values, azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
-        noise_power_mw=1e-9 * gain**2, incoherent=np.zeros(grid.range_bins, bool),
-    )  # fmt: skip
+    return example_map(values, grid=grid, noise_power_mw=1e-9 * gain**2)
 
 
 def refined_bin(ra_map: RangeAzimuthMap, row: int) -> float:

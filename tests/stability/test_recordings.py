@@ -11,8 +11,8 @@ import pytest
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.recording.mcap_copy import copy_recording
 from msgs.values.diagnostics import LogRecord
-from msgs.values.radar import RadarBeam
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_beam
 
 TURN_NS = 500_000_000
 #: Takes a recovered file where its bytes are looked at elsewhere.
@@ -26,15 +26,7 @@ def write(path: Path, turns: int, samples: int, topics: int = 3) -> Path:
     with RecordingWriter(path, {"launch": "name: x"}) as writer:
         for turn in range(turns):
             noise = rng.integers(-99, 99, (2, samples, 2), dtype=np.int16)
-            beam = RadarBeam(
-                stamp_ns=turn,
-                scan_id=0,
-                beam_index=0,
-                beam_count=25,
-                azimuth_rad=0.0,
-                samples=noise,
-                full_scale_dbm=0.0,
-            )
+            beam = example_beam(stamp_ns=turn, samples=noise)
             text = LogRecord(stamp_ns=turn, node="a", level="info", text=rng.bytes(samples // 4).hex())
             state = VehicleState(stamp_ns=turn, speed_mps=0.5 * turn)
             said = [("radar/beam", beam), ("vehicle/state", state), ("log", text)]

@@ -11,6 +11,7 @@ from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.refinement import EchoRefiner, RefinementParams, _sinc_slope
 from models.perception.forming.coarray import AzimuthInterpolator
 from msgs.values.radar import BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 from tests.stability.catalogue import Errors
 
 SETUP = RadarSetup()
@@ -19,11 +20,7 @@ REFINER = EchoRefiner(SETUP)
 
 
 def ra_map(values: np.ndarray, noise_mw: float = 1e-13, grid: RangeAzimuthGrid = GRID) -> RangeAzimuthMap:
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, grid=grid, values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64), noise_power_mw=noise_mw,
-        incoherent=np.zeros(grid.range_bins, bool),
-    )  # fmt: skip
+    return example_map(values, grid=grid, noise_power_mw=noise_mw)
 
 
 def beam_noise(seed: int = 0, level: float = 1.0) -> np.ndarray:

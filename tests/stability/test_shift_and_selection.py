@@ -13,20 +13,14 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from sim_player.dataset.labelled_scan import profile_noise
 from sim_player.generate.domain_shift import ShiftParams, domain_shifted_scene, draw_faults, faulty_profiles
 from sim_player.scene.description import Scene, SceneObject
+from tests.builders import example_map
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()
 
 
 def map_of(values: np.ndarray, noise_power_mw: float) -> RangeAzimuthMap:
-    return RangeAzimuthMap(
-        stamp_ns=0,
-        scan_id=0,
-        values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(256, np.int64),
-        noise_power_mw=noise_power_mw,
-        incoherent=np.zeros(512, bool),
-    )
+    return example_map(values, noise_power_mw=noise_power_mw)
 
 
 @pytest.mark.parametrize("noise_power_mw", [0.0, 1e-11])

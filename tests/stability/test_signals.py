@@ -32,6 +32,7 @@ from sim_player.signal.literal import literal_echoes
 from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.paths import Paths
+from tests.builders import example_beam, example_map
 from tests.sim_player.signal.references import ALL, beat_terms, converted
 from tests.sim_player.signal.test_levels import some_paths
 from tests.stability.catalogue import Errors
@@ -119,10 +120,9 @@ def test_huge_offset_beside_a_weak_echo(errors: Errors) -> None:
 def _fold(setup: RadarSetup, samples: np.ndarray, **params: Any) -> tuple[np.ndarray, float]:
     """Profile and noise power of the beam straight ahead."""
     middle = len(setup.beams) // 2
-    beam = RadarBeam(
-        stamp_ns=0, scan_id=0, beam_index=middle, beam_count=len(setup.beams), azimuth_rad=0.0, samples=samples,
-        full_scale_dbm=setup.full_scale_dbm,
-    )  # fmt: skip
+    beam = example_beam(
+        beam_index=middle, beam_count=len(setup.beams), samples=samples, full_scale_dbm=setup.full_scale_dbm
+    )
     profile, noise_power_mw, *_ = RaFormer(setup, FormingParams(**params)).folder.fold(beam)
     return profile, noise_power_mw
 
@@ -365,10 +365,7 @@ def test_training_cells_beside_a_wall(errors: Errors) -> None:
 
 def _map(values: np.ndarray, noise_power_mw: float) -> RangeAzimuthMap:
     grid = RangeAzimuthGrid()
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, grid=grid, values=values.astype(np.complex64), noise_power_mw=noise_power_mw,
-        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64), incoherent=np.zeros(grid.range_bins, bool),
-    )  # fmt: skip
+    return example_map(values, grid=grid, noise_power_mw=noise_power_mw)
 
 
 def _peak_at(ra_map: RangeAzimuthMap, cell: tuple[int, int]) -> Peaks:
@@ -485,9 +482,7 @@ def test_odd_chirps_and_a_small_grid() -> None:
     beat = 1000.0 * beat_samples(radar, np.array([2.0 * 20 * radar.range_bin_m]))[0]
     samples = np.broadcast_to(np.rint(np.stack([beat.real, beat.imag], axis=-1)).astype(np.int16), (5, 300, 2))
     former = RaFormer(setup, grid=RangeAzimuthGrid(range_bins=64, azimuth_bins=5))
-    beam = RadarBeam(
-        stamp_ns=10**9, scan_id=0, beam_index=12, beam_count=25, azimuth_rad=0.0, samples=samples, full_scale_dbm=-20.0
-    )
+    beam = example_beam(stamp_ns=10**9, beam_index=12, samples=samples, full_scale_dbm=-20.0)
     former.add(beam)
     formed = former.flush()[0]
     assert formed.values.shape == (64, 5)
@@ -510,10 +505,13 @@ def test_hardly_a_beam_of_a_turning_vehicle(heard: int) -> None:
     rng = np.random.default_rng(17)
     for index in range(25):
         samples = rng.integers(-50, 50, (4, 2048, 2)).astype(np.int16) * np.int16(index < heard)
-        beam = RadarBeam(
-            stamp_ns=index * setup.beam_interval_ns, scan_id=0, beam_index=index, beam_count=25,
-            azimuth_rad=float(setup.beams.azimuth_rad[index]), samples=samples, full_scale_dbm=-20.0,
-        )  # fmt: skip
+        beam = example_beam(
+            stamp_ns=index * setup.beam_interval_ns,
+            beam_index=index,
+            azimuth_rad=float(setup.beams.azimuth_rad[index]),
+            samples=samples,
+            full_scale_dbm=-20.0,
+        )
         maps = former.add(beam, VehicleState(stamp_ns=0, speed_mps=5.0, yaw_rate_rps=0.5))
     assert len(maps) == 1
     assert np.isfinite(maps[0].values).all()
@@ -533,9 +531,7 @@ def test_float32_fft_of_a_hundred_decibel_scene() -> None:
     noise = 2.0 * rng.normal(size=(128, 2048, 2))
     samples = np.rint(np.stack([beat.real, beat.imag], axis=-1) + noise).astype(np.int16)
     former = RaFormer(setup)
-    beam = RadarBeam(
-        stamp_ns=0, scan_id=0, beam_index=12, beam_count=25, azimuth_rad=0.0, samples=samples, full_scale_dbm=-20.0
-    )
+    beam = example_beam(beam_index=12, samples=samples, full_scale_dbm=-20.0)
     profile = former.folder.fold(beam).profile
     weak = profile[160] / np.sqrt(setup.milliwatt_per_code_squared)
     exact = 0.3 * range_profile(radar, lengths_m[1:], 512)[0, 160]

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from mirrorwave.studies.evaluate.runner import FrameFacts, MethodRun, Run, SweepPoint
+from mirrorwave.studies.report import table
 from models.evaluation.frame_scores import (
     CAP_M,
     COUNTED,
@@ -241,9 +242,9 @@ def markdown(report: dict[str, Any]) -> str:
     ]
     for truth in report["methods"][0]["measures"]:
         lines += ["", f"## Against {truth} truth", ""]
-        lines += _table(headline_columns(), headline_rows(report, truth))
+        lines += table(headline_columns(), headline_rows(report, truth))
     lines += ["", "## Methods", ""]
-    lines += _table(
+    lines += table(
         ["method", "asked for", "threshold"], [[m["name"], f"`{m['spec']}`", m["threshold"]] for m in report["methods"]]
     )
     lines += [
@@ -268,7 +269,7 @@ def _difference_lines(report: dict[str, Any]) -> list[str]:
         for name, difference in report["differences"].items()
     ]
     columns = ["method", *(heading for heading, _ in HEADLINES)]
-    return ["", f"## Minus {report['reference']}, paired draws", "", *_table(columns, rows)]
+    return ["", f"## Minus {report['reference']}, paired draws", "", *table(columns, rows)]
 
 
 def _group_lines(report: dict[str, Any]) -> list[str]:
@@ -278,10 +279,4 @@ def _group_lines(report: dict[str, Any]) -> list[str]:
         for key in GROUPED:
             of_each = [interval_text(group[key]) for group in groups]
             rows.append([groups[0]["group"], groups[0]["value"], groups[0]["frames"], key, *of_each])
-    return _table(["group", "value", "frames", "measure", *names], rows)
-
-
-def _table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    cells = [["-" if cell is None else str(cell) for cell in row] for row in (columns, *rows)]
-    lines = ["| " + " | ".join(row) + " |" for row in cells]
-    return [lines[0], "| " + " | ".join("---" for _ in columns) + " |", *lines[1:]]
+    return table(["group", "value", "frames", "measure", *names], rows)

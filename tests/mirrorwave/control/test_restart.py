@@ -74,9 +74,9 @@ def test_a_node_is_started_again_alone_and_keeps_what_it_was_given(
     assert params("tail") == {"rate_hz": 2.0, "path": "/proc/self/stat"}
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
+def test_what_is_refused_stops_nothing(graph: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = pid(graph, "head")
+    refused = (
         (["head", "-p", "rate_hz=0"], "head.params: rate_hz must be above zero, got 0.0"),
         (["head", "-p", "rate_hz=.nan"], "must be above zero, got nan"),
         (["head", "-p", "rate_hz=fast"], "head.params.rate_hz: Expected float, got str"),
@@ -84,16 +84,12 @@ def test_a_node_is_started_again_alone_and_keeps_what_it_was_given(
         (["head", "-p", "rate_hz"], "'rate_hz' must be KEY=VALUE"),
         (["nobody"], "unknown node 'nobody'; known are head, tail"),
         (["head", "-p", f"path={'x' * 70_000}"], "must have at most 60000 characters"),
-    ],
-)
-def test_what_is_refused_stops_nothing(
-    graph: Path, capsys: pytest.CaptureFixture[str], words: list[str], line: str
-) -> None:
-    before = pid(graph, "head")
-    assert main(["node", "restart", *words]) == 2
-    error = capsys.readouterr().err
-    assert line in error
-    assert error.count("\n") == 1
+    )
+    for words, line in refused:
+        assert main(["node", "restart", *words]) == 2, words
+        error = capsys.readouterr().err
+        assert line in error
+        assert error.count("\n") == 1
     assert pid(graph, "head") == before
 
 

@@ -24,6 +24,7 @@ from msgs.values.perception import (
     Wall,
 )
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 from tests.mirrorwave.figures import assert_readable_at_page_width, legends_of
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -60,10 +61,7 @@ def truth() -> SceneTruth:
 
 def ra_map() -> RangeAzimuthMap:
     grid = RangeAzimuthGrid(range_bins=64, azimuth_bins=32)
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=5, grid=grid, values=np.ones(grid.shape, np.complex64),
-        azimuth_stamp_ns=np.zeros(32, np.int64), noise_power_mw=0.0, incoherent=np.zeros(64, bool),
-    )  # fmt: skip
+    return example_map(np.ones(grid.shape, np.complex64), scan_id=5, grid=grid, noise_power_mw=0.0)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from msgs.files.shipped import LAUNCH, SAMPLE
 from msgs.values.perception import BevFrame
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from sim_player.scene.description import Scene, load_scene
+from tests.builders import example_map
 
 PNG = b"\x89PNG"
 
@@ -29,10 +30,7 @@ def view() -> View:
 
 def small_map(value: complex = 1.0, noise_power_mw: float = 1e-12) -> RangeAzimuthMap:
     grid = RangeAzimuthGrid(range_bins=8, azimuth_bins=4)
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=3, grid=grid, values=np.full((8, 4), value, np.complex64),
-        azimuth_stamp_ns=np.zeros(4, np.int64), noise_power_mw=noise_power_mw, incoherent=np.zeros(8, bool),
-    )  # fmt: skip
+    return example_map(np.full((8, 4), value, np.complex64), scan_id=3, grid=grid, noise_power_mw=noise_power_mw)
 
 
 @pytest.mark.slow

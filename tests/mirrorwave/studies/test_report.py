@@ -26,4 +26,4 @@ SHARES = {"p50": 0.5, "p90": 0.9, "p99": 0.99}
 
 def test_what_is_no_number_is_null_and_a_table_has_its_columns() -> None:
     assert (finite(2.5), finite(math.nan), finite(-math.inf)) == (2.5, None, None)
-    assert table(["a", "b"], [["1", "2"]]) == ["| a | b |", "|---|---|", "| 1 | 2 |"]
+    assert table(["a", "b"], [["1", "2"]]) == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]

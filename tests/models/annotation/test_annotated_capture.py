@@ -13,6 +13,7 @@ from models.training.data.frames import DataSet
 from models.training.data.xradarnlos import KINDS, REAL_RANGE_M, Kind, import_folder
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 GRID = RangeAzimuthGrid()
 
@@ -33,10 +34,7 @@ def labels() -> SliceLabels:
 def bright_map(row: int, column: int, scan_id: int = 0) -> RangeAzimuthMap:
     values = np.full(GRID.shape, 1e-3 + 1e-3j, np.complex64)
     values[row, column] = 1.0j
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=scan_id, grid=GRID, values=values, azimuth_stamp_ns=np.zeros(GRID.azimuth_bins, np.int64),
-        noise_power_mw=2e-6, incoherent=np.zeros(GRID.range_bins, np.bool_),
-    )  # fmt: skip
+    return example_map(values, scan_id=scan_id, grid=GRID, noise_power_mw=2e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -17,6 +17,7 @@ from msgs.values.diagnostics import LogRecord, TopicCount
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_beam
 
 
 def state(stamp_ns: int) -> VehicleState:
@@ -43,15 +44,7 @@ def peaks(stamp_ns: int) -> Peaks:
 
 
 def beam(index: int) -> RadarBeam:
-    return RadarBeam(
-        stamp_ns=index,
-        scan_id=index,
-        beam_index=0,
-        beam_count=1,
-        azimuth_rad=0.0,
-        samples=np.zeros((128, 8192, 2), np.int16),
-        full_scale_dbm=0.0,
-    )
+    return example_beam(stamp_ns=index, scan_id=index, beam_count=1, samples=np.zeros((128, 8192, 2), np.int16))
 
 
 def received_counts(bus: Bus) -> TopicCount:

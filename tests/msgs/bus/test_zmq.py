@@ -30,6 +30,7 @@ from msgs.bus.zmq import ZmqBus, list_publishers, run_dir, socket_path
 from msgs.values.diagnostics import LogRecord, TopicCount
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_beam
 from tests.msgs.bus.test_local import peaks
 
 #: Ends a test that hangs; every wait below normally ends within some 50 ms.
@@ -48,14 +49,8 @@ def state(stamp_ns: int) -> VehicleState:
 
 
 def beam(index: int) -> RadarBeam:
-    return RadarBeam(
-        stamp_ns=index,
-        scan_id=0,
-        beam_index=index,
-        beam_count=1000,
-        azimuth_rad=0.0,
-        samples=np.full((128, 8192, 2), index, np.int16),
-        full_scale_dbm=0.0,
+    return example_beam(
+        stamp_ns=index, beam_index=index, beam_count=1000, samples=np.full((128, 8192, 2), index, np.int16)
     )
 
 

@@ -39,6 +39,7 @@ from msgs.recording.mcap_copy import copy_recording
 from msgs.values.diagnostics import LogRecord
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_beam
 from tests.msgs.bus.test_codec import CASES
 
 METADATA = {"scene": "corner", "config": "{}"}
@@ -50,15 +51,7 @@ def state(stamp_ns: int) -> VehicleState:
 
 def beam(index: int) -> RadarBeam:
     samples = np.random.default_rng(index).integers(-99, 99, (2, 64, 2), dtype=np.int16)
-    return RadarBeam(
-        stamp_ns=index,
-        scan_id=0,
-        beam_index=index,
-        beam_count=100,
-        azimuth_rad=0.0,
-        samples=samples,
-        full_scale_dbm=0.0,
-    )
+    return example_beam(stamp_ns=index, beam_index=index, beam_count=100, samples=samples)
 
 
 def record(path: Path, count: int = 6, step_ns: int = 10) -> Path:
@@ -190,7 +183,9 @@ def test_losses_are_told(tmp_path: Path) -> None:
 def test_a_disk_without_room_leaves_a_file_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
     """A limit on the file's size stops the third chunk in its middle; the index still finds room."""
     path = tmp_path / "a.mcap"
-    said = subprocess.run([sys.executable, "-B", "-c", FULL_CHILD, str(path)], capture_output=True, text=True, check=True)
+    said = subprocess.run(
+        [sys.executable, "-B", "-c", FULL_CHILD, str(path)], capture_output=True, text=True, check=True
+    )
     assert said.stdout.split() == ["File", "too", "large", "2", "messages"]
     assert path.stat().st_size <= 400_000
     messages, loss = read(path)

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import msgspec
-import numpy as np
 import pytest
 
 from msgs.bus.interface import Envelope, Received
-from msgs.values.radar import RadarBeam
 from nodes.inputs.beam_queue import MAX_SCANS_WAITING, SHED_IN_A_ROW, BeamQueue
+from tests.builders import example_beam
 
 BEAMS = 25
 
 
 def beam(scan: int, index: int, sequence: int | None = None) -> Received:
     number = scan * BEAMS + index
-    message = RadarBeam(
-        stamp_ns=12_000_000 * number, scan_id=scan, beam_index=index, beam_count=BEAMS, azimuth_rad=0.0,
-        samples=np.zeros((1, 1, 2), np.int16), full_scale_dbm=0.0,
-    )  # fmt: skip
+    message = example_beam(stamp_ns=12_000_000 * number, scan_id=scan, beam_index=index, beam_count=BEAMS)
     sequence = number if sequence is None else sequence
     return Received("radar/beam", message, Envelope(publisher="a", topic="radar/beam", sequence=sequence, sent_ns=0))
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
 import pytest
 
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.local import LocalBus, LocalNetwork
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.environment import WallPriors
-from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.publishers import AWAY_NS, NAMED_NS, SILENT_NS
 from nodes.node import InProcessGraph, Node
+from tests.builders import example_beam
 
 MS = 1_000_000
 
@@ -51,10 +51,7 @@ class Stand:
         now_ns = self.network.now_ns
         message = {
             "vehicle/state": VehicleState(stamp_ns=now_ns, speed_mps=1.0),
-            "radar/beam": RadarBeam(
-                stamp_ns=now_ns, scan_id=0, beam_index=0, beam_count=1, azimuth_rad=0.0,
-                samples=np.zeros((1, 2, 2), np.int16), full_scale_dbm=-20.0,
-            ),
+            "radar/beam": example_beam(stamp_ns=now_ns, beam_count=1),
             "radar/setup": RadarSetup(beat_sign=beat_sign),
             "environment/walls": WallPriors(stamp_ns=now_ns, source=name),
             "diagnostics/node": NodeStatus(

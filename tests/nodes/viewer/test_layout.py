@@ -83,8 +83,7 @@ CUT = """() => [...document.querySelectorAll('header *, .warnings *, main *, foo
 }).map((one) => `${one.tagName}#${one.id}.${one.className} ${one.textContent.trim().slice(0, 40)}`)"""
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [320, PHONE, TABLET])
+@pytest.mark.parametrize(("scheme", "width"), [("light", 320), ("dark", PHONE), ("light", TABLET)])
 def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, width: int) -> None:
     with ViewerServer(busy_board(), title="a title of some length") as server:
         page = open_page(server, scheme, width)
@@ -194,8 +193,7 @@ ORANGE_LEFT = """() => {
 }"""
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [PHONE, TABLET, DESK])
+@pytest.mark.parametrize(("scheme", "width"), [("dark", PHONE), ("light", TABLET), ("dark", DESK)])
 def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, scheme: str, width: int) -> None:
     """Strip and slider reach from padding to padding, and the strip's last mark stands over the slider's end."""
     from tests.mirrorwave.commands.captures.test_view import write_drive

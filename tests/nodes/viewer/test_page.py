@@ -28,6 +28,7 @@ from nodes.inputs.view_latency import last_beam_ns
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
+from tests.builders import example_map
 from tests.side_sensors import cloud
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
@@ -119,10 +120,7 @@ def one_echo(range_m: float, azimuth_rad: float) -> RangeAzimuthMap:
     )
     values = np.ones(grid.shape, np.complex64)
     values[row - 2 : row + 3, column - 7 : column + 8] = 1000.0
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, values=values, azimuth_stamp_ns=np.zeros(256, np.int64), noise_power_mw=1.0,
-        incoherent=np.zeros(512, bool),
-    )  # fmt: skip
+    return example_map(values)
 
 
 @pytest.fixture

@@ -36,6 +36,7 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.node_table import MAX_ENTRIES, MAX_HEARTBEATS, MAX_NODES, SILENT_NS, NodeTable
 from nodes.viewer.view_model import MAX_TRACKS, STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
+from tests.builders import example_map
 
 HEADER = struct.Struct("<2sBBIHHhH")
 S = 1_000_000_000
@@ -85,11 +86,14 @@ def truth(scan_id: int = 7, stamp_ns: int = 0) -> SceneTruth:
 
 def ra_map(values: np.ndarray, noise_power_mw: float = 1.0, scan_id: int = 7) -> RangeAzimuthMap:
     grid = RangeAzimuthGrid(range_bins=values.shape[0], azimuth_bins=values.shape[1])
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=scan_id, grid=grid, values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(values.shape[1], np.int64), noise_power_mw=noise_power_mw,
-        incoherent=np.arange(values.shape[0]) < values.shape[0] // 2, missing_beams=(3,),
-    )  # fmt: skip
+    return example_map(
+        values,
+        scan_id=scan_id,
+        grid=grid,
+        noise_power_mw=noise_power_mw,
+        incoherent=np.arange(values.shape[0]) < values.shape[0] // 2,
+        missing_beams=(3,),
+    )
 
 
 def peaks(scan_id: int = 7) -> Peaks:

@@ -99,10 +99,9 @@ def test_echoes_later_than_a_chirp_are_left_out() -> None:
     assert len(trace(prepare(moving))) > 0
 
 
-@pytest.mark.parametrize("beams_deg", [(0.0,), (-40.0, 40.0)])
-def test_few_beams_of_one_chirp_in_rain(beams_deg: tuple[float, ...]) -> None:
+def test_one_beam_of_one_chirp_in_rain() -> None:
     """A radar of one column, one beam and one chirp plans, plays and stays finite."""
-    radar = SceneRadar(array=SceneArray(columns=1), beams_deg=beams_deg, chirps_per_beam=1)
+    radar = SceneRadar(array=SceneArray(columns=1), beams_deg=(-40.0,), chirps_per_beam=1)
     scene = Scene(name="small", radar=radar, surfaces=(GROUND,), weather=Weather(rain_mm_per_h=25.0, snow_mm_per_h=1.0))
     world = prepare(scene)
     assert "rain_clutter" in plan_world(world, world.setup, thorough=True).used

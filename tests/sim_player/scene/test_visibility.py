@@ -21,18 +21,16 @@ def is_lit(walls: PlanWalls, source: tuple[float, float], **options: object) -> 
     return (lit[:, 1] >= lit[:, 0]).tolist()
 
 
-def shot_rays(source: np.ndarray, a: np.ndarray, b: np.ndarray, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the walls that each of many rays meets, nearest first, and where on them."""
-    hits = []
-    for angle in np.linspace(-np.pi, np.pi, count, endpoint=False) + 1e-4:
-        ray, along, offset = np.array([np.cos(angle), np.sin(angle)]), b - a, a - source
-        turn = ray[0] * along[:, 1] - ray[1] * along[:, 0]
-        distance = (offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]) / turn
-        share = (offset[:, 0] * ray[1] - offset[:, 1] * ray[0]) / turn
-        met = np.flatnonzero((distance > 0.0) & (share > 0.0) & (share < 1.0))
-        met = met[np.argsort(distance[met])]
-        hits.append((met, share[met]))
-    return hits
+def shot_rays(source: np.ndarray, a: np.ndarray, b: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the walls that each of many rays meets, nearest first, and where on them, [rays, walls]; NaN: missed."""
+    angle = (np.linspace(-np.pi, np.pi, count, endpoint=False) + 1e-4)[:, None]
+    ray_x, ray_y, along, offset = np.cos(angle), np.sin(angle), b - a, a - source
+    turn = ray_x * along[:, 1] - ray_y * along[:, 0]
+    distance = (offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]) / turn
+    share = (offset[:, 0] * ray_y - offset[:, 1] * ray_x) / turn
+    is_met = (distance > 0.0) & (share > 0.0) & (share < 1.0)
+    met = np.argsort(np.where(is_met, distance, np.inf), axis=1)
+    return met, np.take_along_axis(np.where(is_met, share, np.nan), met, axis=1)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -44,20 +42,20 @@ def test_whatever_a_ray_meets_is_lit_there_and_nothing_else_is_lit_by_much(seed:
     a = rng.uniform(-20.0, 20.0, (40, 2))
     b = a + rng.uniform(-6.0, 6.0, (40, 2))
     source, walls = rng.uniform(-5.0, 5.0, 2), split_walls(a, b, np.arange(40))
+    met, share = shot_rays(source, a, b, 2000)
     for passing, depth in ((0.0, 1), (0.5, 3)):
         lit = lit_walls(source, walls, np.full(40, passing), 0.2)
         low, high = np.full(40, np.inf), np.full(40, -np.inf)
-        for met, share in shot_rays(source, a, b, 2000):
-            np.minimum.at(low, met[:depth], share[:depth])
-            np.maximum.at(high, met[:depth], share[:depth])
+        np.fmin.at(low, met[:, :depth], share[:, :depth])
+        np.fmax.at(high, met[:, :depth], share[:, :depth])
         hit = high >= low
         assert hit.any()
         assert (lit[hit, 0] <= low[hit] + 1e-9).all()
         assert (lit[hit, 1] >= high[hit] - 1e-9).all()
         # a degree seen from the source, along the wall; steeply met walls stretch it
         ends = a + np.clip(lit, 0.0, 1.0)[:, :1] * (b - a), a + np.clip(lit, 0.0, 1.0)[:, 1:] * (b - a)
-        for end, share in zip(ends, (low, high), strict=True):
-            reached = a + np.where(hit, share, 0.0)[:, None] * (b - a)
+        for end, outermost in zip(ends, (low, high), strict=True):
+            reached = a + np.where(hit, outermost, 0.0)[:, None] * (b - a)
             first, last = (np.arctan2(*(point - source).T[::-1]) for point in (end, reached))
             assert (np.abs(np.remainder(first - last + np.pi, 2.0 * np.pi) - np.pi)[hit] < np.radians(1.0)).all()
 

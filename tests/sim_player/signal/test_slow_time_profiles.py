@@ -8,7 +8,7 @@ import pytest
 
 from models.perception.forming.ra_forming import BeamFolder, FormingParams, ego_correction
 from models.perception.forming.slow_time_sums import group_edges
-from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState
 from sim_player.dataset.labelled_scan import noise_power_mw
@@ -17,6 +17,7 @@ from sim_player.signal.levels import RANGE_BINS, echo_terms, with_electronics
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.slow_time_profiles import converter_objection, group_noise, group_profiles
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
+from tests.builders import example_beam
 from tests.sim_player.signal.references import ALL, received_samples
 from tests.sim_player.signal.test_levels import FAULTS, SMALL, apart, some_paths
 
@@ -87,15 +88,7 @@ def test_profiles_through_the_former_are_its_own() -> None:
     ego = ego_correction(folder, BEAM, 0.1, VehicleState(stamp_ns=0, speed_mps=12.0, yaw_rate_rps=0.2))
     peak = np.abs(samples).max()
     codes = np.rint(np.stack([samples.real, samples.imag], axis=-1) * (3276.8 / peak)).astype(np.int16)
-    beam = RadarBeam(
-        stamp_ns=0,
-        scan_id=0,
-        beam_index=BEAM,
-        beam_count=25,
-        azimuth_rad=0.0,
-        samples=codes,
-        full_scale_dbm=float(20.0 * np.log10(10.0 * peak)),
-    )
+    beam = example_beam(beam_index=BEAM, samples=codes, full_scale_dbm=float(20.0 * np.log10(10.0 * peak)))
     wanted, noise_power_mw, *_ = folder.fold(beam, ego)
     profiles = group_profiles(setup, terms, folder.group_edges, NOISELESS, front_end, ego.sample_phase)
     got = folder.resolved(profiles, noise_power_mw, ego)[0] * ego.bin_phase

@@ -18,6 +18,7 @@ from models.training.data.frames import DataSet
 from tests.side_sensors import jpeg
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
+FEW = ("--chirps-per-beam", "2", "--effects", "basic")
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("annotate")
     lidar = ["sim", "lidar", SCENE, "--out", str(folder / "lidar"), "--channels", "48", "--azimuths", "480"]
     assert main(lidar) == 0
-    assert main(["sim", "run", SCENE, "--out", str(folder / "scan.mcap"), "--chirps-per-beam", "2"]) == 0
+    assert main(["sim", "run", SCENE, "--out", str(folder / "scan.mcap"), *FEW]) == 0
     return folder
 
 

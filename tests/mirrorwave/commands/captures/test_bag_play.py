@@ -36,6 +36,7 @@ from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.beam_queue import MAX_SCANS_WAITING, BeamQueue
 from nodes.node import Stop
+from tests.builders import example_beam
 
 ANSWER = "perception/hidden_objects"
 BEAMS = 4
@@ -45,14 +46,11 @@ SCAN_MS, BEAM_MS, FIRST_MS = 100, 25, 60_000
 
 
 def beam(scan: int, index: int) -> RadarBeam:
-    return RadarBeam(
+    return example_beam(
         stamp_ns=(FIRST_MS + SCAN_MS * scan + BEAM_MS * index - 12) * MS,
         scan_id=scan,
         beam_index=index,
         beam_count=BEAMS,
-        azimuth_rad=0.0,
-        samples=np.zeros((1, 1, 2), np.int16),
-        full_scale_dbm=0.0,
     )
 
 

@@ -17,13 +17,12 @@ from mirrorwave.cli import main
 from mirrorwave.console import ExitCode
 from mirrorwave.convert.result_lines import bev_to_json, track_to_json
 from mirrorwave.replay.playback import Playback
-from models.perception.chain import Chain
-from models.perception.detection.detectors import CfarDetector
 from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingReader, RecordingWriter, info
 from msgs.values.radar import BeamGrid
 from msgs.values.vehicle import VehicleState
 from nodes.player import Params, scene_player, truth_beside
+from tests.builders import cfar_chain
 from tests.models.perception.detections.street import detections, street_points
 
 SCENE = "launch/scenes/corner.yaml"
@@ -74,7 +73,7 @@ def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -
     once = (tmp_path / "once" / "objects.jsonl").read_bytes()
     assert once == (tmp_path / "twice" / "objects.jsonl").read_bytes()
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
-    chain = Chain.of(player.setup, CfarDetector(player.setup))
+    chain = cfar_chain(player.setup)
     state = player.vehicle_state(0)
     views = [view for scan in (0, 1) for index in range(25) for view in chain.add(player.beam(scan, index), state)]
     assert once.decode() == "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in views)
@@ -91,7 +90,7 @@ def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     lines = [json.loads(line) for line in (tmp_path / "tracks.jsonl").read_text().splitlines()]
     assert [line["scan_id"] for line in lines] == [0, 1, 2, 3, 4]
     player = scene_player(Params(scene=drive, chirps_per_beam=chirps, effects="basic"))
-    chain = Chain.of(player.setup, CfarDetector(player.setup))
+    chain = cfar_chain(player.setup)
     views = [
         view
         for scan in range(5)

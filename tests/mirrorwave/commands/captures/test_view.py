@@ -25,6 +25,7 @@ from msgs.values.vehicle import VehicleState
 from nodes.viewer.driver_warnings import DriverWarning, Level
 from nodes.viewer.newest import SERIES, Board
 from nodes.viewer.server import Play, Seek, Step
+from tests.builders import example_map
 from tests.side_sensors import cloud, jpeg
 
 SCANS = 20
@@ -46,10 +47,7 @@ def write_recording(path: Path, views: bool = True, set_ns: int = 0) -> Path:
                 ("diagnostics/node", NodeStatus(stamp_ns=at_ns, node="geometry", pid=1, state=NodeState.READY), 1),
                 (
                     "radar/ra_map",
-                    RangeAzimuthMap(
-                        stamp_ns=at_ns, scan_id=100 + scan, grid=grid, values=np.ones((8, 4), np.complex64),
-                        azimuth_stamp_ns=np.zeros(4, np.int64), noise_power_mw=1.0, incoherent=np.zeros(8, bool),
-                    ),
+                    example_map(np.ones((8, 4), np.complex64), stamp_ns=at_ns, scan_id=100 + scan, grid=grid),
                     2,
                 ),
                 (
@@ -232,10 +230,7 @@ CAR_AT, CAR_VELOCITY = np.array([40.0, 30.0]), np.array([0.0, -2.0])
 
 def small_map(scan: int, at_ns: int) -> RangeAzimuthMap:
     grid = RangeAzimuthGrid(range_bins=8, azimuth_bins=4)
-    return RangeAzimuthMap(
-        stamp_ns=at_ns, scan_id=scan, grid=grid, values=np.full((8, 4), 1.0 + scan, np.complex64),
-        azimuth_stamp_ns=np.zeros(4, np.int64), noise_power_mw=1.0, incoherent=np.zeros(8, bool),
-    )  # fmt: skip
+    return example_map(np.full((8, 4), 1.0 + scan, np.complex64), stamp_ns=at_ns, scan_id=scan, grid=grid)
 
 
 def write_drive(path: Path, tracks: bool = True) -> Path:

@@ -24,9 +24,10 @@ from mirrorwave.diagnose.topic_echo import CsvLines, field_of, parse_condition, 
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
-from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import last_beam_ns
+from tests.builders import example_beam
 from tests.nodes.test_bev_viewer import frame
 
 S = 1_000_000_000
@@ -37,15 +38,7 @@ BODY = {
     "box": {"x": [1.0, 2.0]},
     "objects": [{"x_m": 1.5}, {"x_m": 9.0}],
 }
-BEAM = RadarBeam(
-    stamp_ns=0,
-    scan_id=4,
-    beam_index=0,
-    beam_count=25,
-    azimuth_rad=0.0,
-    samples=np.arange(2 * 8 * 2, dtype=np.int16).reshape(2, 8, 2),
-    full_scale_dbm=0.0,
-)
+BEAM = example_beam(scan_id=4, samples=np.arange(2 * 8 * 2, dtype=np.int16).reshape(2, 8, 2))
 
 
 @pytest.fixture(autouse=True)

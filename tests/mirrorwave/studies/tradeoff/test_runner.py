@@ -5,22 +5,19 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mirrorwave.studies.tradeoff import runner
 from mirrorwave.studies.tradeoff.runner import BEFORE, Measuring, _Pass
 from msgs.values.radar import RadarBeam, RadarSetup
+from tests.builders import example_beam
 from tests.fuzz.cases import ra_map
 
 MS = 1_000_000
 
 
 def beam(index: int) -> RadarBeam:
-    return RadarBeam(
-        stamp_ns=index, scan_id=0, beam_index=index, beam_count=5, azimuth_rad=0.0,
-        samples=np.zeros((1, 1, 2), np.int16), full_scale_dbm=0.0,
-    )  # fmt: skip
+    return example_beam(stamp_ns=index, beam_index=index, beam_count=5)
 
 
 class _Former:

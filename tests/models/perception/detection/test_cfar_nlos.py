@@ -13,6 +13,7 @@ from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_pea
 from models.perception.detection.ridges import RidgeParams
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 GRID = RangeAzimuthGrid()
 #: A wall's echo at 12 m, -20 deg, and an image behind it at 31 m, 15 deg.
@@ -27,14 +28,7 @@ def two_targets() -> RangeAzimuthMap:
         range_part = np.exp(-(((GRID.range_m - range_m) / GRID.range_bin_m / 1.2) ** 2) / 2.0)
         azimuth_part = np.exp(-(((np.degrees(GRID.azimuth_rad) - azimuth_deg) / 5.4) ** 2))
         values += 100.0 * np.outer(range_part, azimuth_part)
-    return RangeAzimuthMap(
-        stamp_ns=7,
-        scan_id=3,
-        values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(256, np.int64),
-        noise_power_mw=1.0,
-        incoherent=np.zeros(512, bool),
-    )
+    return example_map(values, stamp_ns=7, scan_id=3)
 
 
 def found(truth: list[tuple[float, float]], classes: Sequence[int], params: CfarNlosParams | None = None) -> Peaks:

@@ -6,6 +6,7 @@ import pytest
 
 from models.perception.detection.encoding import CHANNELS, Encoding, encode_columns, encode_map, sample_columns
 from msgs.values.radar import PRESETS, RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 ENCODING = Encoding()
 LEVEL, SHADOW, CONTRAST = range(3)
@@ -13,15 +14,7 @@ LEVEL, SHADOW, CONTRAST = range(3)
 
 def ra_map(values: np.ndarray, noise_power_mw: float = 1e-12, grid: RangeAzimuthGrid | None = None) -> RangeAzimuthMap:
     grid = grid or RangeAzimuthGrid()
-    return RangeAzimuthMap(
-        stamp_ns=0,
-        scan_id=0,
-        grid=grid,
-        values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
-        noise_power_mw=noise_power_mw,
-        incoherent=np.zeros(grid.range_bins, bool),
-    )
+    return example_map(values, grid=grid, noise_power_mw=noise_power_mw)
 
 
 def band_limited(rng: np.random.Generator, rows: int = 512) -> np.ndarray:

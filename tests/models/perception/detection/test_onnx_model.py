@@ -17,6 +17,7 @@ from models.perception.detection.peaks import local_maxima
 from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.training.export.onnx import PARITY, Exported, export_onnx, write_card
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
 ENCODING = Encoding(range_bins=32, columns=8)
@@ -26,15 +27,7 @@ CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_h
 def ra_map(grid: RangeAzimuthGrid = GRID) -> RangeAzimuthMap:
     rng = np.random.default_rng(0)
     values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
-    return RangeAzimuthMap(
-        stamp_ns=0,
-        scan_id=0,
-        grid=grid,
-        values=values.astype(np.complex64),
-        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
-        noise_power_mw=1.0,
-        incoherent=np.zeros(grid.range_bins, bool),
-    )
+    return example_map(values, grid=grid)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from models.perception.detection.ridge_matching import RidgeMatchingParams, ridg
 from models.perception.detection.ridges import RidgeParams, find_ridges
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 GRID = RangeAzimuthGrid()
 NOISE_MW = 1e-13
@@ -22,10 +23,7 @@ def map_with(*targets: tuple[float, float, float]) -> RangeAzimuthMap:
     for range_bin, azimuth_bin, level_db in targets:
         lobe = np.exp(-np.log(2) * (((i - range_bin) / 1.0) ** 2 + ((j - azimuth_bin) / 9.6) ** 2))
         power += NOISE_MW * 10 ** (level_db / 10) * lobe
-    return RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, grid=GRID, values=np.sqrt(power).astype("<c8"),
-        azimuth_stamp_ns=np.zeros(256, "<i8"), noise_power_mw=NOISE_MW, incoherent=np.zeros(512, bool),
-    )  # fmt: skip
+    return example_map(np.sqrt(power).astype("<c8"), grid=GRID, noise_power_mw=NOISE_MW)
 
 
 def heatmap_with(*rises: tuple[PathClass, int, int, float]) -> np.ndarray:

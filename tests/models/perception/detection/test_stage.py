@@ -7,20 +7,14 @@ import pytest
 
 from models.perception.detection.stage import MAX_AMPLITUDE, require_sound
 from msgs.values.radar import RangeAzimuthMap
+from tests.builders import example_map
 
 
 def map_with(value: complex) -> RangeAzimuthMap:
     """A map of noise with one cell of its own."""
     values = np.full((512, 256), 1e-7, np.complex64)
     values[300, 100] = value
-    return RangeAzimuthMap(
-        stamp_ns=0,
-        scan_id=0,
-        values=values,
-        azimuth_stamp_ns=np.zeros(256, np.int64),
-        noise_power_mw=1e-14,
-        incoherent=np.zeros(512, bool),
-    )
+    return example_map(values, noise_power_mw=1e-14)
 
 
 @pytest.mark.parametrize("turn", [1.0, 1.0j, -1.0, -1.0j])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from models.perception.forming.background import background_of, background_quality, load_background, mean_chirp
-from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup
+from tests.builders import example_beam
 
 SAMPLES, SCANS, NOISE_CODES, LEAKAGE_CODES = 256, 32, 10.0, 500.0
 SETUP = RadarSetup(
@@ -79,9 +80,7 @@ def test_scans_that_repeat_one_another_are_refused(level: float) -> None:
 
 def test_mean_chirp_is_the_mean() -> None:
     codes = np.random.default_rng(1).integers(-999, 999, (5, 16, 2), dtype=np.int16)
-    beam = RadarBeam(
-        stamp_ns=0, scan_id=0, beam_index=0, beam_count=1, azimuth_rad=0.0, samples=codes, full_scale_dbm=-20.0
-    )
+    beam = example_beam(beam_count=1, samples=codes, full_scale_dbm=-20.0)
     expected = codes.astype(float).mean(axis=0)
     np.testing.assert_allclose(mean_chirp(beam), expected[:, 0] + 1j * expected[:, 1], rtol=1e-6)
 

@@ -13,6 +13,7 @@ from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.receiver import iq_imbalance
+from tests.builders import example_beam
 
 RADAR = RadarParams(chirps_per_beam=32, samples_per_chirp=1024, noise_figure_db=11.0)
 COUNT = RADAR.samples_per_chirp
@@ -42,11 +43,13 @@ def beam(
         axis = np.exp(2j * np.pi * about_hz / RADAR.sample_rate_hz * sample)
         values = iq_imbalance(values / axis, values / axis, front_end) * axis
     codes = values / math.sqrt(setup.milliwatt_per_code_squared)
-    return RadarBeam(
-        stamp_ns=index, scan_id=0, beam_index=index, beam_count=25, azimuth_rad=float(setup.beams.azimuth_rad[index]),
+    return example_beam(
+        stamp_ns=index,
+        beam_index=index,
+        azimuth_rad=float(setup.beams.azimuth_rad[index]),
         samples=np.rint(np.stack([codes.real, codes.imag], axis=-1)).astype(np.int16),
         full_scale_dbm=setup.full_scale_dbm,
-    )  # fmt: skip
+    )
 
 
 def measured(params: FaultParams, beat_sign: int = 1, **asked: object) -> NoiseFloor:

@@ -17,6 +17,7 @@ from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.perception import BevGrid, Visibility
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
+from tests.builders import example_map
 
 GATED = SpadParams(arming="gated")
 AZIMUTHS = 64
@@ -172,10 +173,7 @@ def test_the_detector_takes_an_excess_and_no_lack_and_claims_to_see_nothing() ->
     grid = RangeAzimuthGrid(azimuth_bins=AZIMUTHS)
     values = np.zeros(grid.shape, np.complex64)
     values[40, 20], values[40, 50] = 10.0, -10.0
-    ra_map = RangeAzimuthMap(
-        stamp_ns=0, scan_id=0, grid=grid, values=values, azimuth_stamp_ns=np.zeros(AZIMUTHS, np.int64),
-        noise_power_mw=1.0, incoherent=np.zeros(grid.range_bins, bool), mode="photons",
-    )  # fmt: skip
+    ra_map = example_map(values, grid=grid, mode="photons")
     peaks = PhotonDetector().detect(ra_map)
     assert peaks.range_m == pytest.approx([40 * grid.range_bin_m])
     assert peaks.snr_db == pytest.approx([20.0])

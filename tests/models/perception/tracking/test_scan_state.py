@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
 from models.perception.forming.ra_former import RaFormer
 from models.perception.forming.ra_forming import FormingParams
@@ -26,6 +25,7 @@ from msgs.values.vehicle import VehicleState
 from nodes import geometry
 from nodes.player import Params, scene_player
 from nodes.process.launch_file import read_launch_file
+from tests.builders import cfar_chain
 
 START_NS, PERIOD_NS, STATE_NS = 5_000_000_000, 300_000_000, 20_000_000
 SCANS = 6
@@ -101,7 +101,7 @@ def test_arrival_does_not_decide() -> None:
 def test_a_chain_follows_objects_unless_it_is_told_not_to(tracking: bool) -> None:
     """Four images behind a wall in each of six scans: an object in every view, and its track where wanted."""
     setup = RadarSetup()
-    chain = Chain.of(setup, CfarDetector(setup), memory=MemoryParams(tracking=tracking))
+    chain = cfar_chain(setup, memory=MemoryParams(tracking=tracking))
     views = [chain.views.view(scan(number)) for number in range(SCANS)]
     assert all(view.objects for view in views)
     assert bool(views[-1].tracks) is tracking
@@ -110,8 +110,7 @@ def test_a_chain_follows_objects_unless_it_is_told_not_to(tracking: bool) -> Non
 @pytest.mark.slow
 def test_the_chain_says_the_same_as_the_node() -> None:
     player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4, effects="basic"))
-    detector = CfarDetector(player.setup)
-    chain = Chain.of(player.setup, detector, memory=MemoryParams(wall_map=True))
+    chain = cfar_chain(player.setup, memory=MemoryParams(wall_map=True))
     memory = ScanMemory(MemoryParams())
     for number in range(4):
         state = player.vehicle_state(player.stamp_ns(number))
