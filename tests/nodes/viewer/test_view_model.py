@@ -118,7 +118,8 @@ def test_a_view_is_told_exactly() -> None:
         {
             # 0.6 m and 0.8 m from the car's centre at (11, 9.3): 1 m by Pythagoras, and no face of it is visible
             "nearest": {"class": "car", "face_error": 1.0, "centre_error": 1.0},
-            "id": 0, "at": [11.6, 8.5], "centre": [11.6, 8.5], "size": [4.4, 1.8], "yaw": 0.5, "score": 0.913, "class": "van",
+            "id": 0, "at": [11.6, 8.5], "centre": [11.6, 8.5], "size": [4.4, 1.8], "yaw": 0.5, "score": 0.913,
+            "class": "van",
             "ellipse": [2.0, 1.0, 1.5708], "points": 3,
         }
     ]  # fmt: skip
