@@ -246,14 +246,14 @@ class Draws:
         """Return the found share of each group."""
         return {group: self.recall(lambda row, group=group: name(row) == group) for group in names}  # type: ignore[misc]
 
-    def average_precision(self, found: Callable[[ReportRow], bool]) -> Estimate:
+    def average_precision(self, is_match: Callable[[ReportRow], bool]) -> Estimate:
         """Return the area under precision over recall, precision at each recall the best there or beyond."""
         ranked = sorted(self._scores.reports, key=lambda pair: -pair[1].score)
         rows = np.array([row for row, _ in ranked], np.int64)
-        is_found = np.array([found(report) for _, report in ranked], bool)
+        matches = np.array([is_match(report) for _, report in ranked], bool)
         asked = self._scores.of_objects(lambda item: True)
         drawn = np.concatenate([np.ones((1, len(asked))), self._weights])
-        areas = np.array([_area(weights[rows], is_found, float(weights @ asked)) for weights in drawn])
+        areas = np.array([_area(weights[rows], matches, float(weights @ asked)) for weights in drawn])
         low, high = _interval(areas[1:])
         return Estimate(float(areas[0]), math.nan if low is None else low, math.nan if high is None else high)
 
@@ -274,12 +274,12 @@ class Draws:
         return estimates
 
 
-def _area(weight: np.ndarray, is_found: np.ndarray, asked: float) -> float:
+def _area(weight: np.ndarray, matches: np.ndarray, asked: float) -> float:
     """Return the average precision of ranked reports of some weights [R]; 0 where none is asked for."""
-    found, reports = np.cumsum(weight * is_found), np.cumsum(weight)
-    precision = np.divide(found, reports, out=np.zeros(len(found)), where=reports > 0.0)
+    hits, reports = np.cumsum(weight * matches), np.cumsum(weight)
+    precision = np.divide(hits, reports, out=np.zeros(len(hits)), where=reports > 0.0)
     best = np.maximum.accumulate(precision[::-1])[::-1]
-    return float((best * weight * is_found).sum() / asked) if asked else 0.0
+    return float((best * weight * matches).sum() / asked) if asked else 0.0
 
 
 def object_measures(scores: ObjectScores, weights: np.ndarray | None = None) -> dict[str, np.ndarray]:

@@ -93,7 +93,7 @@ def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path)
     card = msgspec.structs.replace(_rounded(card, model_path, command), data={**card.data, **names})
     write_card(card, model_path)
     predictor = EvidencePredictor(model_path)
-    answers = [[expit(one.answer(channels)[0]) for channels in inputs] for one in (exact, predictor)]
+    answers = [[expit(network.answer(channels)[0]) for channels in inputs] for network in (exact, predictor)]
     difference = float(np.abs(np.array(answers[0]) - np.array(answers[1])).max())
     card = msgspec.structs.replace(card, scores={"largest_probability_difference": round(difference, 4)})
     write_card(card, model_path)
