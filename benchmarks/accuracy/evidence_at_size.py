@@ -52,6 +52,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--stage", choices=("fields", "evidence", "all"), default="all")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--field-start", type=Path, help="a detector (compact_unet.onnx) whose layers it begins with")
     parser.add_argument("--field-minutes", type=float, default=None)
     parser.add_argument("--evidence-minutes", type=float, default=None)
     parser.add_argument("--field-epochs", type=int, default=30)
@@ -70,6 +71,8 @@ def _fields(options: argparse.Namespace) -> None:
     schedule = _schedule(options, "field", learning_rate=2e-3, weight_decay=1e-3)
     run = options.work / "fields"
     training = FieldTraining(train, judges, CHANNELS, GRID, schedule, run)
+    if options.field_start is not None:
+        training.start_from(options.field_start)
     best = _run("fields", training)
     said = _said(options, training, best)
     card = export_fields(run, ENCODING, GRID, options.out / FIELDS_FILE, **said)

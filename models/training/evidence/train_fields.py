@@ -15,6 +15,7 @@ from models.perception.evidence.field_predictor import FIELD_ANSWERS
 from models.perception.evidence.wall_elements import BEYOND_M, WALL_ANSWERS
 from models.training.data.field_samples import Returns
 from models.training.evidence.grid_training import GridSchedule, GridTraining
+from models.training.exported_weights import load_exported, settle_norms
 from models.training.objectives.evidence import heat_loss, wall_loss
 from msgs.files.array_files import load_arrays
 from msgs.values.array_table import stored_tables
@@ -63,6 +64,22 @@ class FieldTraining(GridTraining):
         )
         returns = [table for file in files for table in stored_tables(Returns, "returns", file)]
         return _Arrays(cells, range_m, angle_rad, returns)
+
+    def start_from(self, detector: Path) -> None:
+        """Begin with the layers and the two answers of an exported detector (`compact_unet.onnx`), in a run without an
+        epoch; raises `ValueError` naming a file of another shape.
+        """
+        if self.reports:
+            return
+        source = CompactUNet(CompactUNetConfig(in_channels=self._train.cells.shape[1]))
+        load_exported(source, detector)
+        state = self.network.state_dict()
+        for name, values in source.state_dict().items():
+            # its answers are the last ones here
+            state[name] = torch.cat([state[name][: -len(values)], values]) if name.startswith("head.") else values
+        self.network.load_state_dict(state)
+        batches = (self._train.cells[first : first + 16].float() for first in range(0, min(self.scans, 192), 16))
+        settle_norms(self.network, batches)
 
     @property
     def scans(self) -> int:

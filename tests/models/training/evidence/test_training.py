@@ -7,16 +7,23 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import torch
+from scipy.special import expit
 
 from benchmarks.accuracy import evidence_at_size
-from models.perception.cards import card_path
+from models.perception.cards import card_path, learned_path
 from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.onnx_model import DensePredictor
 from models.perception.evidence.predictor import EvidencePredictor
+from models.perception.evidence.wall_elements import WALL_ANSWERS
 from models.perception.geometry.stage import GeometryParams, direct_structure
 from models.training.data.evidence_store import load_objects, load_truths
 from models.training.data.frames import DataSet
+from models.training.evidence.grid_training import GridSchedule
+from models.training.evidence.train_fields import FieldTraining
 from models.training.files import file_sha256
 from models.training.run_folder import BEST, load_state
+from msgs.files.array_files import load_arrays
 from nodes.geometry import Params, predictor_of
 from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
@@ -55,6 +62,20 @@ def test_samples_hold_what_the_scans_show(places: Path, trained: Path) -> None:
         for place_m, number in zip(of_scan.place_m[of_scan.asked], of_scan.number[of_scan.asked], strict=True):
             own = scan.labels.object_index == number
             assert np.hypot(*(scan.labels.hidden_xy_m[own] - place_m).T).min() < 3.0
+
+
+def test_a_field_network_begins_with_the_answers_of_a_detector(places: Path, trained: Path, tmp_path: Path) -> None:
+    files = sorted((trained.parent / "fields-samples" / places.name).glob("*.npz"))
+    schedule = GridSchedule(epochs=1, batch_size=2)
+    training = FieldTraining(files, files, evidence_at_size.CHANNELS, evidence_at_size.GRID, schedule, tmp_path)
+    detector = learned_path("compact_unet", ".onnx")
+    training.start_from(detector)
+    training.network.eval()
+    cells = load_arrays(files[0], only=("cells",))["cells"][:1].astype(np.float32)
+    with torch.no_grad():
+        answer = training.network(torch.from_numpy(cells))[0, WALL_ANSWERS:].numpy()
+    wanted = DensePredictor(detector).infer(cells[0])
+    np.testing.assert_allclose(expit(answer), wanted, atol=2e-3)
 
 
 def test_a_stopped_run_goes_on_to_the_same_weights(
