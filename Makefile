@@ -114,17 +114,17 @@ bench: setup-dev  ## the committed benchmarks, printed
 	$(BIN)/python -m benchmarks.perception.ra_forming
 	$(BIN)/python -m benchmarks.live.live_graph --duration 60
 
-faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/results/live.md (half an hour)
+faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/results/README.md (half an hour)
 	$(BIN)/python -m benchmarks.live.faults
 
-soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/live.md
+soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/README.md
 	$(BIN)/python -m benchmarks.live.soak --figure docs/images/soak.png
 
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000
 FUZZ_SECONDS ?= 3600
 
-fuzz: setup-dev  ## nodes against messages and parameters, then readers against bytes: docs/results/fuzz-and-attacks.md (hours)
+fuzz: setup-dev  ## nodes against messages and parameters, then readers against bytes: docs/results/README.md (hours)
 	@$(BIN)/python -c "import atheris" 2>/dev/null || $(BIN)/pip install --quiet --editable '.[fuzz]'
 	@# readers are looked at whatever was found in nodes
 	$(BIN)/python -m fuzz.nodes --examples $(FUZZ_EXAMPLES) --json runs/fuzz/nodes.json; found=$$?; \
@@ -154,7 +154,7 @@ tables: setup  ## the shipped reflectance table, simulated again (minutes; goes 
 sample: setup  ## the shipped sample capture, simulated again: docs/guides/first-look.md
 	$(BIN)/python -m benchmarks.simulator.sample_capture
 
-fdtd-figures: setup  ## the pictures of docs/explain/materials.md
+fdtd-figures: setup  ## the pictures of docs/explain/simulator.md
 	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 

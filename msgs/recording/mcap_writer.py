@@ -41,7 +41,7 @@ from msgs.values.wording import as_utf8
 CHUNK_BYTES = 1 << 20
 #: Compression that keeps up with a running graph.
 ZSTD_LEVEL = 3
-#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/results/live.md).
+#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/results/README.md).
 RESERVE_BYTES = 16 << 20
 #: Written data is sent to the disk, and its memory freed, while this much more is written.
 CACHED_BYTES = 64 << 20

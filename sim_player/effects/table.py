@@ -41,7 +41,7 @@ from sim_player.trace.snapshot import TraceContext
 
 _LOG = logging.getLogger(__name__)
 
-#: Cost of a path as a tone of a signal, on one core of the reference machine (docs/results/simulator.md).
+#: Cost of a path as a tone of a signal, on one core of the reference machine (docs/results/README.md).
 TONE_S = 6e-6
 
 

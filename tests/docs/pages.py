@@ -88,8 +88,6 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
-    # the network of one short epoch finds nothing to learn from
-    (r"^(mirrorwave train residual .*) --model net.onnx$", r"\1 --epochs 1 --model models/weights/compact_unet.onnx"),
     (r" --full$| --full ", " "),
     (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),

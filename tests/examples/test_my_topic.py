@@ -1,4 +1,4 @@
-"""The guide's node and test are those of the example; the plug-in makes a graph of a launch file too."""
+"""The plug-in makes a graph of a launch file and knows the topics that it declares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from msgs.bus.local import LocalBus
 from msgs.bus.topics import TOPICS
 from msgs.files.shipped import CHECKOUT
-from tests.docs.pages import blocks_of
 
 if TYPE_CHECKING:
     from mirrorwave.testing.fixtures import MakeGraph
@@ -22,12 +21,6 @@ name: toy
 topics: {my/distances: {type: my_distances.Distances}}
 nodes: {distances: {module: my_distances, params: {max_distance_m: 5.0}}}
 """
-
-
-def test_the_guide_shows_what_runs() -> None:
-    """The page's blocks run in tests/docs, the example's test among them."""
-    shown = [block.text for block in blocks_of(CHECKOUT / "docs/guides/own-topic.md") if block.language == "python"]
-    assert shown == [(EXAMPLE / name).read_text() for name in ("my_distances.py", "test_my_distances.py")]
 
 
 def test_a_graph_of_a_launch_file_has_its_topics(

@@ -1,6 +1,6 @@
 """Every reader of bytes from outside, on the inputs that fuzzing kept and on seeded changes of valid ones.
 
-The short form of `python -m fuzz` (docs/results/fuzz-and-attacks.md), without its feedback: each input gives a value or
+The short form of `python -m fuzz` (docs/results/README.md), without its feedback: each input gives a value or
 a documented refusal, and leaves its file as it was.
 """
 

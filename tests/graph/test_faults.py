@@ -1,4 +1,4 @@
-"""Faults put to the real processes, one after the other: each is seen, said and survived (docs/results/live.md).
+"""Faults put to the real processes, one after the other: each is seen, said and survived (docs/results/README.md).
 
 One graph serves most of them: the corner at the real rate with short beams, a car on a CAN bus that the test drives,
 a recorder and a viewer. What is no matter of processes (broken files) is put to the functions themselves.
@@ -165,7 +165,7 @@ def graph(car: Car) -> Iterator[LiveGraph]:
 
 @pytest.fixture
 def note(request: pytest.FixtureRequest) -> Note:
-    """Tells a measured figure, on the terminal with `-s`: docs/results/live.md has them from there."""
+    """Tells a measured figure, on the terminal with `-s`: docs/results/README.md has them from there."""
 
     def tell(what: str, value: object) -> None:
         print(f"\n{request.node.name}: {what}: {value if not isinstance(value, float) else f'{value:.2f}'}", end="")

@@ -1,6 +1,6 @@
 """Two scenes under mild and severe faults of the hardware: mild ones cost nothing, severe ones are never silent.
 
-The short form of `benchmarks.accuracy.severity` (docs/results/robustness.md).
+The short form of `benchmarks.accuracy.severity` (docs/results/README.md).
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Refine(StrEnum):
     LIKELIHOOD = "likelihood"
     #: At the maxima, then moved likewise.
     MAXIMA_LIKELIHOOD = "maxima_likelihood"
-    #: As many peaks as the heatmap's mass is worth: the best on the validation scenes (docs/results/learned.md).
+    #: As many peaks as the heatmap's mass is worth: the best on the validation scenes (docs/results/README.md).
     PURSUIT = "pursuit"
 
     @classmethod

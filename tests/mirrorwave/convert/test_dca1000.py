@@ -471,7 +471,7 @@ def real_cfg() -> str:
 @pytest.mark.slow
 @needs(AWR)
 def test_real_77_ghz_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The published samples in the board's own layout: 2.93 m, 0.56 m/s, 6.8 deg (docs/results/accuracy.md)."""
+    """The published samples in the board's own layout: 2.93 m, 0.56 m/s, 6.8 deg (docs/results/README.md)."""
     raw = np.load(AWR)
     real, imag = (part.astype(np.uint16).view(np.int16).astype(float) for part in (raw.real, raw.imag))
     cube = (real + 1j * imag).reshape(128, 2, 4, 128)

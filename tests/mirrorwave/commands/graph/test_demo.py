@@ -1,4 +1,4 @@
-"""The demo's launch file; `docs/guides/viewer.md` runs the demo itself."""
+"""The demo's launch file; `docs/guides/watch-a-graph.md` runs the demo itself."""
 
 from __future__ import annotations
 

@@ -242,7 +242,7 @@ def test_times_of_a_busy_machine_do_not_count() -> None:
 
 
 def test_the_documented_schema_is_that_of_the_report() -> None:
-    """`python -c "..."` of docs/guides/formats.md writes it anew."""
+    """`msgspec.json.schema(Report)` writes it."""
     documented = json.loads((CHECKOUT / "docs" / "results" / "tradeoff.schema.json").read_text())
     assert documented == msgspec.json.schema(Report)
 

@@ -1,4 +1,4 @@
-"""`mirrorwave sim material`: the JSON contract, both bands, refusals in one line, the picture, the page."""
+"""`mirrorwave sim material`: the JSON contract, both bands, refusals in one line, the picture."""
 
 from __future__ import annotations
 
@@ -14,16 +14,12 @@ import typer
 
 from mirrorwave.commands.sim.material import material
 from mirrorwave.console import error_line, exit_code_of
-from mirrorwave.studies.walls.curves import overview, parse_angles
-from models.physics.attenuation import gas_db_per_m, rain_db_per_m, vegetation_db
+from mirrorwave.studies.walls.curves import parse_angles
 from models.physics.fresnel import slab_reflection, slab_transmission, stack_reflection, stack_transmission
 from models.physics.materials import permittivity, wall_layers
-from msgs.files.shipped import CHECKOUT
 from sim_player.fdtd.rough import RoughParams
 
-PAGE = CHECKOUT / "docs" / "explain" / "materials.md"
 WAVELENGTH_M = 299_792_458.0 / 10e9
-EXTRAPOLATED_COLUMNS = ("material", "eps 10 GHz", "eps 77 GHz", "R 10 GHz", "R 77 GHz", "error dB")
 
 
 def run(line: str) -> None:
@@ -220,21 +216,3 @@ def test_without_a_name_all_are_listed(capsys: pytest.CaptureFixture[str]) -> No
     run("--json")
     rows = json.loads(capsys.readouterr().out)
     assert {row["material"] for row in rows} >= {"concrete", "window", "asphalt", "vegetation"}
-
-
-def test_the_page_shows_the_figures_of_the_code() -> None:
-    """`docs/explain/materials.md` holds the table that `mirrorwave sim material` prints, row by row."""
-    lines = PAGE.read_text().splitlines()
-    for row in (list(overview()[0]), *(list(row.values()) for row in overview())):
-        assert "| " + " | ".join(row) + " |" in lines
-    for row in overview(extrapolate=True):
-        if row not in overview():
-            assert "| " + " | ".join(row[key] for key in EXTRAPOLATED_COLUMNS) + " |" in lines
-    bands_hz = (10e9, 77e9)
-    losses = {"air, 15 °C, 1013.25 hPa, 7.5 g/m³ [dB/km]": [1e3 * gas_db_per_m(f) for f in bands_hz]}
-    for rain in (5, 25, 100):
-        losses[f"rain {rain} mm/h, vertical polarisation [dB/km]"] = [1e3 * rain_db_per_m(f, rain) for f in bands_hz]
-    for depth in (1, 5, 20):
-        losses[f"foliage in leaf, {depth} m [dB]"] = [float(vegetation_db(f, depth)) for f in bands_hz]
-    for name, (at_10, at_77) in losses.items():
-        assert f"| {name} | {at_10:.3g} | {at_77:.3g} |" in lines
