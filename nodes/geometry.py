@@ -215,7 +215,7 @@ def predictor_of(params: Params) -> ScanJudge | None:
     if is_evidence_network(path):
         from models.perception.evidence.predictor import EvidencePredictor
 
-        return EvidencePredictor(path, threshold=params.object_threshold)
+        return EvidencePredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
     return ObjectPredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
 
 

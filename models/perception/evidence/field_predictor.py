@@ -59,24 +59,30 @@ class FieldCard(msgspec.Struct, frozen=True, kw_only=True):
 class FieldPredictor:
     """A field network under ONNX Runtime: where each direction may meet a wall, and how that is turned.
 
-    It looks at a map or at its mirror image, by `Encoding.is_turned`, so that a mirrored map gives mirrored answers.
+    It looks at a map or at its mirror image, by `Encoding.is_turned`, so that a mirrored map gives mirrored answers;
+    with `flip_test` at both, and the answer is their mean.
     Raises `ValueError` when the file, its card and its shapes do not belong together.
     """
 
-    def __init__(self, model_path: Path = DEFAULT_FIELDS, threads: int = 1) -> None:
+    def __init__(self, model_path: Path = DEFAULT_FIELDS, threads: int = 1, flip_test: bool = False) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._path = Path(model_path)
         self.card = read_card(card_path(self._path), FieldCard)
         shapes = self.card.input_shape, self.card.output_shape
+        self._flip_test = flip_test
         self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
 
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Return the answer to a map, float32 [`FIELD_ANSWERS`, range, azimuth]."""
         require_grid(self.card.name, self.card.grid, ra_map.grid)
         encoded = encode_map(self.card.encoding, ra_map)
-        if not self.card.encoding.is_turned(encoded):
-            return self._session.answer(encoded)
+        if self._flip_test:
+            return 0.5 * (self._session.answer(encoded) + self._turned_answer(ra_map))
+        return self._turned_answer(ra_map) if self.card.encoding.is_turned(encoded) else self._session.answer(encoded)
+
+    def _turned_answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
+        """Return the answer to the mirrored map, mirrored back."""
         mirrored = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
         answer = self._session.answer(encode_map(self.card.encoding, mirrored))[..., ::-1].copy()
         answer[ODD_ANSWERS] *= -1.0

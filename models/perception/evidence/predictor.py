@@ -76,14 +76,21 @@ class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
 class EvidencePredictor:
     """A field and an evidence network under ONNX Runtime: what a scan hides, by its map and the walls in it.
 
-    `threshold`: least probability that is reported; None: the card's. The evidence is looked at as it is or mirrored,
-    by which side is louder, so that a mirrored scan gives mirrored objects.
+    `threshold`: least probability that is reported; None: the card's. Both look at map and evidence as they are or
+    mirrored, by which side is louder, so that a mirrored scan gives mirrored objects; with `flip_test` both ways, and
+    the answers are means.
 
     Raises `ValueError` when a file, its card and its shapes do not belong together, or the field network is not the one
     in training.
     """
 
-    def __init__(self, model_path: Path = DEFAULT_EVIDENCE, threads: int = 1, threshold: float | None = None) -> None:
+    def __init__(
+        self,
+        model_path: Path = DEFAULT_EVIDENCE,
+        threads: int = 1,
+        threshold: float | None = None,
+        flip_test: bool = False,
+    ) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._path = Path(model_path)
@@ -92,7 +99,8 @@ class EvidencePredictor:
         require_within("threshold", 0.0, 1.0, self.threshold)
         #: File of the field network, beside this one.
         self.fields_path = self._path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name))
-        self._fields = FieldPredictor(self.fields_path, threads)
+        self._fields = FieldPredictor(self.fields_path, threads, flip_test)
+        self._flip_test = flip_test
         wanted = self.card.data.get("fields_sha256", self._fields.card.sha256)
         if self._fields.card.sha256 != wanted:
             raise ValueError(
@@ -158,8 +166,13 @@ class EvidencePredictor:
         """Return the answer [answers, x, y] to evidence [channels, x, y]."""
         level = channels[1].astype(np.float64)
         half = level.shape[1] // 2
-        if not level[:, half:].sum() > level[:, :half].sum():
-            return self._session.answer(channels)
+        is_turned = level[:, half:].sum() > level[:, :half].sum()
+        if self._flip_test:
+            return 0.5 * (self._session.answer(channels) + self._turned_answer(channels))
+        return self._turned_answer(channels) if is_turned else self._session.answer(channels)
+
+    def _turned_answer(self, channels: np.ndarray) -> np.ndarray:
+        """Return the answer to the mirrored evidence, mirrored back."""
         flipped = channels[..., ::-1].copy()
         flipped[self._odd_channels] *= -1.0
         answer = self._session.answer(flipped)[..., ::-1].copy()
