@@ -97,7 +97,7 @@ def test_left_and_right_are_alike(profile: str) -> None:
     """The samples of a scan in mirrored order are the mirrored scene, up to the rounding of phases: objects come out
     mirrored, with their scores.
     """
-    player = scene_player(PlayerParams(scene="launch/scenes/corner.yaml", chirps_per_beam=8))
+    player = scene_player(PlayerParams(scene="launch/scenes/corner.yaml", chirps_per_beam=8, effects="all"))
     beams = [player.beam(0, index) for index in range(25)]
     mirrored = [replace(beam, samples=other.samples) for beam, other in zip(beams, reversed(beams), strict=True)]
     parts = SharedParts.of(read_profile(profile), player.setup)
