@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from scipy.ndimage import maximum_filter
 from scipy.special import expit
 
 from models.perception.evidence.gathering import BirdsEyeGrid, Evidence, channel_names, gathered, odd_channels
@@ -14,7 +15,6 @@ from models.perception.evidence.wall_elements import (
     WALL_ANSWERS,
     WallElements,
     WallGrowth,
-    certainties,
     further_walls,
     grown_walls,
     nearest_walls,
@@ -25,7 +25,10 @@ from models.perception.geometry.mirrors import WallArrays, wall_arrays
 from models.perception.geometry.walls import WallParams
 from models.perception.objects.encoding import CANDIDATE_WALLS
 from msgs.values.perception import Wall
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+
+#: Points of a wall at which its certainty is read.
+CERTAINTY_POINTS = 16
 
 
 class EvidenceEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,3 +88,15 @@ def scan_evidence(
     heat = expit(answer[WALL_ANSWERS:])
     evidence = gathered(encoding.grid, ra_map, heat, arrays, certainty, every.place_m, support, encoding.mirrors)
     return ScanEvidence(walls, arrays, certainty, elements, evidence)
+
+
+def certainties(walls: WallArrays, answer: np.ndarray, grid: RangeAzimuthGrid) -> np.ndarray:
+    """Return the mean probability that an answer [`WALL_ANSWERS`, range, azimuth] gives to the line of each wall."""
+    likeliest = maximum_filter(answer[0], size=(5, 3), mode="nearest")
+    share = (np.arange(CERTAINTY_POINTS) + 0.5) / CERTAINTY_POINTS
+    points_m = walls.a[:, None] + share[:, None] * (walls.b - walls.a)[:, None]
+    row = np.rint(grid.range_index(np.hypot(points_m[..., 0], points_m[..., 1]))).astype(int)
+    column = np.rint(grid.azimuth_index(np.arctan2(points_m[..., 1], points_m[..., 0]))).astype(int)
+    inside = (row >= 0) & (row < answer.shape[1]) & (column >= 0) & (column < answer.shape[2])
+    said = expit(likeliest[np.where(inside, row, 0), np.where(inside, column, 0)].astype(np.float64))
+    return np.where(inside, said, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.ndimage import maximum_filter
 from scipy.special import expit
 
 from models.compiled import compiled
@@ -39,8 +38,6 @@ SHARED_M = 1.0
 SAME_WALL_M, SAME_WALL_COS, SAME_END_M = 0.2, math.cos(math.radians(1.0)), 2.0
 #: An element is of a wall within this of its line and ends.
 OF_WALL_M = 0.8
-#: Places of a wall at which its certainty is read.
-CERTAINTY_POINTS = 16
 
 
 class WallGrowth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -152,18 +149,6 @@ def nearest_walls(points_m: np.ndarray, walls: WallArrays) -> np.ndarray:
     off_m = np.where(beyond_m < OF_WALL_M, np.abs(walls.distance_m(points_m)), np.inf)
     nearest = off_m.argmin(axis=1)
     return np.where(off_m[np.arange(len(nearest)), nearest] < OF_WALL_M, nearest, -1)
-
-
-def certainties(walls: WallArrays, answer: np.ndarray, grid: RangeAzimuthGrid) -> np.ndarray:
-    """Return the mean probability that an answer [`WALL_ANSWERS`, range, azimuth] gives to the line of each wall."""
-    likeliest = maximum_filter(answer[0], size=(5, 3), mode="nearest")
-    share = (np.arange(CERTAINTY_POINTS) + 0.5) / CERTAINTY_POINTS
-    points_m = walls.a[:, None] + share[:, None] * (walls.b - walls.a)[:, None]
-    row = np.rint(grid.range_index(np.hypot(points_m[..., 0], points_m[..., 1]))).astype(int)
-    column = np.rint(grid.azimuth_index(np.arctan2(points_m[..., 1], points_m[..., 0]))).astype(int)
-    inside = (row >= 0) & (row < answer.shape[1]) & (column >= 0) & (column < answer.shape[2])
-    said = expit(likeliest[np.where(inside, row, 0), np.where(inside, column, 0)].astype(np.float64))
-    return np.where(inside, said, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
 
 
 @compiled(error_model="numpy")

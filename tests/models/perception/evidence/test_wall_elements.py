@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from models.perception.evidence.scan_evidence import certainties
 from models.perception.evidence.wall_elements import (
     WallGrowth,
-    certainties,
     further_walls,
     grown_walls,
     nearest_walls,
