@@ -275,7 +275,7 @@ def box_corners_m(box: HiddenObject | TruthObject) -> np.ndarray:
 
 
 def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
-    """Box, two-sigma ellipse of its centre, identity and score."""
+    """Box, two-sigma ellipse of its position, identity and score."""
     corners = box_corners_m(hidden)[:, ::-1]
     axes.add_patch(Polygon(corners, facecolor=RECOVERED, alpha=0.25, edgecolor="none", zorder=7))
     label = _once("hidden object (recovered)", index)
@@ -287,7 +287,7 @@ def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
     axes.add_patch(
         Ellipse(
             (hidden.y_m, hidden.x_m), width_m, height_m, angle=angle_deg, fill=False, edgecolor=RECOVERED,
-            linestyle="--", linewidth=1.3, zorder=9, **_once(f"its centre, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
+            linestyle="--", linewidth=1.3, zorder=9, **_once(f"its position, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
         )
     )  # fmt: skip
     name = f"#{hidden.id} {hidden.object_class}".rstrip()

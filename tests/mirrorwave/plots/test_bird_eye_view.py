@@ -99,7 +99,7 @@ def test_the_legend_has_words_that_a_driver_knows(saved_figures, tmp_path):
     assert words == [
         "area seen directly", "area a mirror shows (echoes of 10 m² or more)", "not seen: unknown",
         "wall, found by the radar", "echo seen directly", "mirror image", "echo of a hidden object, recovered",
-        "hidden object (recovered)", "its centre, 86 % sure", "true wall", "hidden object (truth)",
+        "hidden object (recovered)", "its position, 86 % sure", "true wall", "hidden object (truth)",
         "other object (truth)", "followed object; arrow: its way in 1 s",
     ]  # fmt: skip
     assert_readable_at_page_width(figure)
@@ -149,7 +149,7 @@ def test_every_meaning_has_one_colour(saved_figures, tmp_path):
     meanings = {
         SEEN_DIRECTLY: ("area seen directly", "echo seen directly"),
         MIRROR_IMAGE: ("area a mirror shows (echoes of 10 m² or more)", "mirror image"),
-        RECOVERED: ("echo of a hidden object, recovered", "hidden object (recovered)", "its centre, 86 % sure"),
+        RECOVERED: ("echo of a hidden object, recovered", "hidden object (recovered)", "its position, 86 % sure"),
         TRUTH: ("true wall", "hidden object (truth)", "other object (truth)"),
         TRACKED: ("followed object; arrow: its way in 1 s",),
     }
