@@ -287,7 +287,8 @@ def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
     axes.add_patch(
         Ellipse(
             (hidden.y_m, hidden.x_m), width_m, height_m, angle=angle_deg, fill=False, edgecolor=RECOVERED,
-            linestyle="--", linewidth=1.3, zorder=9, **_once(f"its position, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
+            linestyle="--", linewidth=1.3, zorder=9,
+            **_once(f"its position, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
         )
     )  # fmt: skip
     name = f"#{hidden.id} {hidden.object_class}".rstrip()

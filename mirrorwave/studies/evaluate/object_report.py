@@ -41,8 +41,8 @@ DRAWN = "drawn"
 DEFINITIONS = {
     "hidden": "out of direct sight, with at least one mirror that shows a part of it; asked in every scan",
     "found": f"a report of its own, one to one, errs by {FOUND_M:g} m at most",
-    "error": "from the position of the report to the nearest visible face of the true box or to its centre, whichever is "
-    "nearer, the truth moved to the time of the report; `by centre`: to the true centre alone",
+    "error": "from the position of the report to the nearest visible face of the true box or to its centre, whichever "
+    "is nearer, the truth moved to the time of the report; `by centre`: to the true centre alone",
     "image": "strongest scattering centre among its images in the map, over the noise of the beam that sees it best",
     "promised": "the view calls the cell of its centre observable by a mirror, for an object of 10 dBsm",
     "false": f"a report more than {FALSE_M:g} m from every object out of sight",
