@@ -138,10 +138,9 @@ class EvidencePredictor:
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        Walls of earlier scans count as well where a memory of them is given. Scores are
-        probabilities where the card says how, of a vehicle that is `moving` or not. All runs in a thread of its own,
-        beside what the caller does until it waits. Raises `ValueError` for a map that does not suit the networks, and
-        for answers that are not finite.
+        Walls of earlier scans count as well where a memory of them is given. Scores are probabilities where the card says
+        how, of a vehicle that is `moving` or not. All runs in a thread of its own, beside what the caller does until it
+        waits. Raises `ValueError` for a map that does not suit the networks, and for answers that are not finite.
         """
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
@@ -164,11 +163,11 @@ class EvidencePredictor:
 
     def answer(self, channels: np.ndarray) -> np.ndarray:
         """Return the answer [answers, x, y] to evidence [channels, x, y]."""
+        if self._flip_test:
+            return 0.5 * (self._session.answer(channels) + self._turned_answer(channels))
         level = channels[1].astype(np.float64)
         half = level.shape[1] // 2
         is_turned = level[:, half:].sum() > level[:, :half].sum()
-        if self._flip_test:
-            return 0.5 * (self._session.answer(channels) + self._turned_answer(channels))
         return self._turned_answer(channels) if is_turned else self._session.answer(channels)
 
     def _turned_answer(self, channels: np.ndarray) -> np.ndarray:
