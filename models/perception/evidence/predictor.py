@@ -138,9 +138,10 @@ class EvidencePredictor:
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        Walls of earlier scans count as well where a memory of them is given. Scores are probabilities where the card says
-        how, of a vehicle that is `moving` or not. All runs in a thread of its own, beside what the caller does until it
-        waits. Raises `ValueError` for a map that does not suit the networks, and for answers that are not finite.
+        Walls of earlier scans count as well where a memory of them is given. Scores are probabilities where the card
+        says how, of a vehicle that is `moving` or not. All runs in a thread of its own, beside what the caller does
+        until it waits. Raises `ValueError` for a map that does not suit the networks, and for answers that are not
+        finite.
         """
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
