@@ -72,7 +72,7 @@ def test_page_and_terminal_say_the_same(made: Path, capsys: pytest.CaptureFixtur
     words = f"{recall['part']:g} of {recall['whole']:g}"
     assert words in printed
     assert words in page
-    assert "- error: from the centre of the report to the nearest visible face" in page
+    assert "- error: from the position of the report to the nearest visible face" in page
 
 
 @pytest.mark.slow
