@@ -9,9 +9,9 @@ from typing import Any
 from models.perception.chain import Chain
 from models.perception.detection.detectors import Detector
 from models.perception.detection.stage import DetectionStage
+from models.perception.evidence.predictor import EvidencePredictor
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
-from models.perception.objects.judging import ScanJudge
 from models.perception.tracking.stage import ViewStage
 from msgs.values.radar import RadarSetup
 from nodes import dense_predictor, geometry, ra_former
@@ -41,7 +41,7 @@ class SharedParts:
     detector: Detector
     residual: Residual | None
     confidence: Confidence | None
-    predictor: ScanJudge | None
+    predictor: EvidencePredictor | None
 
     @classmethod
     def of(cls, values: Mapping[str, Mapping[str, Any]], setup: RadarSetup) -> SharedParts:

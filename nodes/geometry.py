@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.perception.cards import is_evidence_network, learned_path
+from models.perception.cards import learned_path
 from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry.recovery import Residual
@@ -29,7 +29,7 @@ from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 if TYPE_CHECKING:
-    from models.perception.objects.judging import ScanJudge
+    from models.perception.evidence.predictor import EvidencePredictor
 
 _LOG = logging.getLogger(__name__)
 
@@ -51,8 +51,8 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: the one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed
     #: network; `none`: all places are kept, with the scores of their peaks.
     confidence: str = "none"
-    #: An exported object network with its card beside it, or the name of a committed one, which sees objects in the map
-    #: and its peaks; `none`, and maps of other sensors: objects are clusters of folded places.
+    #: An exported evidence network with its card beside it, or the name of a committed one, which sees objects in the
+    #: map; `none`, and maps of other sensors: objects are clusters of folded places.
     object_network: str = "none"
     #: Least probability of an object that is reported; None: the card's. Its mean answer to scan and mirror image.
     object_threshold: float | None = None
@@ -204,19 +204,15 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
     return params, residual, fitted[0] if fitted else None
 
 
-def predictor_of(params: Params) -> ScanJudge | None:
+def predictor_of(params: Params) -> EvidencePredictor | None:
     """Return the object network that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.object_network == "none":
         return None
     # as the residual: the runtime comes along only where it is needed
-    from models.perception.objects.predictor import ObjectPredictor
+    from models.perception.evidence.predictor import EvidencePredictor
 
     path = learned_path(params.object_network, ".onnx")
-    if is_evidence_network(path):
-        from models.perception.evidence.predictor import EvidencePredictor
-
-        return EvidencePredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
-    return ObjectPredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
+    return EvidencePredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
 
 
 def _learned_residual(name: str, back_end: BackEnd) -> Residual:

@@ -10,7 +10,6 @@ from mirrorwave.plots.style import legend_below, new_figure, save
 
 if TYPE_CHECKING:
     from models.training.train_dense import EpochReport
-    from models.training.train_objects import ObjectEpoch
     from models.training.train_residual import ResidualEpoch
 
 
@@ -48,26 +47,6 @@ def draw_residual_curves(reports: Sequence[ResidualEpoch], path: Path) -> None:
     scores.axhline(best.recovered_f1_without, color="grey", label="without residual")
     scores.set(xlabel="epoch", ylabel="recovered F1 at 1 m")
     for axes in (errors, scores):
-        axes.axvline(best.epoch + 1, color="grey", linestyle=":", label="chosen")
-        legend_below(axes, columns=2)
-        axes.grid(alpha=0.3)
-    save(figure, path)
-
-
-def draw_object_curves(reports: Sequence[ObjectEpoch], path: Path) -> None:
-    """Losses, and objects found and false reports over the epochs, as a PNG."""
-    epochs = [report.epoch + 1 for report in reports]
-    best = min(reports, key=lambda report: report.loss_per_scan)
-    figure = new_figure(9.0, 4.2)
-    losses, scores = figure.subplots(1, 2)
-    losses.plot(epochs, [report.train_loss for report in reports], label="training")
-    losses.plot(epochs, [report.validation_loss for report in reports], color="black", label="validation")
-    losses.set(xlabel="epoch", ylabel="loss", yscale="log")
-    scores.plot(epochs, [report.recall for report in reports], color="black", label="found")
-    scores.plot(epochs, [report.recall_single_25_db for report in reports], label="found, of 25 dB by one mirror")
-    scores.plot(epochs, [report.false_per_scan for report in reports], label="false a scan")
-    scores.set(xlabel="epoch", ylim=(0.0, 1.0))
-    for axes in (losses, scores):
         axes.axvline(best.epoch + 1, color="grey", linestyle=":", label="chosen")
         legend_below(axes, columns=2)
         axes.grid(alpha=0.3)

@@ -69,12 +69,3 @@ def read_learned(path: Path, limit_bytes: int) -> bytes:
         raise ValueError(f"{path}: {error.strerror or error}") from None
     actual = f"{size} bytes" if is_file else "none"
     raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {actual}")
-
-
-def is_evidence_network(model_path: Path) -> bool:
-    """Return whether a network's card describes evidence in the bird's-eye view; not where it cannot be read."""
-    try:
-        encoding = msgspec.json.decode(card_path(model_path).read_bytes()[:MAX_CARD_BYTES])["encoding"]
-    except (OSError, msgspec.DecodeError, KeyError, TypeError):
-        return False
-    return isinstance(encoding, dict) and "mirrors" in encoding

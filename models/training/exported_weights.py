@@ -18,9 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from models.networks.compact_unet import CompactUNet
-from models.networks.object_unet import ObjectUNet
 from models.perception.detection.onnx_model import load_card
-from models.perception.objects.predictor import load_object_card
 from models.perception.onnx_session import open_session
 
 #: Largest difference of an answer between the file and the network, relative to the largest answer.
@@ -29,7 +27,7 @@ PARITY = 1e-4
 SETTLING_BATCHES = 25
 
 
-def load_exported(network: ObjectUNet | CompactUNet, path: Path) -> None:
+def load_exported(network: CompactUNet, path: Path) -> None:
     """Fill a network with the weights of an exported one; channels that it alone reads, the last, weigh nothing.
 
     Raises `ValueError` naming a file that is none, is of another shape, or answers otherwise than its weights say.
@@ -37,10 +35,9 @@ def load_exported(network: ObjectUNet | CompactUNet, path: Path) -> None:
     import onnx
     from onnx import numpy_helper
 
-    card = load_card(path) if isinstance(network, CompactUNet) else load_object_card(path)
-    session = open_session(path, card.sha256, 1)
+    session = open_session(path, load_card(path).sha256, 1)
     graph = onnx.load(path).graph
-    # a dense network lies within one that answers probabilities
+    # it lies within one that answers probabilities
     values = {
         entry.name.removeprefix("network."): np.array(numpy_helper.to_array(entry)) for entry in graph.initializer
     }
@@ -94,19 +91,17 @@ def _restate(norm: nn.BatchNorm2d, mean: Tensor, mean_square: Tensor) -> None:
     norm.running_var.copy_(variance)
 
 
-def _convolutions(network: ObjectUNet | CompactUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
+def _convolutions(network: CompactUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
     """Return convolutions with their norms, in the order in which they are passed."""
     ways_down = chain.from_iterable(zip(network.encode, network.down, strict=True))
-    # the last convolution, without a norm, has a name in the file
-    head = network.head[:-1] if isinstance(network.head, nn.Sequential) else ()
-    parts = (network.stem, *ways_down, network.decode, *head)
+    parts = (network.stem, *ways_down, network.decode)
     layers = [layer for part in parts for layer in part.modules()]
     convolutions = [layer for layer in layers if isinstance(layer, nn.Conv2d)]
     norms = [layer for layer in layers if isinstance(layer, nn.BatchNorm2d)]
     return zip(convolutions, norms, strict=True)
 
 
-def _fill_convolutions(network: ObjectUNet | CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
+def _fill_convolutions(network: CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
     """Fill all convolutions whose norms the file holds within them, the last one of the head apart."""
     for (convolve, norm), node in zip(_convolutions(network), nodes[:-1], strict=True):
         weight, bias = (_tensor(values[name]) for name in node.input[1:])
@@ -116,7 +111,7 @@ def _fill_convolutions(network: ObjectUNet | CompactUNet, nodes: list[Any], valu
         norm.bias.copy_(bias)
 
 
-def _fill_products(network: ObjectUNet | CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
+def _fill_products(network: CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
     """Fill the linear layers, which the file holds as products with constants."""
     weights = [values[node.input[1]] for node in nodes if node.input[1] in values]
     layers = [layer for layer in network.context.modules() if isinstance(layer, nn.Linear)]
@@ -128,12 +123,12 @@ def _tensor(values: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values))
 
 
-def _check_parity(network: ObjectUNet | CompactUNet, path: Path, cells: np.ndarray, wanted: np.ndarray) -> None:
+def _check_parity(network: CompactUNet, path: Path, cells: np.ndarray, wanted: np.ndarray) -> None:
     more = network.config.in_channels - cells.shape[1]
     shown = torch.from_numpy(np.pad(cells, ((0, 0), (0, more), (0, 0), (0, 0))))
     with torch.no_grad():
         answer = network.eval()(shown.to(next(network.parameters()).device))
-    said = (torch.sigmoid(answer) if isinstance(network, CompactUNet) else answer).cpu().numpy()
+    said = torch.sigmoid(answer).cpu().numpy()
     difference = float(np.abs(said - wanted).max() / np.abs(wanted).max())
     if not difference <= PARITY:
         raise ValueError(f"{path}: weights must answer as the file does within {PARITY}, differ by {difference}")

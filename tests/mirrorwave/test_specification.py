@@ -109,7 +109,10 @@ def test_a_profile_by_file_runs_in_every_verb(
     ("profile", "fault"),
     [
         ({"geometry": {"back_end": "published"}}, "geometry.back_end: Invalid enum value 'published'; known are ours"),
-        ({"geometry": {"back_end": "specification", "object_network": "object_unet"}}, "object_network must be none"),
+        (
+            {"geometry": {"back_end": "specification", "object_network": "evidence_unet.int8"}},
+            "object_network must be none",
+        ),
         ({"geometry": {"back_end": "specification", "confidence": "auto"}}, "confidence must be none"),
         (
             {"geometry": {"residual": "residual_reflect_net"}},

@@ -30,8 +30,8 @@ from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
 from tests.builders import example_map
+from tests.models.perception.evidence.networks_by_hand import echoes, empty_map, evidence_network
 from tests.models.perception.geometry.test_confidence import model, scan_of
-from tests.models.perception.objects.object_scenes import empty_map, object_network
 from tests.models.perception.tracking.test_yaw_rate_bias import drive, town, turns
 
 
@@ -241,7 +241,7 @@ def test_maps_of_a_radar_that_no_network_was_trained_for_are_flagged_and_said(tm
     training that were not asked for are as good as none; those that it alone has more are no fault.
     """
     detect = dense_predictor.create(dense_predictor.Params())
-    judge = geometry.create(geometry.Params(object_network=str(object_network(tmp_path / "objects.onnx"))))
+    judge = geometry.create(geometry.Params(object_network=str(evidence_network(tmp_path, name="objects"))))
     few = RadarSetup(beams=BeamGrid(azimuth_deg=(-20.0, 0.0, 20.0)))
     scans = (
         (few, (), True),
@@ -291,7 +291,7 @@ def test_a_map_of_which_no_powers_follow_is_refused(method: str, cell: float, no
 
 def test_views_go_out_in_the_order_of_their_scans() -> None:
     """A scan whose map is late, followed by one whose map is there: both wait for the first, which is given up."""
-    node = geometry.create(geometry.Params(object_network="object_unet"))
+    node = geometry.create(geometry.Params(object_network="evidence_unet.int8"))
     peaks = [msgspec.structs.replace(made_up_peaks(), scan_id=scan, detector="sha256/pursuit") for scan in (3, 4)]
     assert node.step([received(item, "perception/peaks") for item in peaks] + [map_of(4)], 0) == []
     outgoing = node.step([], geometry.MAP_PATIENCE_NS)
@@ -299,7 +299,7 @@ def test_views_go_out_in_the_order_of_their_scans() -> None:
 
 
 def map_of(scan: int) -> Received:
-    return received(empty_map(scan_id=scan), "radar/ra_map")
+    return received(empty_map(scan_id=scan, values=echoes((28.0, -4.0))), "radar/ra_map")
 
 
 def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
     one whose map comes 20 ms later, and one whose map the bus has dropped: the last is clustered as without a network
     once the wait is over, and counted.
     """
-    path = object_network(tmp_path / "by_hand.onnx")
+    path = evidence_network(tmp_path)
     node = geometry.create(geometry.Params(object_network=str(path)))
     assert "radar/ra_map" in node.inputs
     assert "radar/ra_map" not in geometry.create(geometry.Params()).inputs

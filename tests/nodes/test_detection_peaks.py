@@ -32,7 +32,7 @@ def test_detections_become_peaks_and_these_a_hidden_car() -> None:
     (out,) = node.step([received("radar/detections", message), received("vehicle/state", state)], 0)
     assert (out.topic, out.message.scan_id, out.message.sensor) == ("perception/peaks", 4, SENSOR.limits)
     np.testing.assert_allclose(out.message.radial_speed_mps, 0.0, atol=1e-9)
-    after = geometry.create(geometry.Params(object_network="object_unet"))
+    after = geometry.create(geometry.Params(object_network="evidence_unet.int8"))
     (view,) = after.step([received("perception/peaks", out.message)], 0)
     (car,) = view.message.objects
     assert np.hypot(car.x_m - CAR_M[0], car.y_m - CAR_M[1]) < 1.5

@@ -15,7 +15,7 @@ def export(
         Path,
         typer.Argument(
             metavar="RUN|FILE",
-            help="Run folder of `mirrorwave train dense`; or an exported object network, for --precision int8.",
+            help="Run folder of `mirrorwave train dense`; or an exported evidence network, for --precision int8.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file; its card is written beside it.")],
@@ -37,7 +37,7 @@ def export(
     from models.training.export.onnx import ExportConfig, export_run
 
     if run.suffix == ".onnx":
-        _export_objects(run, out, data, precision, calibration, as_json)
+        _export_evidence(run, out, data, precision, calibration, as_json)
         return
     config = ExportConfig(
         data_dir=data,
@@ -67,20 +67,17 @@ def export(
         )
 
 
-def _export_objects(
+def _export_evidence(
     source: Path, out: Path, data: Path | None, precision: str, calibration: int, as_json: bool
 ) -> None:
-    """Write an exported object network in 8-bit integers."""
-    from models.perception.cards import is_evidence_network
+    """Write an exported evidence network in 8-bit integers."""
     from models.training.data.frames import DataSet
     from models.training.export.evidence import quantize_evidence
-    from models.training.export.objects import quantize_objects
 
     if precision != "int8" or data is None:
         raise ValueError(f"{source}: an exported network takes --precision int8 and --data, a data set of its training")
     with progress_bar("export"):
-        quantize = quantize_evidence if is_evidence_network(source) else quantize_objects
-        card = quantize(source, DataSet(data), calibration, out)
+        card = quantize_evidence(source, DataSet(data), calibration, out)
     if as_json:
         print_json(card)
         return

@@ -1,4 +1,4 @@
-"""`mirrorwave train probabilities`: how likely what an object network answers is an object."""
+"""`mirrorwave train probabilities`: how likely what an evidence network answers is an object."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.commands.learn.train_objects import VALIDATION_SAMPLES, Maker, object_samples
 from mirrorwave.console import AsJson, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
     from models.perception.evidence.predictor import EvidenceCard
-    from models.perception.objects.predictor import ObjectCard
+
+#: In the folder: samples of the validation scans.
+VALIDATION_SAMPLES = "samples-validation"
 
 
 def probabilities(
     network: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Exported object network (ONNX), whose card gets the new tables.")
+        Path, typer.Argument(metavar="FILE", help="Exported evidence network (ONNX), whose card gets the new tables.")
     ],
     validation: Annotated[
         list[Path], typer.Option(metavar="DIR", help="Scans with their true objects, none that it was trained on.")
@@ -37,21 +38,14 @@ def probabilities(
     workers: Annotated[int, typer.Option(min=1, help="Files of samples made at a time.")] = 1,
     json: AsJson = False,
 ) -> None:
-    """Fit the tables from an object network's answers to probabilities, and its threshold, to validation scans."""
+    """Fit the tables from an evidence network's answers to probabilities, and its threshold, to validation scans."""
     import msgspec
 
-    from models.perception.cards import is_evidence_network
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.training.export.onnx import write_card
 
-    card: EvidenceCard | ObjectCard
-    detector, samples = model or DEFAULT_MODEL, out / VALIDATION_SAMPLES
-    if is_evidence_network(network):
-        if flip_test:
-            raise ValueError(f"--flip-test is for object networks, {network} is an evidence network")
-        card = _of_evidence(network, validation, detector, samples, false_cost, workers)
-    else:
-        card = _of_objects(network, validation, detector, samples, flip_test, false_cost, workers)
+    detector = model or DEFAULT_MODEL
+    card = _fitted(network, validation, detector, out / VALIDATION_SAMPLES, flip_test, false_cost, workers)
     command = f"mirrorwave train probabilities {network}{''.join(f' --validation {path}' for path in validation)}"
     command += f" --out {out} --model {detector.name}{' --flip-test' if flip_test else ''} --false-cost {false_cost:g}"
     fitted = {"command": command, "detector_sha256": load_card(detector).sha256}
@@ -67,7 +61,7 @@ def probabilities(
     )
 
 
-def _of_objects(
+def _fitted(
     network: Path,
     validation: list[Path],
     detector: Path,
@@ -75,27 +69,13 @@ def _of_objects(
     flip_test: bool,
     false_cost: float,
     workers: int,
-) -> ObjectCard:
-    from models.perception.objects.predictor import ObjectPredictor
-    from models.training.data.frames import DataSet
-    from models.training.object_probabilities import with_probabilities
-
-    predictor = ObjectPredictor(network, flip_test=flip_test)
-    maker = Maker(detector, predictor.card.encoding, flip_test)
-    files = object_samples(list(map(DataSet, validation)), maker, samples, None, workers)
-    with progress_bar("answers"):
-        return with_probabilities(predictor.card, predictor, files, false_cost)
-
-
-def _of_evidence(
-    network: Path, validation: list[Path], detector: Path, samples: Path, false_cost: float, workers: int
 ) -> EvidenceCard:
     from models.perception.evidence.predictor import EvidencePredictor
     from models.training.data.evidence_store import EvidenceTask, make_files
     from models.training.evidence.scoring import with_probabilities
 
-    predictor = EvidencePredictor(network)
-    task = EvidenceTask(predictor.card.encoding, detector, predictor.fields_path)
+    predictor = EvidencePredictor(network, flip_test=flip_test)
+    task = EvidenceTask(predictor.card.encoding, detector, predictor.fields_path, flip_test)
     with progress_bar("samples and answers"):
         files = sorted(make_files(validation, task, samples, None, workers))
         return with_probabilities(predictor.card, predictor, files, false_cost)

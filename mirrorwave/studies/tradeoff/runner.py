@@ -30,11 +30,11 @@ from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.detection.detectors import Detector
+from models.perception.evidence.predictor import EvidencePredictor
 from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams, fold_scan
-from models.perception.objects.judging import ScanJudge
 from models.perception.tracking.stage import ViewStage, judged_params
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
@@ -154,7 +154,7 @@ class _Geometry:
     params: geometry.Params
     residual: Residual | None
     confidence: Confidence | None
-    predictor: ScanJudge | None
+    predictor: EvidencePredictor | None
 
     @classmethod
     def of(cls, params: geometry.Params) -> _Geometry:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import expit, logit
 
-from models.perception.evidence.gathering import BirdsEyeGrid
-from models.perception.geometry.mirrors import RADAR, WallArrays, hits
-from models.perception.objects.answers import (
+from models.perception.evidence.detections import (
     CENTRE,
     CLASS,
     HEADING,
@@ -19,6 +17,8 @@ from models.perception.objects.answers import (
     Detections,
     distinct,
 )
+from models.perception.evidence.gathering import BirdsEyeGrid
+from models.perception.geometry.mirrors import RADAR, WallArrays, hits
 from models.physics.mirror import reflect
 
 #: Reports nearer than this, or than a share of the longer one, are one object.

@@ -15,8 +15,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, uniform_filter
 
 from models.compiled import compiled
-from models.perception.geometry.mirrors import WallArrays
-from models.perception.objects.wall_table import (
+from models.perception.evidence.wall_table import (
     ENDS,
     NORMAL_X,
     NORMAL_Y,
@@ -26,6 +25,7 @@ from models.perception.objects.wall_table import (
     nearest_wall_m,
     wall_table,
 )
+from models.perception.geometry.mirrors import WallArrays
 from msgs.values.arrays import require_positive
 from msgs.values.radar import RangeAzimuthMap
 

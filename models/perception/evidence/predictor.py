@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -14,23 +15,23 @@ import numpy as np
 from models.perception.cards import card_path, learned_path, read_card
 from models.perception.detection.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.evidence.answers import evidence_detections
+from models.perception.evidence.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
 from models.perception.evidence.field_predictor import DEFAULT_FIELDS, FieldPredictor
+from models.perception.evidence.radial_speed import radial_speeds
 from models.perception.evidence.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.evidence.wall_memory import WallMemory
-from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.stage import GeometryParams, direct_structure, made_up_peaks
 from models.perception.geometry.walls import WallParams
-from models.perception.objects.answers import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
-from models.perception.objects.predictor import begun, silent_map
-from models.perception.objects.radial_speed import radial_speeds
 from models.perception.onnx_session import ArraySession
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.arrays import require_within
-from msgs.values.perception import HiddenObject, Peaks, Wall
+from msgs.values.perception import HiddenObject, Wall
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
+Answer = TypeVar("Answer")
+
 #: The network in use where parameters say `default`.
-DEFAULT_EVIDENCE = learned_path("evidence_unet", ".onnx")
+DEFAULT_EVIDENCE = learned_path("evidence_unet.int8", ".onnx")
 #: Answers that change sign when left and right are exchanged.
 ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
 
@@ -110,8 +111,8 @@ class EvidencePredictor:
         self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
         self._odd_channels = self.card.encoding.odd_channels
         silent = silent_map(self.grid)
-        returns, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
-        self.judge(silent, made_up_peaks(), walls, returns)()
+        _, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
+        self.judge(silent, walls)()
 
     @property
     def walls(self) -> WallParams:
@@ -130,9 +131,7 @@ class EvidencePredictor:
     def judge(
         self,
         ra_map: RangeAzimuthMap,
-        peaks: Peaks,
         walls: list[Wall],
-        returns: DirectReturns,
         moving: bool = False,
         memory: WallMemory | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
@@ -178,3 +177,27 @@ class EvidencePredictor:
         answer = self._session.answer(flipped)[..., ::-1].copy()
         answer[ODD_ANSWERS] *= -1.0
         return answer
+
+
+def silent_map(grid: RangeAzimuthGrid) -> RangeAzimuthMap:
+    """Return a map without echoes."""
+    return RangeAzimuthMap(
+        stamp_ns=0,
+        scan_id=0,
+        grid=grid,
+        values=np.full(grid.shape, 1e-9, np.complex64),
+        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
+        noise_power_mw=1e-14,
+        incoherent=np.zeros(grid.range_bins, bool),
+    )
+
+
+def begun(work: Callable[[], Answer]) -> Callable[[], Answer]:
+    """Begin `work` in a thread of its own; the function returned waits for its answer, or raises its error.
+
+    A pool is as short-lived as its thread, which a process that is forked later would lack.
+    """
+    pool = ThreadPoolExecutor(1, "evidence-network")
+    future = pool.submit(work)
+    pool.shutdown(wait=False)
+    return future.result

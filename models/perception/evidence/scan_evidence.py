@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,10 +24,19 @@ from models.perception.evidence.wall_elements import (
 )
 from models.perception.geometry.mirrors import WallArrays, wall_arrays
 from models.perception.geometry.walls import WallParams
-from models.perception.objects.encoding import CANDIDATE_WALLS
 from msgs.values.perception import Wall
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
+#: Walls that may have mirrored: weaker ones than clusters of positions can be trusted to, since the network weighs each
+#: by all that it would show.
+CANDIDATE_WALLS = WallParams(
+    min_inliers=3,
+    min_length_m=1.5,
+    max_gap_m=10.0,
+    max_angle_std_rad=math.radians(10.0),
+    min_score=6.0,
+    behind_walls=True,
+)
 #: Points of a wall at which its certainty is read.
 CERTAINTY_POINTS = 16
 

@@ -35,8 +35,8 @@ from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, P
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by the walls of earlier scans.
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
-#: Walls and direct returns of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
-ObjectJudge = Callable[[list[Wall], DirectReturns], Callable[[], tuple[HiddenObject, ...]]]
+#: Walls of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
+ObjectJudge = Callable[[list[Wall]], Callable[[], tuple[HiddenObject, ...]]]
 #: Walls, association and rejection: ours, or those of the specification (section 3.1.2).
 BackEnd = Literal["ours", "specification"]
 
@@ -129,7 +129,7 @@ def recover_bev(
     params = heeding(params, peaks.sensor)
     returns, walls = direct_structure(peaks, params, wall_prior)
     # a network judges in a thread of its own, while the rest of the view is made
-    objects = judge(walls, returns) if judge else None
+    objects = judge(walls) if judge else None
     scan = _folded(peaks, params, returns, walls, residual, confidence)
     hidden = scan.recovered.take(scan.hidden)
     visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)

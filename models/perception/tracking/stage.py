@@ -23,8 +23,7 @@ from msgs.values.vehicle import VehicleState
 
 if TYPE_CHECKING:
     # its runtime is loaded where a network is in use
-    from models.perception.objects.judging import ScanJudge
-
+    from models.perception.evidence.predictor import EvidencePredictor
 
 #: A vehicle that is slower stands.
 MOVING_MPS = 0.5
@@ -40,7 +39,7 @@ class ViewStage:
         confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
         timed: Timed = nullcontext,
-        predictor: ScanJudge | None = None,
+        predictor: EvidencePredictor | None = None,
         detections: GeometryParams | None = None,
     ) -> None:
         self.predictor = predictor
@@ -53,7 +52,7 @@ class ViewStage:
         self._timed = timed
         self._setup: RadarSetup | None = None
         self._check: SetupCheck | None = None
-        #: In what the radar of the last scan is not the one that the object network was trained for; empty: in nothing.
+        #: In what the radar of the last scan differs from the one that the network was trained for; empty: in nothing.
         self.doubt = ""
         for used in {self._params, self._detections}:
             warm(used)
@@ -70,7 +69,7 @@ class ViewStage:
             self.set_up(earlier._setup)
 
     def set_up(self, setup: RadarSetup) -> None:
-        """Compare the radar of the maps to come with the one that the object network was trained for."""
+        """Compare the radar of the maps to come with the one that the evidence network was trained for."""
         self._setup = setup
         if self.predictor is not None:
             self._check = SetupCheck(self.predictor.card.name, self.predictor.card.radar, setup)
@@ -115,9 +114,9 @@ class ViewStage:
             return None
         moving = ego is not None and ego.valid and abs(ego.speed_mps) >= MOVING_MPS
         memory = self._memory.wall_elements_at(peaks)
-        return partial(self.predictor.judge, ra_map, peaks, moving=moving, memory=memory)
+        return partial(self.predictor.judge, ra_map, moving=moving, memory=memory)
 
 
-def judged_params(params: GeometryParams, predictor: ScanJudge | None) -> GeometryParams:
+def judged_params(params: GeometryParams, predictor: EvidencePredictor | None) -> GeometryParams:
     """Return the parameters of scans that a network judges: with the walls that it was trained on."""
     return params if predictor is None else msgspec.structs.replace(params, walls=predictor.walls)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.perception.evidence.detections import CLASSES
 from models.perception.evidence.scan_evidence import ScanEvidence
 from models.perception.geometry.mirrors import WallArrays, mirrors_met
-from models.perception.objects.answers import CLASSES
 from models.training.data.frames import Frame, FrameLabels
 from msgs.values.array_table import ArrayTable
 from msgs.values.frames import xy_from_polar

@@ -49,6 +49,8 @@ class EvidenceTask:
     encoding: EvidenceEncoding
     detector: Path
     fields: Path
+    #: Detector and field network look at a scan and at its mirror image.
+    flip_test: bool = False
 
     @property
     def geometry(self) -> GeometryParams:
@@ -120,7 +122,8 @@ def _data_set(directory: Path) -> DataSet:
 
 @lru_cache(maxsize=1)
 def _networks(task: EvidenceTask, directory: Path) -> tuple[NetworkDetector, FieldPredictor]:
-    return NetworkDetector(_data_set(directory).setup, task.detector), FieldPredictor(task.fields)
+    detector = NetworkDetector(_data_set(directory).setup, task.detector, flip_test=task.flip_test)
+    return detector, FieldPredictor(task.fields, flip_test=task.flip_test)
 
 
 def _frame(data: DataSet, index: int, seed: int | None) -> Frame:

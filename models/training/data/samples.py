@@ -14,7 +14,6 @@ import numpy as np
 
 from models.perception.detection.encoding import Encoding, encode_columns, sample_columns
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix
-from models.perception.forming.radial_speed import HEARD
 from models.training.data.frames import (
     DataSet,
     FrameLabels,
@@ -26,7 +25,6 @@ from models.training.data.frames import (
 )
 from models.training.data.selection import Selection, select
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
-from msgs.values.vehicle import VehicleState
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,16 +233,6 @@ def _perturb_columns(scan: Scan, perturbation: Perturbation, rng: np.random.Gene
     matrix = beam_matrix(setup)
     profiles = (matrix * factor) @ (np.linalg.pinv(matrix) @ scan.profiles) + noise
     return replace(scan, profiles=profiles.astype(np.complex64), noise_power_mw=float(scan.noise_power_mw + added_mw))
-
-
-def standing(scan: Scan, setup: RadarSetup, rng: np.random.Generator) -> Scan:
-    """Return a scan in which nothing moves as one of a vehicle that says it stands: with speeds, which are noise."""
-    if scan.profiles is None:
-        raise ValueError(f"scene {scan.index} must hold beam profiles to have speeds, holds a map")
-    speed_mps = _speed_errors(scan.profiles, scan.noise_power_mw, setup, rng)
-    heard = np.abs(scan.profiles) ** 2 > HEARD * scan.noise_power_mw
-    ego = VehicleState(stamp_ns=0, speed_mps=0.0, yaw_rate_rps=0.0)
-    return replace(scan, radial_speed_mps=np.where(heard, speed_mps, np.nan).astype(np.float32), ego=ego)
 
 
 def _speed_errors(

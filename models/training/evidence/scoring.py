@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -14,16 +16,23 @@ from models.perception.detection.score_calibration import ScoreTable, calibrated
 from models.perception.evidence.answers import evidence_detections
 from models.perception.evidence.predictor import EvidenceCard, EvidencePredictor
 from models.perception.evidence.scan_evidence import EvidenceEncoding
+from models.training.calibration import fit_table
 from models.training.data.evidence_samples import SCALE
 from models.training.data.evidence_store import ScanTruth, load_truths
-from models.training.object_probabilities import THRESHOLDS, probability_table
-from models.training.object_scoring import add_rows, as_answered
+from models.training.evidence.scan_rows import add_rows
 from msgs.files.array_files import load_arrays
 
 #: False reports a scan at which the recall is shown.
 SHOWN_FALSE = (0.10, 0.15, 0.24)
 #: Thresholds watched; the loss of the best one selects the checkpoint.
 WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
+#: Probabilities that may be thresholds; answers above the first one fit the tables, in so many groups.
+THRESHOLDS, GROUPS = tuple(round(0.05 * step, 2) for step in range(1, 16)), 60
+
+
+def as_answered(moving: bool) -> ScoreTable:
+    """Return the table that leaves answers as they are."""
+    return ()
 
 
 class EvidenceTally:
@@ -91,6 +100,24 @@ def with_probabilities(
     scores = {name: round(getattr(best, name), 4) for name in CurvePoint.__dataclass_fields__ if name != "threshold"}
     scores |= {f"recall_at_{false}": round(recall_at(points, false), 4) for false in SHOWN_FALSE}
     return msgspec.structs.replace(card, threshold=best.threshold, scores={"scans": float(len(answered)), **scores})
+
+
+def probability_table(rows: Mapping[float, Sequence[ScanRow]]) -> ScoreTable:
+    """Return the table from answers to the share of reports that are a hidden object, one to one, of the rows of scans
+    at some thresholds.
+
+    Each report counts in the list from the highest threshold that it reaches: a fainter one that lies nearer to the
+    object takes it in a longer list alone.
+    """
+    outcomes = [
+        (report.score, report.found)
+        for low, high in pairwise((*sorted(rows), math.inf))
+        for row in rows[low]
+        for report in row.reports
+        if low <= report.score < high
+    ]
+    score, is_true = np.array(outcomes, np.float64).reshape(-1, 2).T
+    return fit_table(score, is_true.astype(bool), GROUPS)
 
 
 def _point(threshold: float, rows: Sequence[ScanRow]) -> CurvePoint:

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from models.networks.evidence_unet import EvidenceUNet, EvidenceUNetConfig
+from models.perception.evidence.detections import ANSWERS
 from models.perception.evidence.gathering import BY_MIRROR
 from models.perception.evidence.scan_evidence import EvidenceEncoding
-from models.perception.objects.answers import ANSWERS
 from models.training.data.evidence_samples import SCALE, EvidenceObjects, joined_objects
 from models.training.data.evidence_store import load_objects, load_truths
 from models.training.evidence.grid_training import GridSchedule, GridTraining

@@ -17,11 +17,11 @@ from models.perception.cards import card_path, read_card
 from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.evidence.detections import ANSWERS
 from models.perception.evidence.field_predictor import FieldCard, FieldPredictor
 from models.perception.evidence.predictor import EvidenceCard, EvidencePredictor
 from models.perception.evidence.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.geometry.stage import GeometryParams, direct_structure
-from models.perception.objects.answers import ANSWERS
 from models.perception.onnx_session import open_session
 from models.training.data.frames import DataSet
 from models.training.evidence.train_fields import field_network

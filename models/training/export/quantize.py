@@ -52,7 +52,7 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
             _Maps(entry.name, maps),
             quant_format=quantization.QuantFormat.QDQ,
             op_types_to_quantize=list(QUANTIZED_OPS),
-            nodes_to_exclude=_attention(onnx.load(prepared).graph),
+            nodes_to_exclude=_exact(onnx.load(prepared).graph),
             per_channel=True,
             activation_type=quantization.QuantType.QUInt8,
             weight_type=quantization.QuantType.QInt8,
@@ -174,7 +174,10 @@ def _of_one_cell(node: onnx.NodeProto, weights: dict[str, onnx.TensorProto], blo
     ]
 
 
-def _attention(graph: onnx.GraphProto) -> list[str]:
-    """Return the names of the products of two activations."""
-    learned = {tensor.name for tensor in graph.initializer}
-    return [node.name for node in graph.node if node.op_type == "MatMul" and learned.isdisjoint(node.input)]
+def _exact(graph: onnx.GraphProto) -> list[str]:
+    """Return the names of the products of two activations, and of what gives the answer: a step there is an error of a
+    wall or a centre.
+    """
+    learned, answers = {tensor.name for tensor in graph.initializer}, {value.name for value in graph.output}
+    products = [node.name for node in graph.node if node.op_type == "MatMul" and learned.isdisjoint(node.input)]
+    return products + [node.name for node in graph.node if not answers.isdisjoint(node.output)]

@@ -9,9 +9,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from models.perception.evidence.detections import (
+    CENTRE,
+    CLASS,
+    HEADING,
+    LOG_SIZE,
+    LOG_STD,
+    LOG_STD_LIMITS,
+    OBJECT,
+    PLACE,
+)
 from models.perception.evidence.wall_elements import BEYOND_M
-from models.perception.objects.answers import CENTRE, CLASS, HEADING, LOG_SIZE, LOG_STD, OBJECT, PLACE
-from models.training.objectives.objects import existence_loss, laplace_loss
 
 #: Cells so near a wall's line are of the wall; up to so far they are neither.
 WALL_M, NEAR_WALL_M = 0.3, 0.6
@@ -140,3 +148,25 @@ def evidence_loss(
 def _largest_of_scan(base: Tensor, scan: Tensor, values: Tensor) -> Tensor:
     """Return in each scan's plane [B, x, y] the largest of its own among planes [N, x, y]."""
     return base.scatter_reduce(0, scan[:, None, None].expand_as(values), values, "amax")
+
+
+def existence_loss(logits: Tensor, heat: Tensor) -> Tensor:
+    """Return the focal loss of logits against a target in 0..1 that is one at objects, per object.
+
+    Cells beside an object count less: (1 - target)^4. (Law, Deng: CornerNet, Eq. (1).)
+    """
+    yes, no = functional.logsigmoid(logits), functional.logsigmoid(-logits)
+    at_object = heat == 1.0
+    hit = no.exp() ** 2 * yes
+    miss = (1.0 - heat) ** 4 * yes.exp() ** 2 * no
+    return -torch.where(at_object, hit, miss).sum() / at_object.sum().clamp_min(1)
+
+
+def laplace_loss(place_m: Tensor, log_std: Tensor, true_m: Tensor) -> Tensor:
+    """Return the mean negative log likelihood of errors under Laplace's law of the standard deviations said.
+
+    Its scale is std / sqrt(2): log(sqrt(2) std) + sqrt(2) |error| / std.
+    """
+    log_std = log_std.clamp(*LOG_STD_LIMITS)
+    root = 2.0**0.5
+    return (log_std + root * (place_m - true_m).abs() * torch.exp(-log_std)).mean()

@@ -17,7 +17,7 @@ from scipy.special import expit
 from models.perception.onnx_session import session_of
 from msgs.files.shipped import WEIGHTS
 
-NETWORKS = ("compact_unet.int8", "compact_unet.near.int8", "object_unet.int8")
+NETWORKS = ("compact_unet.int8", "compact_unet.near.int8", "evidence_unet.int8", "field_unet.int8")
 ROOT = Path(__file__).parents[3]
 #: Writes the answers of the networks to the inputs of a file.
 CHILD = """
@@ -61,5 +61,5 @@ def test_committed_networks_answer_the_same_on_an_emulated_processor(
             path = WEIGHTS / f"{name}.onnx"
             session = session_of(path, path.read_bytes(), 1)
             (here,) = session.run(None, {session.get_inputs()[0].name: values})
-            as_shares = expit if name.startswith("object") else np.asarray
+            as_shares = expit if name.startswith("evidence") else np.asarray
             np.testing.assert_allclose(as_shares(there[name]), as_shares(here), atol=0.01, err_msg=name)

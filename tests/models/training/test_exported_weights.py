@@ -1,4 +1,4 @@
-"""Exported dense networks as first weights; those of object networks are in `test_train_objects`."""
+"""Exported dense networks as first weights."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_dense_network_answers_what_its_file_answers() -> None:
     [
         (replace(WIDE, in_channels=7), DEFAULT_MODEL, "start must be a network of this shape in full precision"),
         (CONFIG, DEFAULT_MODEL.with_name("compact_unet.int8.onnx"), "start must be a network of this shape in full"),
-        (CONFIG, DEFAULT_MODEL.with_name("object_unet.onnx"), r"object_unet\.json: lacks grid"),
+        (CONFIG, DEFAULT_MODEL.with_name("evidence_unet.onnx"), r"evidence_unet\.json: lacks grid"),
         (CONFIG, Path("nothing.onnx"), r"nothing\.json: No such file"),
     ],
 )

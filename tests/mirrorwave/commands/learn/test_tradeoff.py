@@ -100,7 +100,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     assert default.against_over["object_f1"] == Interval(value=0.0, low=0.0, high=0.0)
     assert rows["unfiltered"].size_bytes == DEFAULT_MODEL.stat().st_size
     assert default.size_bytes is not None
-    assert default.size_bytes > sum(map(size, ("compact_unet.int8.onnx", "object_unet.int8.onnx")))
+    assert default.size_bytes > sum(map(size, ("compact_unet.int8.onnx", "evidence_unet.int8.onnx")))
     assert rows["beams: 7 of 25"].accuracy["dense_macro_f1"] != default.accuracy["dense_macro_f1"]
     assert default.end_to_end_ms is not None
     assert default.end_to_end_ms.p99 is None, "two samples have no 99th percentile"

@@ -9,10 +9,10 @@ import pytest
 
 from mirrorwave.commands.learn.export import export
 from mirrorwave.commands.learn.train import dense
-from mirrorwave.commands.learn.train_objects import objects
 from mirrorwave.commands.learn.train_probabilities import probabilities
+from models.perception.cards import card_path, read_card
 from models.perception.detection.onnx_model import DensePredictor
-from models.perception.objects.predictor import DEFAULT_OBJECTS, ObjectPredictor, load_object_card
+from models.perception.evidence.predictor import DEFAULT_EVIDENCE, EvidenceCard, EvidencePredictor
 from models.training.data.frames import fixed_splits
 from models.training.data.xradarnlos import POINTS_FOLDER, REAL_RANGE_M, SPECTRUM, grid_of, import_folder
 from models.training.train_dense import load_best
@@ -71,33 +71,16 @@ def test_fine_tuning_on_real_captures_by_sequence(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.slow
-def test_an_object_network_in_whole_numbers_answers_as_the_exact_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The shipped network, its ranges set on four scenes: by its own card no probability there differs by more than a
-    tenth (0.04 with the 64 scenes of the shipped one), its tables are the source's, and it loads as a vehicle does.
-    """
-    write_dataset(tmp_path / "data", count=4, seed=6100)
-    out = tmp_path / "objects.int8.onnx"
-    export(DEFAULT_OBJECTS, out, data=tmp_path / "data", precision="int8", calibration=4)
-    assert f"{out}: 1861924 parameters, int8" in capsys.readouterr().out
-    exact, card = load_object_card(DEFAULT_OBJECTS), ObjectPredictor(out).card
-    assert 0.0 < card.scores["largest_probability_difference"] < 0.1
-    assert (card.calibration, card.threshold) == (exact.calibration, exact.threshold)
-    assert card.training["quantized"]["source_sha256"] == exact.sha256
-    assert out.stat().st_size < 0.4 * DEFAULT_OBJECTS.stat().st_size
-
-
-@pytest.mark.slow
 def test_tables_of_a_shipped_network_are_fitted_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Eight scenes: another table, threshold and scores in its card, the same bytes the second time, and it loads."""
     write_dataset(tmp_path / "data", 8, 5, Recipe(effects="basic", truth=True))
-    network = tmp_path / "objects.int8.onnx"
-    for suffix in (".onnx", ".json"):
-        shutil.copyfile(DEFAULT_OBJECTS.with_suffix(f".int8{suffix}"), network.with_suffix(suffix))
-    shipped = load_object_card(network)
+    network = tmp_path / DEFAULT_EVIDENCE.name
+    for path in (DEFAULT_EVIDENCE, DEFAULT_EVIDENCE.with_name("field_unet.int8.onnx")):
+        for item in (path, card_path(path)):
+            shutil.copyfile(item, tmp_path / item.name)
+    shipped = read_card(card_path(network), EvidenceCard)
     probabilities(network, [tmp_path / "data"], tmp_path / "run")
-    card, written = ObjectPredictor(network).card, network.with_suffix(".json").read_bytes()
+    card, written = EvidencePredictor(network).card, card_path(network).read_bytes()
     assert f"{network}: least loss {card.scores['loss_per_scan']:.3f} a scan from {card.threshold:g}" in (
         capsys.readouterr().out
     )
@@ -106,19 +89,12 @@ def test_tables_of_a_shipped_network_are_fitted_again(tmp_path: Path, capsys: py
     assert (card.calibration_moving, card.sha256) == ((), shipped.sha256), "nothing moved, and the network is the same"
     assert card.training["probabilities"]["command"].startswith(f"mirrorwave train probabilities {network} --valid")
     probabilities(network, [tmp_path / "data"], tmp_path / "run")
-    assert network.with_suffix(".json").read_bytes() == written
+    assert card_path(network).read_bytes() == written
 
 
 @pytest.mark.parametrize(("precision", "data"), [("fp32", Path("data")), ("int8", None)])
 def test_an_exported_network_is_exported_again_in_whole_numbers_alone(precision: str, data: Path | None) -> None:
-    with pytest.raises(ValueError, match=r"object_unet\.onnx: an exported network takes --precision int8 and --data"):
-        export(DEFAULT_OBJECTS, Path("out.onnx"), data=data, precision=precision)  # type: ignore[arg-type]
-
-
-def test_a_start_in_whole_numbers_is_refused_before_samples_are_made(tmp_path: Path) -> None:
-    for name, seed in (("data", 1), ("validation", 2)):
-        write_dataset(tmp_path / name, 1, seed, Recipe(effects="basic", truth=True))
-    start = DEFAULT_OBJECTS.with_suffix(".int8.onnx")
-    with pytest.raises(ValueError, match=r"object_unet\.int8\.onnx: start must be a network of this shape"):
-        objects([tmp_path / "data"], [tmp_path / "validation"], tmp_path / "run", start=start)
-    assert not (tmp_path / "run").exists()
+    with pytest.raises(
+        ValueError, match=r"\.onnx: an exported network takes --precision int8 and --data"
+    ):
+        export(DEFAULT_EVIDENCE, Path("out.onnx"), data=data, precision=precision)  # type: ignore[arg-type]

@@ -8,9 +8,19 @@ import numpy as np
 import pytest
 
 from models.perception.evidence.answers import evidence_detections
+from models.perception.evidence.detections import (
+    ANSWERS,
+    CENTRE,
+    CLASS,
+    CLASSES,
+    HEADING,
+    LOG_SIZE,
+    LOG_STD,
+    OBJECT,
+    PLACE,
+)
 from models.perception.evidence.gathering import BirdsEyeGrid
 from models.perception.geometry.mirrors import wall_arrays
-from models.perception.objects.answers import ANSWERS, CENTRE, CLASS, CLASSES, HEADING, LOG_SIZE, LOG_STD, OBJECT, PLACE
 from msgs.values.perception import Wall
 
 PLANE = BirdsEyeGrid()

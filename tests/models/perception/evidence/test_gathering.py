@@ -14,8 +14,8 @@ from models.perception.evidence.gathering import (
     gathered,
     odd_channels,
 )
+from models.perception.evidence.predictor import silent_map
 from models.perception.geometry.mirrors import WallArrays, wall_arrays
-from models.perception.objects.predictor import silent_map
 from msgs.values.perception import Wall
 from msgs.values.radar import RangeAzimuthMap
 from tests.models.perception.evidence.fields import BINS, GRID

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from models.perception.evidence.scan_evidence import CANDIDATE_WALLS
 from models.perception.geometry.stage import GeometryParams
-from models.perception.objects.encoding import ObjectEncoding
 from models.perception.tracking.odometry import OdometryPose
 from models.perception.tracking.scan_state import MemoryParams
 from models.perception.tracking.stage import ViewStage
@@ -202,19 +202,17 @@ def test_sources_and_messages_are_bounded() -> None:
     assert "map 1" not in {item.source for item in store.at(START_NS, lambda stamp_ns: None, Pose2())}
 
 
-def test_the_object_network_gets_the_walls_with_priors() -> None:
+def test_the_evidence_network_gets_the_walls_with_priors() -> None:
     """All judges of a scan read the list of its view."""
     judged: list[int] = []
 
     class Judge:
-        card, walls = SimpleNamespace(), ObjectEncoding().walls
+        card, walls = SimpleNamespace(), CANDIDATE_WALLS
 
         def suits(self, ra_map: object) -> bool:
             return True
 
-        def judge(
-            self, ra_map: object, peaks: Peaks, walls: list, returns: object, moving: bool, memory: object = None
-        ) -> Callable[[], tuple]:
+        def judge(self, ra_map: object, walls: list, moving: bool, memory: object = None) -> Callable[[], tuple]:
             judged.append(len(walls))
             return tuple
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from models.perception.evidence.detections import ANSWERS, OBJECT, PLACE
 from models.perception.evidence.gathering import BirdsEyeGrid
 from models.perception.evidence.wall_elements import BEYOND_M
-from models.perception.objects.answers import ANSWERS, OBJECT, PLACE
 from models.training.objectives.evidence import (
     EvidenceLossConfig,
     EvidenceTargets,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.perception.objects.answers import Detections
+from models.perception.evidence.detections import Detections
 from msgs.values.perception import RadialSpeed
 from msgs.values.radar import RangeAzimuthMap
 

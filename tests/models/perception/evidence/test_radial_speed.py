@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.objects.answers import Detections
-from models.perception.objects.radial_speed import radial_speeds
+from models.perception.evidence.detections import Detections
+from models.perception.evidence.radial_speed import radial_speeds
 from msgs.values.radar import RangeAzimuthMap, speed_codes
-from tests.models.perception.objects.object_scenes import ENCODING, empty_map
+from tests.models.perception.evidence.networks_by_hand import GRID, empty_map
 
 ROW, COLUMN = 100, 128
 NOISE_MW = 1e-12
 
 
 def report(row: int, column: int) -> Detections:
-    grid = ENCODING.grid
     one = np.zeros((1, 2))
     return Detections(
         score=np.ones(1),
@@ -25,15 +24,15 @@ def report(row: int, column: int) -> Detections:
         size_m=one,
         yaw_rad=np.zeros(1),
         object_class=np.zeros(1, int),
-        range_m=np.array([row * grid.range_bin_m]),
-        azimuth_rad=grid.azimuth_rad[[column]],
+        range_m=np.array([row * GRID.range_bin_m]),
+        azimuth_rad=GRID.azimuth_rad[[column]],
         away_rad=np.array([2.5]),
     )
 
 
 def moving(*cells: tuple[int, int, float, float], compensated: bool = True) -> RangeAzimuthMap:
     """A map whose cells (row, column) have an amplitude over the noise and a radial speed (NaN: none)."""
-    values, speeds = np.full(ENCODING.grid.shape, 1e-9, np.complex64), np.full(ENCODING.grid.shape, np.nan)
+    values, speeds = np.full(GRID.shape, 1e-9, np.complex64), np.full(GRID.shape, np.nan)
     for row, column, level, speed_mps in cells:
         values[row, column], speeds[row, column] = level * np.sqrt(NOISE_MW), speed_mps
     return empty_map(

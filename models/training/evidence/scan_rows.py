@@ -1,30 +1,15 @@
-"""Scores of the object network on stored samples: objects found one to one, and reports where none is."""
+"""Rows of scans for the scores of objects: what is reported beside what the labels tell of the truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from models.evaluation.object_metrics import ObjectReport, ObjectScores, object_report
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
-from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
-from models.perception.objects.answers import Detections, detections, hidden_objects
-from models.perception.objects.encoding import ObjectEncoding
-from models.perception.objects.hypotheses import CellHypotheses
+from models.perception.evidence.detections import Detections, hidden_objects
 from models.training.data.frames import FrameLabels
-from models.training.data.object_store import StoredSample
 from msgs.values.perception import PathClass, SceneTruth, TruthObject
-
-#: Thresholds watched; the loss of the best one selects the checkpoint.
-WATCHED_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
-
-
-def as_answered(moving: bool) -> ScoreTable:
-    """Return the table that leaves answers as they are."""
-    return ()
 
 
 class LabelledScan(Protocol):
@@ -41,40 +26,6 @@ class LabelledScan(Protocol):
     @property
     def noise_power_mw(self) -> float:
         """Of a beam, per range bin."""
-
-
-class ObjectTally:
-    """Rows of all scans at some thresholds; `calibration` gives the table of a vehicle that moves or does not."""
-
-    def __init__(
-        self,
-        encoding: ObjectEncoding,
-        thresholds: Sequence[float],
-        calibration: Callable[[bool], ScoreTable] = as_answered,
-    ) -> None:
-        self._encoding, self._calibration = encoding, calibration
-        self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
-
-    def add(self, stored: StoredSample, answer: np.ndarray) -> None:
-        """Score the answer to one sample."""
-        sample, table = stored.sample, self._calibration(stored.ego_compensated)
-        hypotheses = CellHypotheses(sample.wall, sample.second, np.zeros(0, np.float32))
-        least = score_of(table, min(self.rows))
-        likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, least)
-        likely = replace(likely, score=calibrated(table, likely.score))
-        column_rad, stamp_ns = self._encoding.cells.azimuth_rad, stored.column_stamp_ns
-        add_rows(self.rows, likely, np.interp(likely.azimuth_rad, column_rad, stamp_ns), stored)
-
-    def report(self, threshold: float, false_cost: float = 1.0) -> ObjectReport:
-        """Return all measures at a threshold, without intervals worth the name."""
-        scores = ObjectScores(self.rows[threshold])
-        return object_report(scores, np.ones((1, len(scores.places))), false_cost)
-
-    def best(self, false_cost: float) -> tuple[float, ObjectReport]:
-        """Return the threshold of the least loss and the measures there."""
-        reports = {threshold: self.report(threshold, false_cost) for threshold in self.rows}
-        threshold = min(reports, key=lambda value: reports[value].loss.value or 0.0)
-        return threshold, reports[threshold]
 
 
 def add_rows(rows: dict[float, list[ScanRow]], likely: Detections, stamp_ns: np.ndarray, stored: LabelledScan) -> None:
