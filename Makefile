@@ -173,24 +173,21 @@ results: setup-dev  ## every network of the specification and ours, trained and 
 results-gpu: setup-dev  ## the networks at full size and ours from data drawn meanwhile, on one GPU and many cores (8 minutes; goes on if stopped)
 	$(BIN)/python -m benchmarks.accuracy.full_size --work runs/full_size --out runs/full_size/results
 
-# the committed network is of this recipe without speeds and known walls in its input, which the runs since have
-object-network: setup-dev  ## the object network from places and drives drawn for it (two and a half hours on two cores; goes on if stopped)
-	$(BIN)/mirrorwave sim dataset --out data/object_places --count 8000 --effects all --truth --seed 6100 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives --count 300 --motion --scans 8 --seed 6200 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_places_2 --count 12000 --effects all --truth --seed 6102 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives_2 --count 1200 --motion --scans 8 --seed 6202 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_places_3 --count 10000 --effects all --truth --seed 6103 --workers 2
+# the committed networks are of this recipe in stages, each from the weights of the one before (see their cards)
+object-network: setup-dev  ## field and evidence network from places and drives drawn for them (six hours on two cores; goes on if stopped)
+	$(BIN)/mirrorwave sim dataset --out data/object_places --count 2000 --effects all --truth --seed 6100 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_places_2 --count 8000 --effects all --truth --seed 6102 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_places_3 --count 8000 --effects all --truth --seed 6103 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_drives --count 200 --motion --scans 8 --seed 6200 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_places_validation --count 600 --effects all --truth --seed 6101 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_drives_validation --count 50 --motion --scans 8 --seed 6201 --workers 2
-	$(BIN)/mirrorwave train objects --data data/object_places --data data/object_drives --data data/object_places_2 \
-		--data data/object_drives_2 --data data/object_places_3 \
-		--validation data/object_places_validation --validation data/object_drives_validation --out runs/objects \
-		--epochs 4 --workers 2 --threads 2
-	$(BIN)/mirrorwave export models/weights/object_unet.onnx --precision int8 --data data/object_places \
-		--out models/weights/object_unet.int8.onnx
-	$(BIN)/mirrorwave train probabilities models/weights/object_unet.onnx --flip-test --out runs/probabilities --workers 2 \
+	$(BIN)/mirrorwave train objects --data data/object_places --data data/object_places_2 --data data/object_places_3 \
+		--data data/object_drives --validation data/object_places_validation --out runs/objects --workers 2 --threads 2
+	$(BIN)/mirrorwave export runs/objects/evidence_unet.onnx --precision int8 --data data/object_places \
+		--out runs/objects/evidence_unet.int8.onnx
+	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.onnx --flip-test --out runs/probabilities --workers 2 \
 		--validation data/object_places_validation --validation data/object_drives_validation
-	$(BIN)/mirrorwave train probabilities models/weights/object_unet.int8.onnx --out runs/probabilities_int8 --workers 2 \
+	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.int8.onnx --out runs/probabilities_int8 --workers 2 \
 		--model models/weights/compact_unet.int8.onnx \
 		--validation data/object_places_validation --validation data/object_drives_validation
 
