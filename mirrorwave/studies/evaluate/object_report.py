@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from mirrorwave.console import progress_bar
+from mirrorwave.studies.evaluate.mot_tables import write_mot_tables
 from mirrorwave.studies.evaluate.objects import (
     ObjectPlan,
     ObjectSet,
@@ -30,7 +32,8 @@ from models.evaluation.object_metrics import (
     mean_loss,
     object_report,
 )
-from models.evaluation.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M
+from models.evaluation.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M, ScanRow
+from models.evaluation.tracking_scores import GATE_M, TrackingScores
 from msgs.values.wording import counted
 
 #: Title, columns, rows.
@@ -56,6 +59,8 @@ DEFINITIONS = {
     "is there",
     "lead": "of objects that come into direct sight, from the first track on them; the most possible: from the first "
     "image of 10 dB or more",
+    "MOTA, IDF1, HOTA": "confirmed tracks against the objects to be found, by the distance of centres alone, within "
+    f"{GATE_M:g} m; similarity 1 - distance / {GATE_M:g} m; a track on anything else is false",
     "interval": "95 % percentile interval over places drawn with replacement; all profiles share the draws",
 }
 
@@ -83,6 +88,9 @@ def measured(request: ObjectRequest) -> dict[str, Any]:
         out = stack.enter_context(_folder(request.out))
         tick = stack.enter_context(progress_bar("places", sum(plan.set.places for plan in plans.values())))
         runs = {name: run_objects(plan, out / name, request.workers, tick) for name, plan in plans.items()}
+        for name, plan in plans.items():
+            if plan.set.scans > 1:
+                write_mot_tables(out / name / "mot", _rows_by_profile(plan, runs[name]))
     sets = {name: _set_report(plan, runs[name], request, false_cost) for name, plan in plans.items()}
     losses = {
         profile: mean_loss({name: set_report["profiles"][profile] for name, set_report in sets.items()})
@@ -130,15 +138,18 @@ def _folder(out: Path | None) -> Iterator[Path]:
         yield Path(folder)
 
 
+def _rows_by_profile(plan: ObjectPlan, results: list[PlaceResult]) -> dict[str, list[ScanRow]]:
+    return {
+        profile.value: [row for result in results for row in result.rows[profile.value]] for profile in plan.profiles
+    }
+
+
 def _set_report(
     plan: ObjectPlan, results: list[PlaceResult], request: ObjectRequest, false_cost: float
 ) -> dict[str, Any]:
     """Measures of all profiles on one set."""
     weights = bootstrap_weights(plan.set.places, request.draws, request.seed)
-    of_profiles = {
-        profile.value: ObjectScores([row for result in results for row in result.rows[profile.value]])
-        for profile in plan.profiles
-    }
+    of_profiles = {name: ObjectScores(rows) for name, rows in _rows_by_profile(plan, results).items()}
     return {
         "seed": plan.set.seed,
         "places": plan.set.places,
@@ -174,6 +185,7 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         yield _scores(name, reports)
         if set_report["tracks"]:
             yield _tracks(name, set_report["tracks"])
+            yield standard_scores(name, {key: report.standard for key, report in set_report["tracks"].items()})
     if len(results["sets"]) > 1:
         rows = [(profile, f"{loss:.3f}") for profile, loss in results["mean_loss"].items()]
         yield f"mean loss over the sets, false cost {results['false_cost']:g}", ("profile", "loss a scan"), rows
@@ -245,6 +257,14 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
     return f"{name}: confirmed tracks", columns, rows
 
 
+def standard_scores(name: str, scores: Mapping[str, TrackingScores]) -> Table:
+    """Return what other trackers are compared by."""
+    fields = TrackingScores.__struct_fields__
+    columns = ("profile", "MOTA", "IDF1", "HOTA", "DetA", "AssA", "LocA")
+    rows = [(key, *(_rate(getattr(report, field)) for field in fields)) for key, report in scores.items()]
+    return f"{name}: tracks by the distance of centres", columns, rows
+
+
 def _parts(*ratios: Ratio) -> str:
     return ", ".join("-" if ratio.value is None else f"{ratio.value:.2f}" for ratio in ratios)
 
@@ -258,7 +278,9 @@ def _short(ratio: Ratio) -> str:
 
 
 def _rate(ratio: Ratio | Estimate) -> str:
-    return "-" if ratio.value is None else f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
+    if ratio.value is None or math.isnan(ratio.value):
+        return "-"
+    return f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
 
 
 def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectReport], name: str) -> Table:
