@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,18 +174,16 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         reports: dict[str, ObjectReport] = set_report["profiles"]
         title = f"{name}: {counted(set_report['places'], 'place')} {motion}, seed {set_report['seed']}"
         title += f", effects {set_report['effects']}"
-        yield f"{title}; scenes {set_report['scenes_sha256'][:16]}...", HEADINGS, [
-            _headline(profile, report) for profile, report in reports.items()
-        ]  # fmt: skip
+        yield headline(f"{title}; scenes {set_report['scenes_sha256'][:16]}...", reports)
         yield _aims(name, reports)
         yield _recalls(f"{name}: found by the SNR of the strongest image", BANDS, reports, "recall_by_band")
         classes = sorted({kind for report in reports.values() for kind in report.recall_by_class})
         yield _recalls(f"{name}: found by class", classes, reports, "recall_by_class")
-        yield _errors(name, reports)
+        yield position_errors(name, reports)
         yield _scores(name, reports)
         if set_report["tracks"]:
             yield _tracks(name, set_report["tracks"])
-            yield standard_scores(name, {key: report.standard for key, report in set_report["tracks"].items()})
+            yield standard_scores(name, set_report["tracks"])
     if len(results["sets"]) > 1:
         rows = [(profile, f"{loss:.3f}") for profile, loss in results["mean_loss"].items()]
         yield f"mean loss over the sets, false cost {results['false_cost']:g}", ("profile", "loss a scan"), rows
@@ -193,6 +191,11 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
 
 HEADINGS = ("profile", "hidden objects found", "vehicles", "by centre", "reports", "false", "nothing there",
             "false a scan", "loss a scan", "AP at 1 m", "AP at 2 m")  # fmt: skip
+
+
+def headline(title: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """Return the figures that come first."""
+    return title, HEADINGS, [_headline(profile, report) for profile, report in reports.items()]
 
 
 def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
@@ -237,7 +240,7 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
     """Return what is said of objects over a drive."""
     columns = ("profile", "after 1 s in view", "by one mirror, 25 dB on", "false tracks a minute",
                "in plain sight, a minute", "id switches an object", "velocity error, first scan: p50, p90 [m/s]",
-               "after 1 s", "lead of the most possible [s]", "GOSPA [m]", "its pairs, missed, false [m2]")  # fmt: skip
+               "after 1 s", "lead of the most possible [s]")  # fmt: skip
     rows = [
         (
             profile,
@@ -249,20 +252,25 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
             _quantile_pair(report.first_velocity_error_mps),
             _quantile_pair(report.later_velocity_error_mps),
             str(report.lead),
-            _rate(report.gospa_m),
-            _parts(report.gospa_pairs_m2, report.gospa_missed_m2, report.gospa_false_m2),
         )
         for profile, report in reports.items()
     ]
     return f"{name}: confirmed tracks", columns, rows
 
 
-def standard_scores(name: str, scores: Mapping[str, TrackingScores]) -> Table:
+def standard_scores(name: str, reports: Mapping[str, DriveReport]) -> Table:
     """Return what other trackers are compared by."""
-    fields = TrackingScores.__struct_fields__
-    columns = ("profile", "MOTA", "IDF1", "HOTA", "DetA", "AssA", "LocA")
-    rows = [(key, *(_rate(getattr(report, field)) for field in fields)) for key, report in scores.items()]
-    return f"{name}: tracks by the distance of centres", columns, rows
+    columns = ("profile", "MOTA", "IDF1", "HOTA", "DetA", "AssA", "LocA", "GOSPA [m]", "its pairs, missed, false [m2]")
+    rows = [
+        (
+            profile,
+            *(_rate(getattr(report.standard, field)) for field in TrackingScores.__struct_fields__),
+            _rate(report.gospa_m),
+            _parts(report.gospa_pairs_m2, report.gospa_missed_m2, report.gospa_false_m2),
+        )
+        for profile, report in reports.items()
+    ]
+    return f"{name}: tracks by standard scores", columns, rows
 
 
 def _parts(*ratios: Ratio) -> str:
@@ -290,7 +298,7 @@ def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectRepo
     return title, ("profile", *groups), rows
 
 
-def _errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+def position_errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """Quantiles of the errors of what was found, and of all reports."""
     kinds = {
         "found, centre": "centre_found_m",
@@ -337,11 +345,11 @@ def _share_cells(score_bin: ScoreBin) -> tuple[str, str]:
     return str(score_bin.found), _short(score_bin.near)
 
 
-def page(results: Mapping[str, Any]) -> str:
+def page(results: Mapping[str, Any], all_tables: Iterable[Table]) -> str:
     """The tables as Markdown."""
     lines = ["# Hidden objects, object by object", ""]
     lines += [f"- {word}: {meaning}" for word, meaning in results["definitions"].items()]
-    for title, columns, rows in tables(results):
+    for title, columns, rows in all_tables:
         lines += ["", f"## {title}", "", *table(columns, ([_text(cell) for cell in row] for row in rows))]
     return "\n".join(lines) + "\n"
 
