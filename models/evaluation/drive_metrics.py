@@ -25,6 +25,7 @@ from models.evaluation.object_rows import (
     is_nothing,
     single_reaches,
 )
+from models.evaluation.tracking_scores import TrackingScores, tracking_scores
 from msgs.values.units import s_from_ns
 
 #: So long an object has been in view before it is asked for.
@@ -54,6 +55,8 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     gospa_pairs_m2: Ratio
     gospa_missed_m2: Ratio
     gospa_false_m2: Ratio
+    #: MOTA, IDF1 and HOTA of confirmed tracks by the distance of centres.
+    standard: TrackingScores
     #: Quantiles [m/s]: at the first scan of a track that stands on an object, and from 1 s later on.
     first_velocity_error_mps: dict[str, Estimate]
     later_velocity_error_mps: dict[str, Estimate]
@@ -104,6 +107,7 @@ def drive_report(scores: ObjectScores, weights: np.ndarray) -> DriveReport:
         gospa_pairs_m2=gospa(lambda row: row.pairs_m2),
         gospa_missed_m2=gospa(lambda row: 0.5 * FALSE_M**2 * row.missed),
         gospa_false_m2=gospa(lambda row: 0.5 * FALSE_M**2 * row.false),
+        standard=tracking_scores(drives, weights),
         first_velocity_error_mps=draw.quantiles(firsts),
         later_velocity_error_mps=draw.quantiles(laters),
         lead=sums(lambda history: history.lead_s()),

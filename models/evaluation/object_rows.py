@@ -40,6 +40,8 @@ class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
 
     object_class: str
     image: ImageTruth
+    #: Its centre.
+    at_m: tuple[float, float]
     #: Of the report that found it, None without one: position error, distance of centres.
     error_m: float | None
     centre_m: float | None
@@ -59,6 +61,7 @@ class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
     """One confirmed track in a scan: as `ReportRow`."""
 
     id: int
+    at_m: tuple[float, float]
     error_m: float | None
     box_m: float | None
 
@@ -132,6 +135,7 @@ def scan_row(
         HiddenRow(
             object_class=truth.objects[index].object_class,
             image=images[index],
+            at_m=(truth.objects[index].x_m, truth.objects[index].y_m),
             error_m=float(error_m[by[column], column]) if column in by else None,
             centre_m=float(centre_m[by[column], column]) if column in by else None,
             found_by_centre=column in by_centre,
@@ -161,7 +165,12 @@ def scan_row(
         stamp_ns=truth.stamp_ns,
         in_sight=[item.id for item, image in zip(truth.objects, images, strict=True) if image.direct],
         tracks=[
-            TrackRow(id=track.id, error_m=_least(track_error_m[row]), box_m=_least(track_box_m[row]))
+            TrackRow(
+                id=track.id,
+                at_m=(track.x_m, track.y_m),
+                error_m=_least(track_error_m[row]),
+                box_m=_least(track_box_m[row]),
+            )
             for row, track in enumerate(tracks)
         ],
         gospa=_gospa(track_error_m[:, mirrored]),

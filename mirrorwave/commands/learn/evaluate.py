@@ -1,7 +1,8 @@
 """`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals.
 
-With `--objects`: every profile on the same random places, object by object. With `--table 5`: the systems of the
-specification from shipped weights, and ours, on random places, beside the published figures.
+With `--objects`: every profile on the same random places, object by object. With `--against`: a list of anybody. With
+`--table 5`: the systems of the specification from shipped weights, and ours, on random places, beside the published
+figures.
 """
 
 from __future__ import annotations
@@ -50,6 +51,21 @@ def evaluate(
     objects: Annotated[
         bool, typer.Option("--objects", help="Profiles on random places, object by object, in place of --data.")
     ] = False,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Score a list of objects or tracks, one for each drive: .jsonl of `process`, .mcap, .json as nuScenes "
+            "results, .txt as KITTI tracking.",
+            show_default=False,
+        ),
+    ] = None,
+    truth_file: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="Truth of each --against: a recording, or a list of its kinds.", show_default=False
+        ),
+    ] = None,
     published_table: Annotated[
         int | None,
         typer.Option(
@@ -134,9 +150,24 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap, and of the places drawn for --objects.")] = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Score methods on a data set, or profiles on random places object by object; no frame is skipped."""
+    """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
+    if against or truth_file:
+        given: dict[str, object] = {"--data": data, "--objects": objects or None, "--table": published_table}
+        given |= {"--profile": profile, "--set": sets, "--count": count or places, "--method": method}
+        _refuse("--against", given | {"--limit": limit, "--reference": reference, "--moving": moving or None})
+        from mirrorwave.commands.learn.evaluate_objects import evaluate_lists
+        from mirrorwave.studies.evaluate.against import ListRequest
+
+        evaluate_lists(
+            ListRequest(
+                lists=against or [], truths=truth_file or [], draws=draws, seed=seed,
+                false_cost=1.0 if false_cost is None else false_cost, out=out,
+            ),
+            as_json,
+        )  # fmt: skip
+        return
     if published_table is not None:
-        given: dict[str, object] = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
+        given = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
         given |= {"--moving": moving or None, "--method": method, "--limit": limit, "--reference": reference}
         _refuse("--table", given)
         from mirrorwave.commands.learn.evaluate_table import evaluate_table

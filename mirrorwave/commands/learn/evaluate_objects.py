@@ -1,22 +1,40 @@
-"""`mirrorwave eval --objects`: sets of random places, every profile on the same beams, tables object by object."""
+"""`mirrorwave eval --objects`: sets of random places, every profile on the same beams, tables object by object.
+
+`mirrorwave eval --against`: any list of objects or tracks by the same scores.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 from mirrorwave.console import print_json, print_line, print_table
-from mirrorwave.studies.evaluate.object_report import ObjectRequest, measured, page, tables
+from mirrorwave.studies.evaluate.against import ListRequest, compared
+from mirrorwave.studies.evaluate.against import tables as list_tables
+from mirrorwave.studies.evaluate.object_report import ObjectRequest, Table, measured, page, tables
 from mirrorwave.studies.report import write_report
 
 
 def evaluate_objects(request: ObjectRequest, as_json: bool) -> None:
     """Run the sets, write `results.json` and `results.md` where a folder is given, and print the tables."""
     results = measured(request)
-    if request.out is not None:
-        write_report(request.out, "results", results, page(results))
+    _show(results, list(tables(results)), request.out, as_json)
+
+
+def evaluate_lists(request: ListRequest, as_json: bool) -> None:
+    """Score the lists, write the same files, and print the tables."""
+    results = compared(request)
+    _show(results, list(list_tables(results)), request.out, as_json)
+
+
+def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as_json: bool) -> None:
+    if out is not None:
+        write_report(out, "results", results, page(results, all_tables))
     if as_json:
         print_json(results)
         return
-    for title, columns, rows in tables(results):
+    for title, columns, rows in all_tables:
         print_line(title)
         print_table(columns, rows)
-    if request.out is not None:
-        print_line(f"{request.out}: results.json and results.md")
+    if out is not None:
+        print_line(f"{out}: results.json and results.md")

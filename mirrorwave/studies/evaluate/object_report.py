@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from mirrorwave.console import progress_bar
+from mirrorwave.studies.evaluate.mot_tables import write_mot_tables
 from mirrorwave.studies.evaluate.objects import (
     ObjectPlan,
     ObjectSet,
@@ -30,7 +32,8 @@ from models.evaluation.object_metrics import (
     mean_loss,
     object_report,
 )
-from models.evaluation.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M
+from models.evaluation.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M, ScanRow
+from models.evaluation.tracking_scores import GATE_M, TrackingScores
 from msgs.values.wording import counted
 
 #: Title, columns, rows.
@@ -56,6 +59,8 @@ DEFINITIONS = {
     "is there",
     "lead": "of objects that come into direct sight, from the first track on them; the most possible: from the first "
     "image of 10 dB or more",
+    "MOTA, IDF1, HOTA": "confirmed tracks against the objects to be found, by the distance of centres alone, within "
+    f"{GATE_M:g} m; similarity 1 - distance / {GATE_M:g} m; a track on anything else is false",
     "interval": "95 % percentile interval over places drawn with replacement; all profiles share the draws",
 }
 
@@ -83,6 +88,9 @@ def measured(request: ObjectRequest) -> dict[str, Any]:
         out = stack.enter_context(_folder(request.out))
         tick = stack.enter_context(progress_bar("places", sum(plan.set.places for plan in plans.values())))
         runs = {name: run_objects(plan, out / name, request.workers, tick) for name, plan in plans.items()}
+        for name, plan in plans.items():
+            if plan.set.scans > 1:
+                write_mot_tables(out / name / "mot", _rows_by_profile(plan, runs[name]))
     sets = {name: _set_report(plan, runs[name], request, false_cost) for name, plan in plans.items()}
     losses = {
         profile: mean_loss({name: set_report["profiles"][profile] for name, set_report in sets.items()})
@@ -130,15 +138,18 @@ def _folder(out: Path | None) -> Iterator[Path]:
         yield Path(folder)
 
 
+def _rows_by_profile(plan: ObjectPlan, results: list[PlaceResult]) -> dict[str, list[ScanRow]]:
+    return {
+        profile.value: [row for result in results for row in result.rows[profile.value]] for profile in plan.profiles
+    }
+
+
 def _set_report(
     plan: ObjectPlan, results: list[PlaceResult], request: ObjectRequest, false_cost: float
 ) -> dict[str, Any]:
     """Measures of all profiles on one set."""
     weights = bootstrap_weights(plan.set.places, request.draws, request.seed)
-    of_profiles = {
-        profile.value: ObjectScores([row for result in results for row in result.rows[profile.value]])
-        for profile in plan.profiles
-    }
+    of_profiles = {name: ObjectScores(rows) for name, rows in _rows_by_profile(plan, results).items()}
     return {
         "seed": plan.set.seed,
         "places": plan.set.places,
@@ -163,17 +174,16 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         reports: dict[str, ObjectReport] = set_report["profiles"]
         title = f"{name}: {counted(set_report['places'], 'place')} {motion}, seed {set_report['seed']}"
         title += f", effects {set_report['effects']}"
-        yield f"{title}; scenes {set_report['scenes_sha256'][:16]}...", HEADINGS, [
-            _headline(profile, report) for profile, report in reports.items()
-        ]  # fmt: skip
+        yield headline(f"{title}; scenes {set_report['scenes_sha256'][:16]}...", reports)
         yield _aims(name, reports)
         yield _recalls(f"{name}: found by the SNR of the strongest image", BANDS, reports, "recall_by_band")
         classes = sorted({kind for report in reports.values() for kind in report.recall_by_class})
         yield _recalls(f"{name}: found by class", classes, reports, "recall_by_class")
-        yield _errors(name, reports)
+        yield position_errors(name, reports)
         yield _scores(name, reports)
         if set_report["tracks"]:
             yield _tracks(name, set_report["tracks"])
+            yield standard_scores(name, set_report["tracks"])
     if len(results["sets"]) > 1:
         rows = [(profile, f"{loss:.3f}") for profile, loss in results["mean_loss"].items()]
         yield f"mean loss over the sets, false cost {results['false_cost']:g}", ("profile", "loss a scan"), rows
@@ -181,6 +191,11 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
 
 HEADINGS = ("profile", "hidden objects found", "vehicles", "by centre", "reports", "false", "nothing there",
             "false a scan", "loss a scan", "AP at 1 m", "AP at 2 m")  # fmt: skip
+
+
+def headline(title: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """Return the figures that come first."""
+    return title, HEADINGS, [_headline(profile, report) for profile, report in reports.items()]
 
 
 def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
@@ -225,7 +240,7 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
     """Return what is said of objects over a drive."""
     columns = ("profile", "after 1 s in view", "by one mirror, 25 dB on", "false tracks a minute",
                "in plain sight, a minute", "id switches an object", "velocity error, first scan: p50, p90 [m/s]",
-               "after 1 s", "lead of the most possible [s]", "GOSPA [m]", "its pairs, missed, false [m2]")  # fmt: skip
+               "after 1 s", "lead of the most possible [s]")  # fmt: skip
     rows = [
         (
             profile,
@@ -237,12 +252,25 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
             _quantile_pair(report.first_velocity_error_mps),
             _quantile_pair(report.later_velocity_error_mps),
             str(report.lead),
+        )
+        for profile, report in reports.items()
+    ]
+    return f"{name}: confirmed tracks", columns, rows
+
+
+def standard_scores(name: str, reports: Mapping[str, DriveReport]) -> Table:
+    """Return what other trackers are compared by."""
+    columns = ("profile", "MOTA", "IDF1", "HOTA", "DetA", "AssA", "LocA", "GOSPA [m]", "its pairs, missed, false [m2]")
+    rows = [
+        (
+            profile,
+            *(_rate(getattr(report.standard, field)) for field in TrackingScores.__struct_fields__),
             _rate(report.gospa_m),
             _parts(report.gospa_pairs_m2, report.gospa_missed_m2, report.gospa_false_m2),
         )
         for profile, report in reports.items()
     ]
-    return f"{name}: confirmed tracks", columns, rows
+    return f"{name}: tracks by standard scores", columns, rows
 
 
 def _parts(*ratios: Ratio) -> str:
@@ -258,7 +286,9 @@ def _short(ratio: Ratio) -> str:
 
 
 def _rate(ratio: Ratio | Estimate) -> str:
-    return "-" if ratio.value is None else f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
+    if ratio.value is None or math.isnan(ratio.value):
+        return "-"
+    return f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
 
 
 def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectReport], name: str) -> Table:
@@ -268,7 +298,7 @@ def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectRepo
     return title, ("profile", *groups), rows
 
 
-def _errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+def position_errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """Quantiles of the errors of what was found, and of all reports."""
     kinds = {
         "found, centre": "centre_found_m",
@@ -315,11 +345,11 @@ def _share_cells(score_bin: ScoreBin) -> tuple[str, str]:
     return str(score_bin.found), _short(score_bin.near)
 
 
-def page(results: Mapping[str, Any]) -> str:
+def page(results: Mapping[str, Any], all_tables: Iterable[Table]) -> str:
     """The tables as Markdown."""
     lines = ["# Hidden objects, object by object", ""]
     lines += [f"- {word}: {meaning}" for word, meaning in results["definitions"].items()]
-    for title, columns, rows in tables(results):
+    for title, columns, rows in all_tables:
         lines += ["", f"## {title}", "", *table(columns, ([_text(cell) for cell in row] for row in rows))]
     return "\n".join(lines) + "\n"
 

@@ -20,6 +20,7 @@ def hidden(
     return HiddenRow(
         object_class="car",
         image=ImageTruth(direct=False, mirrored=snr_db is not None, snr_db=snr_db, single_snr_db=single),
+        at_m=(0.0, 0.0),
         error_m=None,
         centre_m=None,
         found_by_centre=False,
@@ -62,11 +63,14 @@ def test_a_gap_in_view_begins_the_second_again() -> None:
 
 def test_tracks_count_by_where_they_are_in_most_scans() -> None:
     """Track 1 on nothing twice of three; 2 on a car in sight; 3 near the hidden one; 4 has nothing out of sight."""
-    nothing, near = TrackRow(id=1, error_m=9.0, box_m=9.0), TrackRow(id=1, error_m=0.5, box_m=0.0)
+    nothing, near = (
+        TrackRow(id=1, at_m=(0.0, 0.0), error_m=9.0, box_m=9.0),
+        TrackRow(id=1, at_m=(0.0, 0.0), error_m=0.5, box_m=0.0),
+    )
     others = (
-        TrackRow(id=2, error_m=9.0, box_m=0.5),
-        TrackRow(id=3, error_m=1.5, box_m=1.0),
-        TrackRow(id=4, error_m=None, box_m=None),
+        TrackRow(id=2, at_m=(0.0, 0.0), error_m=9.0, box_m=0.5),
+        TrackRow(id=3, at_m=(0.0, 0.0), error_m=1.5, box_m=1.0),
+        TrackRow(id=4, at_m=(0.0, 0.0), error_m=None, box_m=None),
     )
     scans = [scan(0, [hidden()], (near, *others)), *(scan(number, [hidden()], (nothing, *others)) for number in (1, 2))]
     report = measured(scans)

@@ -132,7 +132,9 @@ def test_bands_hold_their_lower_edge(snr_db: float | None, name: str) -> None:
 def hidden(error_m: float | None, kind: str = "car", snr_db: float | None = 30.0, mirrored: bool = True) -> HiddenRow:
     image = ImageTruth(direct=False, mirrored=mirrored, snr_db=snr_db, single_snr_db=snr_db)
     centre_m = None if error_m is None else error_m + 1.0
-    return HiddenRow(object_class=kind, image=image, error_m=error_m, centre_m=centre_m, found_by_centre=False)
+    return HiddenRow(
+        object_class=kind, image=image, at_m=(0.0, 0.0), error_m=error_m, centre_m=centre_m, found_by_centre=False
+    )
 
 
 def said(score: float, error_m: float | None, found: bool = False, box_m: float | None = 0.0) -> ReportRow:
