@@ -31,7 +31,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     port: int = 8765
     #: Open the page in the default browser of this machine.
     open_browser: bool = False
-    max_clients: int = 16
     title: str = "graph"
     #: Keeps the page's token while the node is restarted, so that open pages reconnect; a launch fills it in.
     token_file: str | None = None
@@ -39,8 +38,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0..65535, got {self.port!r}")
-        if not 1 <= self.max_clients <= 256:
-            raise ValueError(f"max_clients must be 1..256, got {self.max_clients!r}")
 
 
 class BevViewer(Node):
@@ -58,7 +55,6 @@ class BevViewer(Node):
             board,
             title=params.title,
             port=params.port,
-            max_clients=params.max_clients,
             token_file=None if params.token_file is None else TokenFile(Path(params.token_file)),
         )
         # the address grants access: it is for this user's terminal and log file alone

@@ -14,7 +14,7 @@ from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
 from nodes.can.bus import BusParams, CanLink, bus_frame, load_dbc, load_mapping
 from nodes.node import Node
-from sim_player.car import CarShape, SimulatedCar
+from sim_player.car import TRACK_M, SimulatedCar, steering_rad
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -27,7 +27,6 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     #: Motion without a scene; if given, it overrides the scene's.
     speed_mps: float | None = None
     yaw_rate_rps: float | None = None
-    shape: CarShape = CarShape()
 
 
 class CarSim(Node):
@@ -73,10 +72,9 @@ def motion_of(params: Params) -> VehicleState:
         speed_mps = ego.speed_mps if speed_mps is None else speed_mps
         yaw_rate_rps = math.radians(ego.yaw_rate_dps) if yaw_rate_rps is None else yaw_rate_rps
     speed_mps, yaw_rate_rps = speed_mps or 0.0, yaw_rate_rps or 0.0
-    steering_rad = params.shape.steering_rad(speed_mps, yaw_rate_rps)
     return VehicleState(
-        stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad,
-        wheel_speed_difference_mps=params.shape.track_m * yaw_rate_rps,
+        stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad(speed_mps, yaw_rate_rps),
+        wheel_speed_difference_mps=TRACK_M * yaw_rate_rps,
     )  # fmt: skip
 
 

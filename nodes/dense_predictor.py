@@ -11,12 +11,10 @@ from typing import Literal
 import msgspec
 
 from models.perception.cards import learned_path
-from models.perception.detection.cfar import PHOTON_CFAR, CfarParams
+from models.perception.detection.cfar import CfarParams
 from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.detection.peaks import PeakParams
-from models.perception.detection.refinement import RefinementParams
-from models.perception.detection.ridge_matching import RidgeMatchingParams
 from models.perception.detection.stage import DetectionStage
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
@@ -41,21 +39,17 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: How a network's peaks are placed (`models.perception.detection.detectors.Refine`): true is "pursuit", false
     #: "none".
     refine: bool | Refine = True
-    refinement: RefinementParams = RefinementParams()
     #: The mean answer to the map and to the map with left and right exchanged.
     flip_test: bool = False
-    #: Scores become probabilities, by the table of the model's card.
-    calibrate: bool = False
-    named: RidgeMatchingParams = RidgeMatchingParams()
-    #: None: the released settings with the threshold of the model's card.
-    peaks: PeakParams | None = None
+    #: Least score of a network's peak; None: that of the model's card.
+    threshold: float | None = None
     cfar: CfarParams = CfarParams()
-    #: Of maps of a LiDAR, which CFAR looks at whatever the method: no committed network was trained on any.
-    photons: CfarParams = PHOTON_CFAR
 
     def __post_init__(self) -> None:
         if not 1 <= self.threads <= MAX_THREADS:
             raise ValueError(f"threads must be 1..{MAX_THREADS}, got {self.threads!r}")
+        if self.threshold is not None and not 0.0 < self.threshold <= 1.0:
+            raise ValueError(f"threshold must be in (0, 1], got {self.threshold!r}")
 
 
 class DensePredictorNode(Node):
@@ -115,7 +109,7 @@ class DensePredictorNode(Node):
 
 def detection_stage(params: Params, timed: Timed = nullcontext) -> DetectionStage:
     """Return the stage that parameters name; errors as `detector_for`."""
-    return DetectionStage(partial(detector_for, params), photons=PhotonDetector(params.photons), timed=timed)
+    return DetectionStage(partial(detector_for, params), photons=PhotonDetector(), timed=timed)
 
 
 def model_path(model: str | None) -> Path:
@@ -131,12 +125,9 @@ def detector_for(params: Params, setup: RadarSetup) -> Detector:
         setup,
         model_path(params.model),
         params.threads,
-        params.peaks,
-        params.named,
-        params.refine,
-        params.refinement,
-        params.calibrate,
-        params.flip_test,
+        None if params.threshold is None else PeakParams(threshold=params.threshold),
+        refine=params.refine,
+        flip_test=params.flip_test,
     )
 
 

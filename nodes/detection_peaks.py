@@ -7,7 +7,6 @@ from contextlib import nullcontext
 
 import msgspec
 
-from models.perception.detections.classification import ClassParams
 from models.perception.detections.defaults import DETECTION_GEOMETRY
 from models.perception.detections.sensor import DetectionSensor
 from models.perception.detections.stage import DetectionsStage
@@ -27,7 +26,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The sensor, and how its walls and images are told."""
 
     sensor: DetectionSensor = DetectionSensor()
-    classes: ClassParams = ClassParams()
     #: Of the walls that images lie behind; the geometry node has its own, `geometry.detections`.
     geometry: GeometryParams = DETECTION_GEOMETRY
 
@@ -70,7 +68,7 @@ class DetectionPeaksNode(Node):
 
 def detections_stage(params: Params, timed: Timed = nullcontext) -> DetectionsStage:
     """Return the stage that parameters name."""
-    return DetectionsStage(params.sensor, params.geometry, params.classes, timed)
+    return DetectionsStage(params.sensor, params.geometry, timed)
 
 
 def create(params: Params) -> DetectionPeaksNode:

@@ -30,6 +30,12 @@ _LOG = logging.getLogger(__name__)
 
 #: A scan whose next beam has not come for this long is given up and published with what is there.
 PATIENCE_NS = 500_000_000
+#: A scan is not begun where beams have piled up so high that, at the pace of late, its last would be folded more than
+#: this many scans after it came: half the deadline, and the other half belongs to what follows.
+BEHIND = 0.5
+#: A scan of which the bus lost beams is left out when a larger share of its beams is missing: 25 beams carry 15
+#: unknowns, with fewer than these the azimuths are guesses.
+MISSING_LIMIT = 0.4
 
 
 class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,19 +44,6 @@ class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ego_compensation: bool = True
     #: Open-field background (.npy of `mirrorwave calibrate background`) in place of the set-up's own.
     background: str | None = None
-    #: A scan is not begun where beams have piled up so high that, at the pace of late, its last would be folded more
-    #: than this many scans after it came: half the deadline, and the other half belongs to what follows.
-    behind: float = 0.5
-    #: A scan of which the bus lost beams is left out when a larger share of its beams is missing: 25 beams carry 15
-    #: unknowns, with fewer than these the azimuths are guesses.
-    missing_limit: float = 0.4
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.behind > 0.0:
-            raise ValueError(f"ra_former.behind must be positive, got {self.behind!r}")
-        if not 0.0 <= self.missing_limit <= 1.0:
-            raise ValueError(f"ra_former.missing_limit must be 0..1, got {self.missing_limit!r}")
 
 
 class RaFormerNode(Node):
@@ -61,13 +54,12 @@ class RaFormerNode(Node):
 
     def __init__(self, params: Params) -> None:
         super().__init__()
-        self._missing_limit = params.missing_limit
         # compiles the folding kernel while the graph still waits for this node, not when the first beam does
         FormingStage(params).set_up(RadarSetup())
         self._stage = forming_stage(params, self.stages)
         #: Takes the other's place before the next scan.
         self._next_stage: FormingStage | None = None
-        self._queue = BeamQueue(params.behind)
+        self._queue = BeamQueue(BEHIND)
         #: Durations of the last folds, about a scan; a test puts another clock in.
         self._folds_ns: deque[int] = deque(maxlen=32)
         self._clock_ns: Callable[[], int] = time.perf_counter_ns
@@ -118,7 +110,6 @@ class RaFormerNode(Node):
         stage = forming_stage(params, self.stages)
         stage.take_over(self._stage)
         self._next_stage = stage
-        self._missing_limit, self._queue.behind = params.missing_limit, params.behind
 
     def _set_up(self, setup: RadarSetup) -> None:
         """Form by another set-up; one that cannot be used changes nothing, and its beams are refused as they come."""
@@ -165,7 +156,7 @@ class RaFormerNode(Node):
         assert self._stage.former is not None
         used = len(self._stage.former.folder.setup.beams) - len(ra_map.unused_beams)
         is_torn = self._queue.torn(ra_map.scan_id)
-        if is_torn and len(ra_map.missing_beams) > self._missing_limit * used:
+        if is_torn and len(ra_map.missing_beams) > MISSING_LIMIT * used:
             self._leave_out("torn")
             return False
         if self._published_scan is not None and ra_map.scan_id == self._published_scan + 1:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
-
 from models.vehicle.can_state import DIMENSIONS
 from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension
-from msgs.values.arrays import require_positive
 from msgs.values.vehicle import VehicleState
 
 if TYPE_CHECKING:
@@ -20,29 +17,18 @@ if TYPE_CHECKING:
     from cantools.database.can import Message
 
 
-class CarShape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Geometry that maps a yaw rate to an angle of the steering wheel."""
+#: A passenger car: wheelbase, and from the left to the right wheels.
+WHEELBASE_M, TRACK_M = 2.7, 1.55
+#: Angle of the steering wheel by angle of the front wheels, and the steering wheel's stop.
+STEERING_RATIO, MAX_STEERING_RAD = 15.0, 9.0
 
-    wheelbase_m: float = 2.7
-    #: From the left to the right wheels.
-    track_m: float = 1.55
-    #: Angle of the steering wheel by angle of the front wheels.
-    steering_ratio: float = 15.0
-    #: The steering wheel's stop.
-    max_steering_rad: float = 9.0
 
-    def __post_init__(self) -> None:
-        for name in ("wheelbase_m", "track_m", "steering_ratio", "max_steering_rad"):
-            require_positive(name, getattr(self, name))
-
-    def steering_rad(self, speed_mps: float, yaw_rate_rps: float) -> float:
-        """Return the angle of the steering wheel of a car that rolls without slip, left positive; straight at
-        standstill.
-        """
-        if speed_mps == 0.0:
-            return 0.0
-        angle_rad = self.steering_ratio * math.atan(self.wheelbase_m * yaw_rate_rps / speed_mps)
-        return max(-self.max_steering_rad, min(self.max_steering_rad, angle_rad))
+def steering_rad(speed_mps: float, yaw_rate_rps: float) -> float:
+    """Return the steering wheel's angle of a car that rolls without slip, left positive; straight at standstill."""
+    if speed_mps == 0.0:
+        return 0.0
+    angle_rad = STEERING_RATIO * math.atan(WHEELBASE_M * yaw_rate_rps / speed_mps)
+    return max(-MAX_STEERING_RAD, min(MAX_STEERING_RAD, angle_rad))
 
 
 class CarFrame(NamedTuple):

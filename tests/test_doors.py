@@ -356,13 +356,13 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from msgs.link import peer_messages
     from msgs.recording import sigmf as sigmf_capture
     from msgs.values import arrays, camera
-    from nodes import bev_viewer
     from nodes.bridges import ros2_link, ros2_topics
     from nodes.can import log_file as can_log_file
     from nodes.drivers import recorded_sensors
     from nodes.process import launch_file, logs
     from nodes.viewer import connection_limiter as limiter
     from nodes.viewer import series, server
+    from nodes.viewer.server import MAX_CLIENTS
     from sim_player.scene import description as scene
     from sim_player.scene import meshes
 
@@ -381,7 +381,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "connections to a link that have not shown a key": (
             f"{curve_exporter._MAX_STRANGERS}, for {curve_link._HANDSHAKE_MS / 1000:g} s"
         ),
-        "pages at the viewer": str(bev_viewer.Params().max_clients),
+        "pages at the viewer": str(MAX_CLIENTS),
         "connections to the viewer that are no page": f"{limiter.MAX_PENDING}, for {limiter.PENDING_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
         "message from ROS 2": f"{_size(ros2_link.MAX_INPUT_BYTES)}, {ros2_topics.INPUT_DEPTH} waiting",

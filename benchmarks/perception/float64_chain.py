@@ -40,9 +40,9 @@ from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.encoding import Encoding, sample_columns
 from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
 from models.perception.detection.peaks import PeakParams, find_pursued_peaks
-from models.perception.forming.coarray import CoherenceTest, beam_matrix, ideal_beams
+from models.perception.forming.coarray import NOISE_FALSE_ALARM, CoherenceTest, beam_matrix, ideal_beams
 from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import FormingParams
+from models.perception.forming.ra_forming import DOPPLER_EXCESS_DB, DOPPLER_LIMIT_MPS, DOPPLER_SNR_DB, FormingParams
 from models.perception.forming.slow_time_sums import fold_chirps, group_edges
 from models.perception.geometry.stage import FoldedScan, GeometryParams, fold_scan, recover_bev
 from msgs.bus.codec import encode_inline
@@ -139,8 +139,8 @@ class DoubleChain:
         power = np.abs(doppler) ** 2
         best = power.argmax(axis=0)
         top = power.max(axis=0)
-        best[top <= ratio_from_db(params.doppler_excess_db) * power[0]] = 0
-        best[top <= ratio_from_db(params.doppler_snr_db) * noise_mw] = 0
+        best[top <= ratio_from_db(DOPPLER_EXCESS_DB) * power[0]] = 0
+        best[top <= ratio_from_db(DOPPLER_SNR_DB) * noise_mw] = 0
         return doppler[best, np.arange(bins)], noise_mw
 
     def _doppler(self, groups: int) -> np.ndarray:
@@ -149,7 +149,7 @@ class DoubleChain:
         edges = group_edges(radar.chirps_per_beam, groups)
         time_s = (0.5 * (edges[1:] + edges[:-1]) - 0.5 * radar.chirps_per_beam) * radar.chirp_period_s
         step_hz = 1.0 / (params.doppler_padding * radar.beam_duration_s)
-        limit = int(2.0 * params.doppler_limit_mps / radar.wavelength_m / step_hz)
+        limit = int(2.0 * DOPPLER_LIMIT_MPS / radar.wavelength_m / step_hz)
         limit = min(limit, (groups - 1) * params.doppler_padding // 2)
         bins = np.concatenate([np.arange(limit + 1), -np.arange(1, limit + 1)])
         return np.exp(-2j * np.pi * step_hz * np.multiply.outer(bins, time_s))
@@ -158,7 +158,7 @@ class DoubleChain:
         """Bins [range] that do not fit one coherent scene."""
         test = CoherenceTest()
         left_over = np.sum(np.abs(self._residual @ profiles) ** 2, axis=0)
-        limit = noise_mw * gammainccinv(np.sum(np.abs(self._residual) ** 2), test.noise_false_alarm)
+        limit = noise_mw * gammainccinv(np.sum(np.abs(self._residual) ** 2), NOISE_FALSE_ALARM)
         return (left_over > limit) & (left_over > test.model_error * np.sum(np.abs(profiles) ** 2, axis=0))
 
 

@@ -32,27 +32,26 @@ def write_views(
     scene: Scene,
     viewpoints: Sequence[Viewpoint],
     params: LidarParams,
-    guess: FirstGuess | None,
+    guess: FirstGuess,
     seed: int,
     out: Path,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
     """Write a cloud a viewpoint (PLY), `scene.yaml` for `mirrorwave annotate`, and the true poses in `truth.json`.
 
-    `guess` None: no first poses; the first viewpoint's pose is always given, as calibrated.
+    The first viewpoint's pose is given as it is, as calibrated.
     """
     out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([seed, 1])
-    position_m, heading_deg = (0.0, 0.0) if guess is None else (guess.position_m, guess.heading_deg)
     clouds, truth = [], []
     for index, viewpoint in enumerate(viewpoints):
         made = lidar_cloud(scene, viewpoint, params, seed + index)
         name = f"view_{index}.ply"
         _write_cloud(out / name, made.points_m)
-        slip_m = rng.normal(0.0, position_m, 3) * (1.0, 1.0, 0.3)
-        slip = rigid(tuple(slip_m.tolist()), 0.0, 0.0, math.radians(rng.normal(0.0, heading_deg)))
+        slip_m = rng.normal(0.0, guess.position_m, 3) * (1.0, 1.0, 0.3)
+        slip = rigid(tuple(slip_m.tolist()), 0.0, 0.0, math.radians(rng.normal(0.0, guess.heading_deg)))
         true = Pose.of(made.radar_from_lidar)
-        first = true if index == 0 else None if guess is None else Pose.of(made.radar_from_lidar @ slip)
+        first = true if index == 0 else Pose.of(made.radar_from_lidar @ slip)
         clouds.append(Cloud(file=name, radar_from_lidar=first, calibrated=index == 0))
         truth.append({"file": name, "radar_from_lidar": msgspec.to_builtins(true)})
         tick()

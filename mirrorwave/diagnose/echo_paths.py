@@ -12,7 +12,7 @@ from sim_player.effects.names import PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.planner.plan import BUDGET_DB, resolve_plan
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
-from sim_player.scene.world import World, prepare
+from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import best_power_mw, hidden_objects
@@ -40,19 +40,7 @@ class PathFilter(NamedTuple):
 
     hidden_only: bool = False
     kind: str | None = None
-    object_index: int | None = None
-    surface: int | None = None
     strongest: int | None = None
-
-    def check(self, world: World) -> None:
-        """Raise `ValueError` for an object or a surface that the scene lacks."""
-        for option, wanted, count in (
-            ("--object", self.object_index, len(world.scene.objects)),
-            ("--surface", self.surface, len(world.wall_a)),
-        ):
-            if wanted is not None and not 0 <= wanted < count:
-                known = f"0..{count - 1}" if count else "none of them in this scene"
-                raise ValueError(f"{option} must be {known}, got {wanted}")
 
     def passes(self, paths: Paths) -> np.ndarray:
         """Return which paths to keep, without regard to their strength."""
@@ -61,15 +49,12 @@ class PathFilter(NamedTuple):
             kept &= np.isin(paths.object_index, list(hidden_objects(paths)))
         if self.kind is not None:
             kept &= (paths.kind == PathClass.MIRRORED) == (self.kind == "mnlos")
-        for column, wanted in ((paths.object_index, self.object_index), (paths.surface, self.surface)):
-            kept &= wanted is None or column == wanted
         return kept
 
 
 def echo_paths(scene: Scene, seed: int, choice: PlanChoice, wanted: PathFilter) -> EchoPaths:
-    """Trace a scene with some effects; `ValueError` where `wanted` names what the scene lacks."""
+    """Trace a scene with some effects, and keep the paths that are wanted."""
     world = prepare(scene, seed)
-    wanted.check(world)
     plan = resolve_plan(world, scene.setup, choice.effects, choice.budget_db, purpose=purpose_of(choice.purpose))
     paths = trace(world) if plan is None else plan.paths
     power_mw = best_power_mw(scene.setup, paths)

@@ -70,7 +70,7 @@ class GraphPicture(msgspec.Struct, frozen=True, kw_only=True):
         return {"title": self.title, "nodes": msgspec.to_builtins(self.nodes), "topics": topics}
 
 
-def running_picture(domain: str, window_s: float, health: bool = False) -> GraphPicture:
+def running_picture(domain: str, window_s: float) -> GraphPicture:
     """The running graph of a domain; raises `ConnectionError` where none runs."""
     from mirrorwave.commands.graph.nodes import collect_heartbeats, topic_rows
     from mirrorwave.diagnose.running_graph import no_graph
@@ -94,11 +94,11 @@ def running_picture(domain: str, window_s: float, health: bool = False) -> Graph
             link.topic: link for link in _links(rows.get(name, []), "out")
         }
         inputs = {link.topic: link for link in _links(rows.get(name, []), "in")}
-        nodes.append(_node(name, str(state), reason, inputs, outputs, health))
+        nodes.append(_node(name, str(state), reason, inputs, outputs))
     return GraphPicture(title=f"domain {domain}", nodes=_sources_first([node for node in nodes if _has_work(node)]))
 
 
-def launch_picture(path: Path, health: bool = False) -> GraphPicture:
+def launch_picture(path: Path) -> GraphPicture:
     """The graph of a launch file as its nodes' classes declare it; ValueError as from `launch`."""
     from nodes.process.launch_file import expect_topics, read_launch_file
 
@@ -108,7 +108,7 @@ def launch_picture(path: Path, health: bool = False) -> GraphPicture:
     for name, entry in launch.nodes.items():
         inputs, outputs = _declared(name, entry)
         links = [{topic: Link(topic=topic) for topic in topics} for topics in (inputs, outputs)]
-        node = _node(name, "declared", "", links[0], links[1], health)
+        node = _node(name, "declared", "", links[0], links[1])
         nodes.append(msgspec.structs.replace(node, module=entry.module))
     return GraphPicture(title=str(path), nodes=_sources_first(nodes))
 
@@ -141,13 +141,8 @@ def _links(rows: list[dict[str, Any]], direction: str) -> list[Link]:
     ]
 
 
-def _node(
-    name: str, state: str, reason: str, inputs: dict[str, Link], outputs: dict[str, Link], health: bool
-) -> GraphNode:
-    topics = [
-        tuple(links[topic] for topic in sorted(links) if health or topic not in ABOUT_NODES)
-        for links in (inputs, outputs)
-    ]
+def _node(name: str, state: str, reason: str, inputs: dict[str, Link], outputs: dict[str, Link]) -> GraphNode:
+    topics = [tuple(links[topic] for topic in sorted(links) if topic not in ABOUT_NODES) for links in (inputs, outputs)]
     return GraphNode(node=name, state=state, reason=reason, inputs=topics[0], outputs=topics[1])
 
 

@@ -33,7 +33,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Pages that may connect, as `scheme://host:port`: Foxglove in the browser, and applications that load their page
     #: from a file, as desktop applications do. A program that names no page needs the token alone.
     allowed_origins: tuple[str, ...] = ("https://app.foxglove.dev", "file://")
-    max_clients: int = 4
     title: str = "mirrorwave"
     #: Keeps the token while the node is restarted, so that clients reconnect; a launch fills it in.
     token_file: str | None = None
@@ -41,8 +40,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0..65535, got {self.port!r}")
-        if not 1 <= self.max_clients <= 64:
-            raise ValueError(f"max_clients must be 1..64, got {self.max_clients!r}")
         for origin in self.allowed_origins:
             if not _ORIGIN.fullmatch(origin):
                 raise ValueError(f"allowed_origins must be scheme://host:port each, without a path, got {origin!r}")
@@ -62,7 +59,6 @@ class FoxgloveBridge(Node):
         self.server = FoxgloveServer(
             title=params.title,
             port=params.port,
-            max_clients=params.max_clients,
             allowed_origins=params.allowed_origins,
             token_file=None if params.token_file is None else TokenFile(Path(params.token_file)),
         )

@@ -98,6 +98,9 @@ class Plot(msgspec.Struct, frozen=True, tag="plot", tag_field="type", forbid_unk
 Command = Play | Seek | Step
 _FROM_CLIENT = msgspec.json.Decoder(Acknowledge | Plot | Play | Seek | Step)
 
+#: Pages that may look at once.
+MAX_CLIENTS = 16
+
 
 class ViewerServer(LoopbackServer):
     """Serves a board to browsers. `commands` receives a page's commands for a recording."""
@@ -112,7 +115,7 @@ class ViewerServer(LoopbackServer):
         *,
         title: str,
         port: int = 0,
-        max_clients: int = 16,
+        max_clients: int = MAX_CLIENTS,
         commands: Callable[[Command], None] | None = None,
         token_file: TokenFile | None = None,
     ) -> None:

@@ -8,9 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.cfar import CfarParams
 from models.perception.detection.peaks import PeakParams
-from models.perception.detection.pursuit import PursuitParams
 from models.perception.detection.ridges import RidgeParams
 from models.perception.forming.coarray import _solve_each, require_formable
 from models.perception.forming.photon_map import MAX_CELLS, MAX_TIMES
@@ -163,13 +161,8 @@ def test_a_stamp_that_a_peers_clock_cannot_have_is_rejected() -> None:
 @pytest.mark.parametrize(
     ("kind", "fields"),
     [
-        (PursuitParams, {"explained": (1.0, 1e9)}),
-        (PursuitParams, {"explained": (1.0, 5e-324)}),
-        (PursuitParams, {"max_peaks": 1 << 63}),
         (PeakParams, {"min_distance": 1 << 31}),
         (RidgeParams, {"spacing": (0, 1 << 62)}),
-        (CfarParams, {"stride": 0}),
-        (CfarParams, {"window": -1}),
     ],
 )
 def test_parameters_that_no_map_could_be_looked_at_with(kind: type, fields: dict[str, Any]) -> None:

@@ -506,7 +506,7 @@ def test_numbers_that_json_lacks_are_null() -> None:
     assert json_text({"a": float("nan"), "b": float("inf")}) == '{"a":null,"b":null}'
 
 
-@pytest.mark.parametrize(("field", "value"), [("port", -1), ("port", 65536), ("max_clients", 0), ("max_clients", 257)])
+@pytest.mark.parametrize(("field", "value"), [("port", -1), ("port", 65536)])
 def test_wrong_parameters_are_named(field: str, value: int) -> None:
     with pytest.raises(msgspec.ValidationError, match=field):
         msgspec.convert({field: value}, Params)

@@ -17,8 +17,6 @@ from models.perception.detection.cfar import CfarParams
 from models.perception.detection.detectors import NetworkDetector, detector_name
 from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.detection.peaks import PeakParams
-from models.perception.detection.refinement import RefinementParams
-from models.perception.detection.ridge_matching import RidgeMatchingParams
 from models.perception.forming.ra_former import RaFormer
 from models.perception.geometry.stage import made_up_peaks
 from msgs.bus.interface import Envelope, Received
@@ -129,18 +127,15 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
         model="compact_unet.int8",
         threads=3,
         refine="likelihood",
-        refinement=RefinementParams(iterations=7),
         flip_test=True,
-        calibrate=True,
-        named=RidgeMatchingParams(threshold=0.3),
-        peaks=PeakParams(threshold=0.35),
-        cfar=CfarParams(quantile=0.4),
+        threshold=0.35,
+        cfar=CfarParams(false_alarm_rate=1e-3),
     )
     assert dense_predictor.detector_for(params, setup) == "network"  # type: ignore[comparison-overlap]
     path = handed.pop("model")
     assert path.name == "compact_unet.int8.onnx"
-    names = ("threads", "refine", "refinement", "flip_test", "calibrate")
-    renamed = {"setup": setup, "params": params.peaks, "ridge_matching": params.named}
+    names = ("threads", "refine", "flip_test")
+    renamed = {"setup": setup, "params": PeakParams(threshold=0.35)}
     assert handed == {name: getattr(params, name) for name in names} | renamed
     by_cfar = msgspec.structs.replace(params, method="cfar")
     assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar)  # type: ignore[comparison-overlap]

@@ -13,7 +13,7 @@ from models.vehicle.can_state import CanDecoder, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignRule
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import load_dbc, load_mapping
-from sim_player.car import CarShape, SimulatedCar
+from sim_player.car import SimulatedCar, steering_rad
 
 DATABASE = load_dbc(Path("launch/can/mirrorwave.dbc"))
 RULES = load_mapping(Path("launch/can/mirrorwave.yaml"))
@@ -103,12 +103,11 @@ def test_wheels_and_summed_angles_are_spoken() -> None:
 
 def test_steering_goes_with_the_turn() -> None:
     """A car on a circle of 20 m: tan(wheel angle) = wheelbase / radius; backwards the wheel points the other way."""
-    shape = CarShape()
     expected_rad = 15.0 * math.atan(2.7 / 20.0)
-    assert shape.steering_rad(10.0, 0.5) == pytest.approx(expected_rad)
-    assert shape.steering_rad(-10.0, 0.5) == pytest.approx(-expected_rad)
-    assert shape.steering_rad(0.0, 0.5) == 0.0
-    assert shape.steering_rad(1e-9, -0.5) == -9.0
+    assert steering_rad(10.0, 0.5) == pytest.approx(expected_rad)
+    assert steering_rad(-10.0, 0.5) == pytest.approx(-expected_rad)
+    assert steering_rad(0.0, 0.5) == 0.0
+    assert steering_rad(1e-9, -0.5) == -9.0
 
 
 def test_a_motion_beyond_the_bits_is_refused() -> None:
@@ -120,5 +119,3 @@ def test_a_mapping_that_does_not_fit_is_refused() -> None:
     rules = msgspec.structs.replace(RULES, speed=msgspec.structs.replace(RULES.speed, message="GONE"))
     with pytest.raises(ValueError, match=r"messages\.GONE: the DBC has no message 'GONE'"):
         SimulatedCar(DATABASE, rules)
-    with pytest.raises(ValueError, match=r"wheelbase_m must be finite and positive, got 0\.0"):
-        CarShape(wheelbase_m=0.0)

@@ -19,7 +19,6 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.special import gamma
@@ -28,7 +27,7 @@ from models.evaluation.frame_scores import CAP_M, FrameScores, bootstrap_weights
 from models.evaluation.metrics import chamfer, match_objects, match_points
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.detection.cfar import CfarParams, cell_averaging_mask, cfar_mask, detect, ordered_statistic_alpha
+from models.perception.detection.cfar import CfarParams, detect, ordered_statistic_alpha, ordered_statistic_mask
 from models.perception.detection.encoding import Encoding, encode_columns
 from models.perception.detection.onnx_model import DensePredictor, ModelCard
 from models.perception.detection.peaks import PeakParams, peaks_at
@@ -513,44 +512,9 @@ def test_detections_of_an_enormous_map(errors: Errors) -> None:
     reference = detect(plain, CfarParams())
     found = detect(large, CfarParams())
     assert len(reference) > 0
-    naive = cfar_mask(naive_power(large.values).astype(np.float64), CfarParams())
+    naive = ordered_statistic_mask(naive_power(large.values).astype(np.float64), CfarParams())
     same = np.array_equal(found.range_m, reference.range_m) and np.array_equal(found.score, reference.score)
     errors(naive=len(reference) - min(np.count_nonzero(naive), len(reference)), ours=0.0 if same else math.inf)
-
-
-@pytest.mark.hard(
-    where="models.perception.detection.cfar",
-    naive="integral image in float32",
-    bound=0.0,
-    unit="cells",
-    source="direct sums decide the same",
-)
-def test_cell_averaging_beside_a_strong_echo(errors: Errors) -> None:
-    """An echo 130 dB over the noise: all windows behind it are differences of sums that hold it."""
-    power = np.random.default_rng(0).exponential(1e-14, (160, 128))
-    power[20, 30] = 0.1
-    params = CfarParams(kind="ca", training=(10, 12), guard=(2, 4), false_alarm_rate=1e-2)
-
-    def window(half: tuple[int, int], values: np.ndarray) -> np.ndarray:
-        return ndimage.convolve(values, np.ones([2 * h + 1 for h in half]), mode="constant")
-
-    def mask(total: np.ndarray) -> np.ndarray:
-        count = window(params.training, np.ones(power.shape)) - window(params.guard, np.ones(power.shape))
-        return power > (params.false_alarm_rate ** (-1.0 / count) - 1.0) * total
-
-    def integral(half: tuple[int, int]) -> np.ndarray:
-        table = np.zeros([length + 1 for length in power.shape], np.float32)
-        table[1:, 1:] = power.astype(np.float32).cumsum(axis=0, dtype=np.float32).cumsum(axis=1, dtype=np.float32)
-        ends = [(np.maximum(np.arange(n) - h, 0), np.minimum(np.arange(n) + h + 1, n))
-                for n, h in zip(power.shape, half, strict=True)]  # fmt: skip
-        (r0, r1), (a0, a1) = ends
-        return table[np.ix_(r1, a1)] - table[np.ix_(r0, a1)] - table[np.ix_(r1, a0)] + table[np.ix_(r0, a0)]
-
-    ring = np.ones([2 * h + 1 for h in params.training])
-    ring[tuple(slice(t - g, t + g + 1) for t, g in zip(params.training, params.guard, strict=True))] = 0.0
-    exact = mask(ndimage.convolve(power, ring, mode="constant"))
-    naive = mask(integral(params.training).astype(np.float64) - integral(params.guard))
-    errors(naive=np.count_nonzero(naive != exact), ours=np.count_nonzero(cell_averaging_mask(power, params) != exact))
 
 
 @pytest.mark.hard(

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.perception.detection.cfar import CfarParams, cell_averaging_mask
 from models.perception.detection.encoding import Encoding, encode_columns
 from models.perception.detection.peaks import PeakParams, peaks_at
 from models.perception.forming.digital_array import DigitalArrayParams, range_doppler
@@ -319,48 +318,6 @@ def test_fast_echoes_near_and_far(count: int, errors: Errors) -> None:
     naive = start @ np.exp(np.complex64(2j * np.pi) * single)
     off = [float(np.abs(one - exact).max() / np.abs(exact).max()) for one in (naive, got)]
     errors(naive=off[0], ours=off[1])
-
-
-@pytest.mark.hard(
-    where="models.perception.detection.cfar",
-    naive="integral image in float32",
-    bound=3e-7,
-    unit="",
-    source="four corners of 2^-53 of the map's sum each, over the window's",
-)
-def test_training_cells_beside_a_wall(errors: Errors) -> None:
-    """A wall 80 dB over noise of 1e-14 mW: its integral swallows the windows behind it. Relative error of their sum."""
-    power = np.random.default_rng(3).exponential(1e-14, (512, 256))
-    power[40:60] = 1e-6
-    cell, params = (300, 128), CfarParams(kind="ca")
-    (outer_r, outer_a), (inner_r, inner_a) = params.training, params.guard
-    outer, inner = (
-        power[cell[0] - r : cell[0] + r + 1, cell[1] - a : cell[1] + a + 1].astype(np.longdouble)
-        for r, a in ((outer_r, outer_a), (inner_r, inner_a))
-    )
-    exact = float(outer.sum() - inner.sum())
-    integral = np.zeros((513, 257), np.float32)
-    integral[1:, 1:] = power.astype(np.float32).cumsum(axis=0).cumsum(axis=1)
-    boxes = [
-        integral[cell[0] + r + 1, cell[1] + a + 1]
-        - integral[cell[0] - r, cell[1] + a + 1]
-        - integral[cell[0] + r + 1, cell[1] - a]
-        + integral[cell[0] - r, cell[1] - a]
-        for r, a in ((outer_r, outer_a), (inner_r, inner_a))
-    ]
-    count = outer.size - inner.size
-    alpha_over_n = params.false_alarm_rate ** (-1.0 / count) - 1.0
-
-    def detected(share: float) -> bool:
-        """Whether a cell at so much of the exact threshold is; guard cells do not count."""
-        power[cell] = share * alpha_over_n * exact
-        return bool(cell_averaging_mask(power, params)[cell])
-
-    low, high = 1.0 - 1e-5, 1.0 + 1e-5
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if detected(middle) else (middle, high)
-    errors(naive=abs(float(boxes[0] - boxes[1]) / exact - 1.0), ours=abs(high - 1.0))
 
 
 def _map(values: np.ndarray, noise_power_mw: float) -> RangeAzimuthMap:

@@ -18,7 +18,7 @@ from models.perception.tracking.association import (
 from models.perception.tracking.bernoulli import Bernoulli, updated
 from models.perception.tracking.estimate import MEASURED, Estimate, motion_noise
 from models.perception.tracking.measurements import Sighting
-from models.perception.tracking.odometry import Odometry, OdometryParams, stationary_pose
+from models.perception.tracking.odometry import Odometry, stationary_pose
 from models.perception.tracking.tracker import MAX_TRACKS, Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
@@ -296,7 +296,7 @@ def test_a_scan_that_comes_twice_or_late_changes_nothing() -> None:
 )
 def test_a_million_states_round_and_round(errors: Errors) -> None:
     """30 m/s at 1 rad/s, 100 states a second for almost three hours: still a point of a circle of 30 m."""
-    odometry, yaw_rate_rps = Odometry(OdometryParams(history_s=0.1)), 1.0
+    odometry, yaw_rate_rps = Odometry(), 1.0
     for step in range(1_000_001):
         odometry.add(VehicleState(stamp_ns=EPOCH_NS + step * 10_000_000, speed_mps=30.0, yaw_rate_rps=yaw_rate_rps))
     place = odometry.at(EPOCH_NS + 10_000_000_000_000)

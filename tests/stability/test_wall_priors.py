@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.tracking.wall_fusion import PlacedPrior, ScanReturns, WallFusionParams, fused
+from models.perception.tracking.wall_fusion import MAX_WALLS, PlacedPrior, ScanReturns, fused
 from models.perception.tracking.wall_lines import WallLine
 from models.perception.tracking.wall_priors import WallPriorStore
 from msgs.values.environment import MAX_PRIOR_WALLS, PriorWall, WallPriors
@@ -25,7 +25,7 @@ def prior(x_m: float, source: str = "map", low_m: float = -5.0, high_m: float = 
 
 
 def walls_of(priors: list[PlacedPrior], walls: list[Wall]) -> list[Wall]:
-    return fused(priors, NOTHING, walls, WallFusionParams())[0]
+    return fused(priors, NOTHING, walls)[0]
 
 
 @pytest.mark.hard(
@@ -112,7 +112,7 @@ def test_eight_sources_full_of_random_walls() -> None:
         ends_m = middle_m + half_m * np.array([[-1.0], [1.0]]) * [math.cos(angle_rad), math.sin(angle_rad)]
         priors.append(PlacedPrior(f"map {number % 8}", WallLine.between(ends_m, **STDS)))
     walls = walls_of(priors, [FACADE])
-    assert len(walls) <= 1 + WallFusionParams().max_walls
+    assert len(walls) <= 1 + MAX_WALLS
     # what else agrees with the facade may have corrected it, within the errors of both
     assert abs(walls[0].offset_m - FACADE.offset_m) < 1.0
     assert all(

@@ -16,7 +16,6 @@ from mirrorwave.commands.captures.bag_options import (
     MinFree,
     Out,
     Raw,
-    SnapshotBytes,
     SnapshotS,
     SplitDuration,
     SplitSize,
@@ -64,7 +63,6 @@ def record(
     split_duration: SplitDuration = None,
     max_parts: MaxParts = None,
     snapshot: SnapshotS = None,
-    snapshot_bytes: SnapshotBytes = None,
     min_free: MinFree = None,
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
@@ -73,7 +71,7 @@ def record(
     from nodes.node import Heartbeat, Stop, run_loop
     from nodes.recorder import Params
 
-    options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
+    options = recorder_params(split_size, split_duration, max_parts, snapshot, min_free)
     meeting_place = run_dir(domain)
     know_topics(domain)
     params = Params(

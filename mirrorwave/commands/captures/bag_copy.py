@@ -13,8 +13,6 @@ from mirrorwave.commands.captures.bag_options import EndS, File, Out, StartS, To
 from mirrorwave.console import ExitCode, print_line, progress_bar, require_new_file
 from msgs.values.wording import counted
 
-Compress = Annotated[bool, typer.Option("--compress", help="Compress raw beams too, with zstd.")]
-
 
 def trim(
     file: File,
@@ -22,7 +20,6 @@ def trim(
     start: StartS = 0.0,
     end: EndS = None,
     topics: Topics = None,
-    compress: Compress = False,
 ) -> None:
     """Copy a span of time, or some topics, into a new recording."""
     from msgs.recording.mcap import RecordingReader
@@ -36,9 +33,7 @@ def trim(
             if topic not in reader.types:
                 raise ValueError(f"{file}: holds no topic {topic!r}; it holds {', '.join(reader.types) or 'none'}")
     with progress_bar("messages") as advance:
-        copied = copy_recording(
-            file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, compress=compress, on_message=advance
-        )
+        copied = copy_recording(file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, on_message=advance)
     report_copy(out, *copied)
 
 
@@ -56,7 +51,6 @@ def filter_topics(
     ] = 1,
     start: StartS = 0.0,
     end: EndS = None,
-    compress: Compress = False,
 ) -> None:
     """Copy the topics that patterns name, or every Nth message, into a new recording."""
     from msgs.recording.mcap import RecordingReader
@@ -69,7 +63,7 @@ def filter_topics(
         total = sum(info.messages for info in reader.info().topics if info.topic in wanted)
     with progress_bar(out.name, total) as advance:
         copied = copy_recording(
-            file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, every=every, compress=compress,
+            file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, every=every,
             on_message=advance,
         )  # fmt: skip
     report_copy(out, *copied)
@@ -90,7 +84,6 @@ def _selected(held: Collection[str], kept: list[str], left_out: list[str], file:
 def merge(
     files: Annotated[list[Path], typer.Argument(metavar="RECORDING RECORDING...", help="Recordings of one clock.")],
     out: Annotated[Path, typer.Option("--out", metavar="OUT", help="New recording.")],
-    compress: Compress = False,
 ) -> None:
     """Copy recordings into one, by time; messages that several hold come once."""
     from msgs.recording.mcap import info
@@ -103,7 +96,7 @@ def merge(
     require_new_file(out)
     total = sum(topic.messages for path in files for topic in info(path).topics)
     with progress_bar(out.name, total) as advance:
-        copied = merge_recordings(files, out, compress=compress, on_message=advance)
+        copied = merge_recordings(files, out, on_message=advance)
     if copied.repeated:
         print_line(f"{counted(copied.repeated, 'message')} in more than one of them")
     report_copy(out, copied.messages, copied.loss)

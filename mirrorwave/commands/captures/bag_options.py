@@ -35,9 +35,6 @@ SnapshotS = Annotated[
     float | None,
     typer.Option("--snapshot", metavar="S", help="Hold the last S seconds; write them at `mirrorwave bag snapshot`."),
 ]
-SnapshotBytes = Annotated[
-    float | None, typer.Option("--snapshot-bytes", metavar="MB", help="Hold no more than this in memory (1074 MB).")
-]
 MinFree = Annotated[
     float | None, typer.Option("--min-free", metavar="MB", help="End before the disk has less room (100 MB).")
 ]
@@ -51,7 +48,6 @@ def recorder_params(
     split_duration: float | None,
     max_parts: int | None,
     snapshot: float | None,
-    snapshot_bytes: float | None,
     min_free: float | None,
 ) -> dict[str, Any]:
     """Parameters of the recorder from its options, those that were not given left out."""
@@ -60,7 +56,6 @@ def recorder_params(
         "split_s": split_duration,
         "max_parts": max_parts,
         "snapshot_s": snapshot,
-        "snapshot_bytes": _bytes("--snapshot-bytes", snapshot_bytes),
         "min_free_bytes": _bytes("--min-free", min_free),
     }
     return {name: value for name, value in given.items() if value is not None}

@@ -22,7 +22,6 @@ def graph(
     ] = None,
     svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a drawing, for light and dark pages.")] = None,
     dot: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it for Graphviz.")] = None,
-    health: Annotated[bool, typer.Option("--health", help="Heartbeats and logs too.")] = False,
     window: Annotated[float, typer.Option(metavar="S", min=0.6, help="Listen this long for rates.")] = 2.2,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
@@ -34,7 +33,7 @@ def graph(
     for path in (svg, dot):
         if path is not None:
             require_new_file(path)
-    picture = running_picture(domain, window, health) if file is None else launch_picture(file, health)
+    picture = running_picture(domain, window) if file is None else launch_picture(file)
     for out, text in ((svg, svg_text), (dot, dot_text)):
         if out is not None:
             out.write_text(text(picture), encoding="utf-8")

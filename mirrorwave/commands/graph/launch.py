@@ -17,7 +17,6 @@ from mirrorwave.commands.captures.bag_options import (
     MaxParts,
     MinFree,
     Raw,
-    SnapshotBytes,
     SnapshotS,
     SplitDuration,
     SplitSize,
@@ -64,7 +63,6 @@ def launch(
     split_duration: SplitDuration = None,
     max_parts: MaxParts = None,
     snapshot: SnapshotS = None,
-    snapshot_bytes: SnapshotBytes = None,
     min_free: MinFree = None,
     headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
     group: Annotated[
@@ -98,7 +96,7 @@ def launch(
     require_params(graph, [*in_profile, *in_file, *overrides], server, str(file))
     for nodes in group or ():
         graph = with_process(graph, nodes)
-    options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
+    options = recorder_params(split_size, split_duration, max_parts, snapshot, min_free)
     if record is None and (raw or options):
         raise ValueError("--raw and the options of recording need --record OUT")
     options |= {"raw": True} if raw else {}

@@ -27,7 +27,6 @@ def export(
     precision: Annotated[
         Literal["fp32", "fp16", "int8"], typer.Option(help="Numbers inside the network; input and output stay fp32.")
     ] = "fp32",
-    calibration: Annotated[int, typer.Option(min=1, help="Training maps that set the ranges of int8.")] = 64,
     range_bins: Annotated[
         int | None, typer.Option(min=1, help="Only the nearest range bins, for less time; default: as trained.")
     ] = None,
@@ -37,14 +36,13 @@ def export(
     from models.training.export.onnx import ExportConfig, export_run
 
     if run.suffix == ".onnx":
-        _export_evidence(run, out, data, precision, calibration, as_json)
+        _export_evidence(run, out, data, precision, as_json)
         return
     config = ExportConfig(
         data_dir=data,
         test_dir=test,
         split=split,
         precision=precision,
-        calibration_maps=calibration,
         range_bins=range_bins,
     )
     with progress_bar("export") as progress:
@@ -67,17 +65,16 @@ def export(
         )
 
 
-def _export_evidence(
-    source: Path, out: Path, data: Path | None, precision: str, calibration: int, as_json: bool
-) -> None:
+def _export_evidence(source: Path, out: Path, data: Path | None, precision: str, as_json: bool) -> None:
     """Write an exported evidence network in 8-bit integers."""
     from models.training.data.frames import DataSet
     from models.training.export.evidence import quantize_evidence
+    from models.training.export.onnx import ExportConfig
 
     if precision != "int8" or data is None:
         raise ValueError(f"{source}: an exported network takes --precision int8 and --data, a data set of its training")
     with progress_bar("export"):
-        card = quantize_evidence(source, DataSet(data), calibration, out)
+        card = quantize_evidence(source, DataSet(data), ExportConfig().calibration_maps, out)
     if as_json:
         print_json(card)
         return

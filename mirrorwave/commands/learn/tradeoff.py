@@ -31,7 +31,6 @@ def tradeoff(
         Path | None,
         typer.Option(metavar="DIR", help="With rows of further networks, as `make results` leaves."),
     ] = None,
-    settings: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows; default launch/tradeoff.yaml.")] = None,
     row: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles."),
@@ -66,7 +65,7 @@ def tradeoff(
 
     asked = [*(row or []), *(profile or [])]
     by_file = [name for name in dict.fromkeys(profile or []) if name not in profile_names()]
-    rows = _selected_rows(read_settings(settings or DEFAULT_SETTINGS, networks, by_file), asked)
+    rows = _selected_rows(read_settings(DEFAULT_SETTINGS, networks, by_file), asked)
     usual, often = FULL if full else QUICK
     plan = Plan(rows=rows, frames=count or places or usual, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
@@ -77,7 +76,7 @@ def tradeoff(
     running = [setting for setting in plan.rows if setting.name not in failed] if memory else []
     with progress_bar("memory", len(running)) as tick:
         memory_mib = peak_memory_mib(running, tick)
-    report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or [], profile or []))
+    report = make_report(plan, results, memory_mib, _command(plan, networks, row or [], profile or []))
     write_report(out, "tradeoff", report, markdown(report))
     draw_front(report, out / "front.png")
     draw_stages(report, out / "stages.png")
@@ -118,12 +117,11 @@ def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
     return [row for row in rows if row in asked or row.name in bases]
 
 
-def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str], profiles: list[str]) -> str:
+def _command(plan: Plan, networks: Path | None, names: list[str], profiles: list[str]) -> str:
     """Return the command that repeats the run."""
     words = ["mirrorwave", "tradeoff", "--count", str(plan.frames), "--repeats", str(plan.repeats)]
     words += ["--seed", str(plan.seed)]
     words += ["--networks", str(networks)] if networks else []
-    words += ["--settings", str(settings)] if settings else []
     words += [word for name in profiles for word in ("--profile", name)]
     return shlex.join([*words, *(word for name in names for word in ("--row", name))])
 

@@ -55,7 +55,6 @@ def dense(
     init: Annotated[Path | None, typer.Option(metavar="FILE", help="Checkpoint or ONNX file to start from.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Augmentation and first weights.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
-    full_precision: Annotated[bool, typer.Option(help="float32 throughout instead of bfloat16 where safe.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Train a network that tells direct from mirrored returns, on this CPU, a GPU, or several by torchrun."""
@@ -80,7 +79,6 @@ def dense(
         schedule=_replaced(SCHEDULES[schedule], given),
         seed=seed,
         threads=threads,
-        mixed_precision=not full_precision,
         init=str(init or ""),
     )
     folders = tuple(str(folder) for folder in more or ())

@@ -157,12 +157,6 @@ def paths(
     kind: Annotated[
         Literal["los", "mnlos"] | None, typer.Option(help="Only direct echoes (los), or mirrored ones (mnlos).")
     ] = None,
-    object_index: Annotated[
-        int | None, typer.Option("--object", metavar="N", help="Only echoes of this object, as the table numbers it.")
-    ] = None,
-    surface: Annotated[
-        int | None, typer.Option(metavar="N", help="Only echoes by this piece of wall, as the table numbers it.")
-    ] = None,
     strongest: Annotated[
         int | None, typer.Option("--top", "--strongest", metavar="N", min=1, help="Only the N strongest of them.")
     ] = None,
@@ -176,7 +170,7 @@ def paths(
     loaded = load_scene(scene)
     if loaded.radar.preset == "spad":
         raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
-    wanted = PathFilter(hidden_only, kind, object_index, surface, strongest)
+    wanted = PathFilter(hidden_only, kind, strongest)
     with progress_bar("tracing"):
         traced, power_mw, polylines = echo_paths(loaded, seed, PlanChoice(choice, budget_db, purpose), wanted)
     if plot is not None:

@@ -24,12 +24,10 @@ def lidar(
     ] = None,
     channels: Annotated[int, typer.Option(min=2, max=1024)] = 128,
     azimuths: Annotated[int, typer.Option(min=16, max=8192, help="Rays a turn.")] = 1024,
-    range_noise_m: Annotated[float, typer.Option(min=0.0, max=1.0, help="Standard deviation along the ray.")] = 0.02,
     guess_m: Annotated[
         float, typer.Option(min=0.0, max=100.0, help="Standard deviation of first poses in the manifest.")
     ] = 0.3,
     guess_deg: Annotated[float, typer.Option(min=0.0, max=180.0, help="The same of their headings.")] = 3.0,
-    no_guess: Annotated[bool, typer.Option(help="Give no first poses: they are to be searched for.")] = False,
     seed: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:
     """LiDAR clouds of a scene (PLY), `scene.yaml` for `mirrorwave annotate`, and the true poses in `truth.json`.
@@ -44,8 +42,8 @@ def lidar(
         raise FileExistsError(17, "must be empty or new", str(out))
     world = load_scene(scene)
     viewpoints = tuple(_viewpoint(text) for text in viewpoint) if viewpoint else choose_viewpoints(world)
-    params = LidarParams(channels=channels, azimuths=azimuths, range_noise_m=range_noise_m)
-    guess = None if no_guess else FirstGuess(position_m=guess_m, heading_deg=guess_deg)
+    params = LidarParams(channels=channels, azimuths=azimuths)
+    guess = FirstGuess(position_m=guess_m, heading_deg=guess_deg)
     with progress_bar("viewpoints", len(viewpoints)) as advance:
         write_views(world, viewpoints, params, guess, seed, out, advance)
     print_line(f"{out}: {counted(len(viewpoints), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")

@@ -4,52 +4,38 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal
 
 import msgspec
 import numpy as np
 
 from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
-from models.perception.detection.ridges import MAX_CELLS, RidgeParams, find_ridges, ridge_cells
+from models.perception.detection.ridges import RidgeParams, find_ridges, ridge_cells
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.geometry.recovery import cartesian_covariance
 from models.perception.geometry.walls import WallParams, find_walls
 from models.physics.link_budget import spad_threshold
-from msgs.values.arrays import require_within
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
 from msgs.values.radar import RangeAzimuthMap
 
+#: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
+WINDOW = 128
+QUANTILE, STRIDE = 0.3, 8
+#: Walls that separate images from direct returns; an image lies at least this deep behind one.
+CLUSTER_EPS_M, CLUSTER_MIN_POINTS = 4.0, 2
+MIN_DEPTH_M = 1.5
+WALLS = WallParams()
+
 
 class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that separate images."""
+    """False-alarm rate, ridges and errors of their peaks."""
 
-    kind: Literal["os", "ca"] = "os"
-    #: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
-    window: int = 128
-    quantile: float = 0.3
-    stride: int = 8
-    #: Cell averaging: half widths of guard and of training window, guard included.
-    guard: tuple[int, int] = (4, 14)
-    training: tuple[int, int] = (20, 24)
     false_alarm_rate: float = 1e-4
-    #: Walls that separate images from direct returns; an image lies at least this deep behind one.
-    cluster_eps_m: float = 4.0
-    cluster_min_points: int = 2
-    min_depth_m: float = 1.5
     ridges: RidgeParams = RidgeParams()
     peaks: PeakParams = PeakParams()
-    walls: WallParams = WallParams()
 
     def __post_init__(self) -> None:
-        for name in ("window", "stride"):
-            require_within(f"cfar.{name}", 1, MAX_CELLS, getattr(self, name))
-        require_within("cfar.quantile", 0.0, 1.0, self.quantile)
-        require_within("cfar.guard", 0, MAX_CELLS, *self.guard)
-        require_within("cfar.training", 0, MAX_CELLS, *self.training)
-        if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
-            raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
         if not 0.0 < self.false_alarm_rate < 1.0:
             raise ValueError(f"cfar.false_alarm_rate must be in (0, 1), got {self.false_alarm_rate!r}")
 
@@ -63,14 +49,6 @@ PHOTON_CFAR = CfarParams(
 )
 
 
-def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Return the cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
-
-    alpha keeps `false_alarm_rate` exactly for exponential (square-law) noise.
-    """
-    return cell_averaging_mask(power, params) if params.kind == "ca" else ordered_statistic_mask(power, params)
-
-
 def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     """Return the cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R,
     A].
@@ -80,20 +58,6 @@ def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     return power > spad_threshold(params.false_alarm_rate)
 
 
-def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Return the CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool
-    [R, A].
-
-    Windows shrink at the edges of the map and n with them. Blind beside what is longer than its guard.
-    """
-    outer, inner = params.training, params.guard
-    total = _box_sum(power, outer) - _box_sum(power, inner)
-    count = _box_sum(np.ones(power.shape), outer) - _box_sum(np.ones(power.shape), inner)
-    alpha_over_n = params.false_alarm_rate ** (-1.0 / count) - 1.0
-    # sums of powers cannot be negative; differences of large integrals can
-    return power > alpha_over_n * np.maximum(total, 0.0)
-
-
 def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     """Return the OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
 
@@ -101,13 +65,13 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     `stride` ranges shares one window, which stays inside the map.
     """
     bins = power.shape[0]
-    window = min(params.window, bins)
-    rank = _rank(window, params)
-    starts = np.clip(np.arange(0, bins, params.stride) + params.stride // 2 - window // 2, 0, bins - window)
+    window = min(WINDOW, bins)
+    rank = _rank(window)
+    starts = np.clip(np.arange(0, bins, STRIDE) + STRIDE // 2 - window // 2, 0, bins - window)
     views = np.lib.stride_tricks.sliding_window_view(power, window, axis=0)[starts]  # [stretches, azimuth, window]
     level = np.partition(views, rank - 1, axis=-1)[..., rank - 1]
     threshold = ordered_statistic_alpha(window, rank, params.false_alarm_rate) * level
-    return power > np.repeat(threshold, params.stride, axis=0)[:bins]
+    return power > np.repeat(threshold, STRIDE, axis=0)[:bins]
 
 
 def warm(params: CfarParams) -> None:
@@ -118,13 +82,12 @@ def warm(params: CfarParams) -> None:
     from models.perception.geometry.stage import made_up_peaks
 
     ridge_cells(np.zeros((1, 1)), params.ridges.spacing)
-    classify_behind_walls(made_up_peaks(), CfarParams())
-    if params.kind == "os":
-        ordered_statistic_alpha(params.window, _rank(params.window, params), params.false_alarm_rate)
+    classify_behind_walls(made_up_peaks())
+    ordered_statistic_alpha(WINDOW, _rank(WINDOW), params.false_alarm_rate)
 
 
-def _rank(window: int, params: CfarParams) -> int:
-    return max(int(params.quantile * window), 1)
+def _rank(window: int) -> int:
+    return max(int(QUANTILE * window), 1)
 
 
 @lru_cache(maxsize=32)
@@ -137,25 +100,9 @@ def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> f
     return float(brentq(lambda alpha: np.sum(np.log1p(alpha / left)) + np.log(false_alarm_rate), 0.0, 1e9))
 
 
-def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
-    """Return the sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
-    integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
-    integral[1:, 1:] = values.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
-    (low_r, high_r), (low_a, high_a) = (
-        (np.maximum(np.arange(n) - h, 0), np.minimum(np.arange(n) + h + 1, n))
-        for n, h in zip(values.shape, half, strict=True)
-    )
-    return (
-        integral[np.ix_(high_r, high_a)]
-        - integral[np.ix_(low_r, high_a)]
-        - integral[np.ix_(high_r, low_a)]
-        + integral[np.ix_(low_r, low_a)]
-    )
-
-
 def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     """Return the classified peaks of a map without a network: detect, then mark images by the walls before them."""
-    return classify_behind_walls(detect(ra_map, params), params)
+    return classify_behind_walls(detect(ra_map, params))
 
 
 def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
@@ -166,7 +113,7 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
     power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
-    mask = photon_mask(power, params) if ra_map.mode == "photons" else cfar_mask(power, params)
+    mask = (photon_mask if ra_map.mode == "photons" else ordered_statistic_mask)(power, params)
     has_lobes = ra_map.mode != "photons"
     cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges, has_lobes)
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
@@ -175,22 +122,22 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     return peaks_at(ra_map, cells, fractional, score, path_class, params.peaks)
 
 
-def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
+def classify_behind_walls(peaks: Peaks) -> Peaks:
     """Mark as mirrored the detections behind a wall that nearer detections form; no network, no truth.
 
     All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
-    than `min_depth_m`; walls are then fitted again among the direct ones, so that images never form a wall that is
+    than `MIN_DEPTH_M`; walls are then fitted again among the direct ones, so that images never form a wall that is
     used.
     Ends when no wall hides a direct peak.
     """
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
     covariance_m2 = cartesian_covariance(peaks.range_m, peaks.azimuth_rad, peaks.covariance)
     mirrored = np.zeros(len(peaks), bool)
-    for _ in range(params.walls.max_walls):
+    for _ in range(WALLS.max_walls):
         direct = np.flatnonzero(~mirrored)
-        labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
-        walls, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
-        hidden = _behind_nearest(points_m[direct], walls, params.min_depth_m)
+        labels = dbscan(points_m[direct], CLUSTER_EPS_M, CLUSTER_MIN_POINTS)
+        walls, _ = find_walls(points_m[direct], covariance_m2[direct], labels, WALLS)
+        hidden = _behind_nearest(points_m[direct], walls, MIN_DEPTH_M)
         if not hidden.any():
             break
         mirrored[direct[hidden]] = True

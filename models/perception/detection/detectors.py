@@ -12,10 +12,9 @@ import numpy as np
 from models.perception.detection.cfar import PHOTON_CFAR, CfarParams, cfar_peaks, warm
 from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.detection.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
-from models.perception.detection.pursuit import pursued_peaks
+from models.perception.detection.pursuit import PursuitParams, pursued_peaks
 from models.perception.detection.refinement import EchoRefiner, RefinementParams, refined_peaks
 from models.perception.detection.ridge_matching import RidgeMatchingParams, ridge_matched_peaks
-from models.perception.detection.score_calibration import calibrated_peaks
 from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
 from models.perception.trained_radar import SetupCheck
 from msgs.values.perception import UNTRAINED_SETUP, Peaks
@@ -62,10 +61,10 @@ class NetworkDetector:
     `refine` "pursuit" (True) takes as many peaks as the heatmap's mass is worth. "ridge" takes peaks from the ridges of
     the map that the heatmap names, and the heatmap's own maxima only where the map has no ridge; "likelihood" then
     moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
-    moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `calibrate` turns
-    scores into probabilities by the table of the model's card. `params` None: the released settings with the card's
-    threshold. Peaks of a radar that is not the one in training are flagged "untrained_setup", and `doubt` says in what
-    it differs. Raises ValueError for another word, and where the network's input is too coarse for the set-up's array.
+    moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `params`
+    None: the released settings with the card's threshold. Peaks of a radar that is not the one in training are flagged
+    "untrained_setup", and `doubt` says in what it differs. Raises ValueError for another word, and where the network's
+    input is too coarse for the set-up's array.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class NetworkDetector:
         ridge_matching: RidgeMatchingParams | None = None,
         refine: bool | str = Refine.PURSUIT,
         refinement: RefinementParams | None = None,
-        calibrate: bool = False,
         flip_test: bool = False,
     ) -> None:
         placement = Refine.of(refine)
@@ -86,13 +84,12 @@ class NetworkDetector:
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
         if placement is Refine.PURSUIT:
             # compile now: the first map must not wait for it
-            pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, self._params.pursuit)
+            pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, PursuitParams())
         self._ridge_matching, self._refine = ridge_matching or RidgeMatchingParams(), placement
         self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
         self._refiner = (
             EchoRefiner(setup, refinement) if placement in (Refine.LIKELIHOOD, Refine.MAXIMA_LIKELIHOOD) else None
         )
-        self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
         self._check = SetupCheck(self._predictor.card.name, self._predictor.card.radar, setup)
         #: In what the radar of the last map is not the one in training; empty: in nothing.
@@ -104,7 +101,6 @@ class NetworkDetector:
         peaks = self._own_peaks(ra_map)
         if self._refiner is not None:
             peaks = refined_peaks(peaks, ra_map, self._refiner)
-        peaks = calibrated_peaks(self._table, peaks)
         faults = (*peaks.faults, UNTRAINED_SETUP) if self.doubt else peaks.faults
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name, faults=faults)
 

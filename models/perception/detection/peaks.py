@@ -25,26 +25,26 @@ class Points(msgspec.Struct, frozen=True, kw_only=True):
     path_class: np.ndarray
 
 
+#: Range error: a bin over sqrt(2 SNR), within the bounds below.
+RANGE_STD_FLOOR_M = 0.06
+RANGE_STD_LIMIT_M = 0.2
+#: Azimuth errors are this much wider where the beams did not fit one coherent scene.
+INCOHERENT_FACTOR = 2.0
+
+
 class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Peak picking (released settings) and the error model of a peak."""
 
     threshold: float = 0.3
     min_distance: int = 3
-    #: Settings of the pursuit, for detectors that use it.
-    pursuit: PursuitParams = PursuitParams()
     #: Two-way 3 dB width of a beam: a peak's azimuth error is this over sqrt(2 SNR), within the bounds below.
     beam_width_deg: float = 9.0
     azimuth_std_floor_deg: float = 0.7
     azimuth_std_limit_deg: float = 4.0
-    #: Range error: a bin over sqrt(2 SNR), within the bounds below.
-    range_std_floor_m: float = 0.06
-    range_std_limit_m: float = 0.2
-    #: Azimuth errors are this much wider where the beams did not fit one coherent scene.
-    incoherent_factor: float = 2.0
 
     def __post_init__(self) -> None:
         require_within("peaks.min_distance", 1, 8192, self.min_distance)
-        for name in ("threshold", "beam_width_deg", "azimuth_std_floor_deg", "range_std_floor_m"):
+        for name in ("threshold", "beam_width_deg", "azimuth_std_floor_deg"):
             require_positive(f"peaks.{name}", getattr(self, name))
 
 
@@ -65,13 +65,13 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
 def find_pursued_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
     """Return the peaks of the heat map by pursuit: as many as its mass is worth; raises ValueError as above."""
     _require_on_grid(probabilities, ra_map)
-    points = pursued_points(probabilities, params.threshold, params.pursuit)
+    points = pursued_points(probabilities, params.threshold)
     return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
 
 
-def pursued_points(heatmap: np.ndarray, threshold: float, params: PursuitParams) -> Points:
+def pursued_points(heatmap: np.ndarray, threshold: float) -> Points:
     """Return the peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
-    return _of_classes([pursued_peaks(channel, threshold, params) for channel in heatmap])
+    return _of_classes([pursued_peaks(channel, threshold, PursuitParams()) for channel in heatmap])
 
 
 def _require_on_grid(probabilities: np.ndarray, ra_map: RangeAzimuthMap) -> None:
@@ -251,10 +251,10 @@ def polar_covariance(snr_db: np.ndarray, incoherent: np.ndarray, range_bin_m: fl
     bounds.
     """
     spread = 1.0 / np.sqrt(2.0 * 10.0 ** (snr_db / 10.0))
-    range_std_m = np.clip(range_bin_m * spread, params.range_std_floor_m, params.range_std_limit_m)
+    range_std_m = np.clip(range_bin_m * spread, RANGE_STD_FLOOR_M, RANGE_STD_LIMIT_M)
     azimuth_deg = np.clip(
         params.beam_width_deg * spread, params.azimuth_std_floor_deg, params.azimuth_std_limit_deg
-    ) * np.where(incoherent, params.incoherent_factor, 1.0)
+    ) * np.where(incoherent, INCOHERENT_FACTOR, 1.0)
     covariance = np.zeros((len(snr_db), 2, 2))
     covariance[:, 0, 0] = range_std_m**2
     covariance[:, 1, 1] = (math.pi / 180.0 * azimuth_deg) ** 2

@@ -11,11 +11,6 @@ import msgspec
 import numpy as np
 
 from models.compiled import compiled
-from msgs.values.arrays import require_within
-from msgs.values.perception import MAX_PEAKS
-
-#: Widest blur and point in cells, and the narrowest point.
-WIDEST, NARROWEST = 100.0, 1e-3
 
 
 class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -27,12 +22,6 @@ class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     explained: tuple[float, float] = (1.5, 2.5)
     #: More peaks than this in one map are noise.
     max_peaks: int = 512
-
-    def __post_init__(self) -> None:
-        for name, least in (("blur", 0.0), ("explained", NARROWEST)):
-            for width in getattr(self, name):
-                require_within(f"pursuit.{name}", least, WIDEST, width)
-        require_within("pursuit.max_peaks", 1, MAX_PEAKS // 2, self.max_peaks)
 
 
 def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:

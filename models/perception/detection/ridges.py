@@ -10,13 +10,18 @@ import msgspec
 import numpy as np
 
 from models.perception.detection.peaks import keep_apart
-from msgs.values.arrays import require_positive, require_within
+from msgs.values.arrays import require_within
 
 #: Largest number of cells along either side of a map.
 MAX_CELLS = 8192
 #: An echo from beyond the map is so much stronger, at most, than its flank at the border: 9 dB at 90 degrees, half the
 #: way from one end of a map of 60 degrees to the other through the period of an array of half a wavelength.
 BEYOND_DB = 10.0
+
+
+MAX_RANGE_M = 109.0
+AZIMUTH_LOBE_BINS = 3
+RANGE_LOBE_BINS = 12
 
 
 class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -26,17 +31,13 @@ class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     spacing: tuple[int, int] = (2, 10)
     #: Over the map's noise.
     min_snr_db: float = 13.0
-    max_range_m: float = 109.0
     #: Azimuth lobes: weaker by this much within these range bins.
     azimuth_lobe_db: float = 22.0
-    azimuth_lobe_bins: int = 3
     #: Range lobes of the Hann window: weaker by this much, this near in range, within a beam.
     range_lobe_db: float = 30.0
-    range_lobe_bins: int = 12
     beam_cells: int = 20
 
     def __post_init__(self) -> None:
-        require_positive("ridges.max_range_m", self.max_range_m)
         require_within("ridges.spacing", 0, MAX_CELLS, *self.spacing)
 
 
@@ -55,7 +56,7 @@ def find_ridges(
     """
     # in float64: noise may be more than float32 holds
     floor = np.float64(noise_power_mw * 10.0 ** (params.min_snr_db / 10.0))
-    candidates = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
+    candidates = allowed & (power > floor) & (range_m <= MAX_RANGE_M)[:, None]
     level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float32).tiny))
     cells = ridge_cells(np.where(candidates, level_db, -np.inf), params.spacing)
     outside = beyond_the_map(level_db, cells) if has_lobes else np.zeros(len(cells), bool)
@@ -113,10 +114,8 @@ def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: RidgeParams) -> 
     range_apart = np.abs(cells[:, 0, None] - cells[:, 0])
     azimuth_apart = np.abs(cells[:, 1, None] - cells[:, 1])
     weaker_db = level_db - level_db[:, None]  # [N, N]: how much stronger the other one is
-    azimuth_lobe = (range_apart <= params.azimuth_lobe_bins) & (weaker_db >= params.azimuth_lobe_db)
+    azimuth_lobe = (range_apart <= AZIMUTH_LOBE_BINS) & (weaker_db >= params.azimuth_lobe_db)
     range_lobe = (
-        (range_apart <= params.range_lobe_bins)
-        & (azimuth_apart <= params.beam_cells)
-        & (weaker_db >= params.range_lobe_db)
+        (range_apart <= RANGE_LOBE_BINS) & (azimuth_apart <= params.beam_cells) & (weaker_db >= params.range_lobe_db)
     )
     return np.logical_or.reduce(azimuth_lobe | range_lobe, axis=1)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
-
-from msgs.values.perception import Peaks
 
 #: Knots (score, probability), both rising within 0..1 and linear between; no knots leave scores as they are.
 ScoreTable = tuple[tuple[float, float], ...]
@@ -36,8 +33,3 @@ def score_of(table: ScoreTable, probability: float) -> float:
         return probability
     knots = np.array(table)
     return float(np.interp(probability, knots[:, 1], knots[:, 0]))
-
-
-def calibrated_peaks(table: ScoreTable, peaks: Peaks) -> Peaks:
-    """Return the same peaks with probabilities for scores."""
-    return msgspec.structs.replace(peaks, score=calibrated(table, peaks.score))

@@ -15,47 +15,36 @@ from models.perception.detections.returns import Returns
 from models.perception.detections.sensor import DetectionSensor
 from models.perception.geometry.mirrors import RADAR, behind_walls, hits
 from models.perception.geometry.stage import GeometryParams, direct_structure
-from msgs.values.arrays import require_positive
 from msgs.values.perception import PathClass, Peaks, Wall
 
-
-class ClassParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions under which a return is an image, and the limits of its height."""
-
-    #: Least depth of an image behind its wall, which rough walls and their posts do not reach.
-    min_depth_m: float = 1.5
-    #: Road users end below this height over ground, and nothing lies so far below it.
-    max_height_m: float = 4.5
-    ground_margin_m: float = 0.5
-    #: Images belong to a building or a tree where such a share of those within reach is higher.
-    tall_reach_m: float = 2.5
-    tall_share: float = 0.5
-    #: Heights count so many standard deviations.
-    height_sigmas: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in ("min_depth_m", "max_height_m", "ground_margin_m", "tall_reach_m", "tall_share", "height_sigmas"):
-            require_positive(f"classes.{name}", getattr(self, name))
+#: Least depth of an image behind its wall, which rough walls and their posts do not reach.
+MIN_DEPTH_M = 1.5
+#: Road users end below this height over ground, and nothing lies so far below it.
+MAX_HEIGHT_M = 4.5
+GROUND_MARGIN_M = 0.5
+#: Images belong to a building or a tree where such a share of those within reach is higher.
+TALL_REACH_M = 2.5
+TALL_SHARE = 0.5
+#: Heights count so many standard deviations.
+HEIGHT_SIGMAS = 1.0
 
 
-def classified_peaks(
-    returns: Returns, blank: Peaks, sensor: DetectionSensor, geometry: GeometryParams, params: ClassParams
-) -> Peaks:
+def classified_peaks(returns: Returns, blank: Peaks, sensor: DetectionSensor, geometry: GeometryParams) -> Peaks:
     """Return the peaks of returns with their classes; without those from below the ground, and of no score where their
     height says that they are no road user's.
 
     `blank` has the message's own fields.
     """
-    margin_m = params.height_sigmas * returns.height_std_m
+    margin_m = HEIGHT_SIGMAS * returns.height_std_m
     # comparisons with NaN are false: an unknown height explains nothing
-    below = returns.height_m + margin_m < -sensor.height_m - params.ground_margin_m
-    too_high = returns.height_m - margin_m > params.max_height_m - sensor.height_m
+    below = returns.height_m + margin_m < -sensor.height_m - GROUND_MARGIN_M
+    too_high = returns.height_m - margin_m > MAX_HEIGHT_M - sensor.height_m
     returns, too_high = returns.take(~below), too_high[~below]
     peaks = as_peaks(returns, blank)
-    mirrored = mirrored_mask(returns, peaks, geometry, params)
+    mirrored = mirrored_mask(returns, peaks, geometry)
     path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
     image = np.flatnonzero(mirrored)
-    tall = share_near(returns.points_m[image], too_high[image], params.tall_reach_m) >= params.tall_share
+    tall = share_near(returns.points_m[image], too_high[image], TALL_REACH_M) >= TALL_SHARE
     score = peaks.score.copy()
     score[image] = np.where(tall | too_high[image], 0.0, score[image])
     return msgspec.structs.replace(peaks, path_class=path_class, score=score)
@@ -84,7 +73,7 @@ def as_peaks(returns: Returns, blank: Peaks) -> Peaks:
     )
 
 
-def mirrored_mask(returns: Returns, peaks: Peaks, geometry: GeometryParams, params: ClassParams) -> np.ndarray:
+def mirrored_mask(returns: Returns, peaks: Peaks, geometry: GeometryParams) -> np.ndarray:
     """Return which direct peaks are images behind a wall that nearer returns form; bool [N].
 
     Walls are fitted again among the rest, so that no image makes a wall, until no wall hides a direct return.
@@ -93,14 +82,14 @@ def mirrored_mask(returns: Returns, peaks: Peaks, geometry: GeometryParams, para
     for _ in range(geometry.walls.max_walls):
         direct = np.flatnonzero(~mirrored)
         structure, walls = direct_structure(peaks.take(direct), geometry)
-        hidden = hidden_behind(returns.take(direct), walls, structure.wall, params)
+        hidden = hidden_behind(returns.take(direct), walls, structure.wall)
         if not hidden.any():
             break
         mirrored[direct[hidden]] = True
     return mirrored
 
 
-def hidden_behind(returns: Returns, walls: list[Wall], wall_of_return: np.ndarray, params: ClassParams) -> np.ndarray:
+def hidden_behind(returns: Returns, walls: list[Wall], wall_of_return: np.ndarray) -> np.ndarray:
     """Return the returns behind the walls that they form, bool [N]; nearest wall first, and none that is an image
     itself for the most part.
     """
@@ -110,16 +99,16 @@ def hidden_behind(returns: Returns, walls: list[Wall], wall_of_return: np.ndarra
         own = wall_of_return == index
         if not own.any() or hidden[own].mean() > 0.5:
             continue
-        behind = behind_walls(points_m, drawn_in(walls[index]), params.min_depth_m) & ~own
-        hidden |= behind & ~passes_over(returns, walls[index], returns.height_m[own], params)
+        behind = behind_walls(points_m, drawn_in(walls[index]), MIN_DEPTH_M) & ~own
+        hidden |= behind & ~passes_over(returns, walls[index], returns.height_m[own])
     return hidden
 
 
-def passes_over(returns: Returns, wall: Wall, wall_heights_m: np.ndarray, params: ClassParams) -> np.ndarray:
+def passes_over(returns: Returns, wall: Wall, wall_heights_m: np.ndarray) -> np.ndarray:
     """Return the returns [N] whose ray crosses a wall surely above its highest returns; bool [N]."""
     known = wall_heights_m[~np.isnan(wall_heights_m)]
     if len(known) == 0:
         return np.zeros(len(returns), bool)
     share = hits(RADAR, returns.points_m, drawn_in(wall)).along_ray[:, 0]
-    lowest_m = (returns.height_m - params.height_sigmas * returns.height_std_m) * share
+    lowest_m = (returns.height_m - HEIGHT_SIGMAS * returns.height_std_m) * share
     return np.asarray(lowest_m > np.quantile(known, 0.95))

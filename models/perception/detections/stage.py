@@ -6,7 +6,7 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from models.perception.detections.classification import ClassParams, classified_peaks
+from models.perception.detections.classification import classified_peaks
 from models.perception.detections.ego_doppler import over_ground
 from models.perception.detections.returns import joined_returns, returns_of
 from models.perception.detections.sensor import DetectionSensor
@@ -25,11 +25,9 @@ class DetectionsStage:
         self,
         sensor: DetectionSensor | None = None,
         geometry: GeometryParams | None = None,
-        classes: ClassParams | None = None,
         timed: Timed = nullcontext,
     ) -> None:
-        self._sensor, self._classes = sensor or DetectionSensor(), classes or ClassParams()
-        self._geometry = geometry or GeometryParams()
+        self._sensor, self._geometry = sensor or DetectionSensor(), geometry or GeometryParams()
         self._states = StateHistory()
         self._timed = timed
         warm(self._geometry)
@@ -46,7 +44,7 @@ class DetectionsStage:
         with self._timed("classify"):
             speed_mps = over_ground(detections, sensor, self._states.at(detections.stamp_ns))
             returns = joined_returns(returns_of(detections, speed_mps, sensor), sensor, MAX_PEAKS)
-            return classified_peaks(returns, _without_peaks(detections, sensor), sensor, self._geometry, self._classes)
+            return classified_peaks(returns, _without_peaks(detections, sensor), sensor, self._geometry)
 
 
 def _without_peaks(detections: RadarDetections, sensor: DetectionSensor) -> Peaks:

@@ -48,6 +48,10 @@ MAX_TERMS = 1 << 14
 _STILL_RAD = 1e-3
 
 
+#: Probability that noise alone exceeds the first limit.
+NOISE_FALSE_ALARM = 1e-4
+
+
 class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Test for range bins whose beams do not fit one coherent scene: the fit residual exceeds both limits.
 
@@ -56,14 +60,10 @@ class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     of lambda / 2 a beam interval (1.249 m/s) turn whole circles: neither found nor harmful.
     """
 
-    #: Probability that noise alone exceeds the first limit.
-    noise_false_alarm: float = 1e-4
     #: Residual energy over beam energy that errors of the array model (a foreign rounding of phases) may reach.
     model_error: float = 3e-3
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.noise_false_alarm < 1.0:
-            raise ValueError(f"coherence.noise_false_alarm must be in (0, 1), got {self.noise_false_alarm!r}")
         require_positive("coherence.model_error", self.model_error)
 
 
@@ -272,7 +272,7 @@ class AzimuthInterpolator:
         if inverse.freedom < 1.0:
             return np.zeros(len(beams), np.bool_)
         left_over = _energy(beams @ inverse.residual)
-        noise_limit = noise_power_mw * gammainccinv(inverse.freedom, self.coherence.noise_false_alarm)
+        noise_limit = noise_power_mw * gammainccinv(inverse.freedom, NOISE_FALSE_ALARM)
         return (left_over > noise_limit) & (left_over > self.coherence.model_error * _energy(beams))
 
     def _steered_at(self, looks: np.ndarray, present: list[int]) -> np.ndarray | None:

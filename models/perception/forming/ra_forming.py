@@ -43,6 +43,14 @@ from msgs.values.vehicle import VehicleState, ego_motion
 _AZIMUTH_TOLERANCE_RAD = 1e-3
 
 
+#: Closing or opening speed up to which Doppler is searched.
+DOPPLER_LIMIT_MPS = 45.0
+#: A Doppler bin replaces the coherent mean only when it is this much stronger ...
+DOPPLER_EXCESS_DB = 1.0
+#: ... and this far above the noise: below, noise would select the bin and bias every cell upwards.
+DOPPLER_SNR_DB = 13.0
+
+
 class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of forming a map from beams."""
 
@@ -50,12 +58,6 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     slow_time_sums: int | None = 8
     #: Doppler bins per 1 / beam duration.
     doppler_padding: int = 4
-    #: Closing or opening speed up to which Doppler is searched.
-    doppler_limit_mps: float = 45.0
-    #: A Doppler bin replaces the coherent mean only when it is this much stronger ...
-    doppler_excess_db: float = 1.0
-    #: ... and this far above the noise: below, noise would select the bin and bias every cell upwards.
-    doppler_snr_db: float = 13.0
     #: A name in `WINDOW_TAPS`.
     range_window: str = "hann"
     #: "coherent"; "magnitude": azimuths from the magnitudes of the beams alone; "welch": mean power of single chirps,
@@ -70,8 +72,6 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
     decimation: int = 1
     coherence: CoherenceTest = CoherenceTest()
-    #: Take the set-up's open-field background off every chirp, where it has one.
-    subtract_background: bool = True
     #: Where the radar sits on the vehicle; ego motion is the vehicle's.
     vehicle_from_radar: Pose2 = Pose2()
 
@@ -79,11 +79,8 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         for name in ("slow_time_sums", "chirps", "rolling_beams"):
             if getattr(self, name) is not None:
                 require_positive(f"forming.{name}", getattr(self, name))
-        for name in ("doppler_padding", "doppler_limit_mps", "beam_step", "decimation"):
+        for name in ("doppler_padding", "beam_step", "decimation"):
             require_positive(f"forming.{name}", getattr(self, name))
-        for name in ("doppler_excess_db", "doppler_snr_db"):
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"forming.{name} must not be negative, got {getattr(self, name)!r}")
         if self.range_window not in WINDOW_TAPS:
             raise ValueError(f"forming.range_window must be one of {sorted(WINDOW_TAPS)}, got {self.range_window!r}")
         if self.mode not in FORMING_MODES:
@@ -314,7 +311,7 @@ class BeamFolder:
         range.
         """
         series: np.ndarray = sums.astype(np.float32).view(np.complex64)[..., 0]
-        if self.setup.background is not None and self.params.subtract_background:
+        if self.setup.background is not None:
             series -= self._group_chirps[:, None] * self.setup.background[beam_index]
         return np.conj(series, out=series) if self.setup.beat_sign < 0 else series
 
@@ -350,8 +347,8 @@ class BeamFolder:
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
         best_power = np.take_along_axis(power, best[None], axis=0)[0]
-        stronger = best_power > ratio_from_db(self.params.doppler_excess_db) * power[0]
-        audible = best_power > ratio_from_db(self.params.doppler_snr_db) * noise_power_mw
+        stronger = best_power > ratio_from_db(DOPPLER_EXCESS_DB) * power[0]
+        audible = best_power > ratio_from_db(DOPPLER_SNR_DB) * noise_power_mw
         taken = np.where(stronger & audible, best, 0)
         return np.take_along_axis(doppler, taken[None], axis=0)[0], best, best_power
 
@@ -394,7 +391,7 @@ class BeamFolder:
         """Frequencies of the rows of that matrix [Doppler]."""
         radar, params = self.setup.radar, self.params
         step_hz = 1.0 / (params.doppler_padding * self.duration_s)
-        limit = int(2.0 * params.doppler_limit_mps / radar.wavelength_m / step_hz)
+        limit = int(2.0 * DOPPLER_LIMIT_MPS / radar.wavelength_m / step_hz)
         # beyond half the rate of the sums Doppler repeats
         limit = min(limit, (self.groups - 1) * params.doppler_padding // 2)
         return step_hz * np.concatenate([np.arange(limit + 1), -np.arange(1, limit + 1)])

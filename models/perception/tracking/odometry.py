@@ -9,7 +9,7 @@ from bisect import bisect_right, insort
 from collections import deque
 from typing import NamedTuple
 
-from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasParams, YawRateBias
+from models.perception.tracking.yaw_rate_bias import BiasEstimate, YawRateBias
 from msgs.values.frames import Pose2
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState, ego_motion
@@ -18,13 +18,10 @@ from msgs.values.vehicle import VehicleState, ego_motion
 MAX_WAITING_STATES = 1000
 
 
-class OdometryParams(BiasParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of the bias estimate, and the silence that ends the frame."""
-
-    #: A state holds this long; after a longer silence, or a clock that went back, a new frame begins.
-    max_gap_s: float = 1.0
-    #: Poses are kept this long for queries about the past.
-    history_s: float = 5.0
+#: A state holds this long; after a longer silence, or a clock that went back, a new frame begins.
+MAX_GAP_S = 1.0
+#: Poses are kept this long for queries about the past.
+HISTORY_S = 5.0
 
 
 class OdometryPose(NamedTuple):
@@ -48,11 +45,10 @@ class _StampedPose(NamedTuple):
 class Odometry:
     """Integrator of vehicle states to poses; a change of the frame number invalidates old poses."""
 
-    def __init__(self, params: OdometryParams | None = None) -> None:
-        self._params = params or OdometryParams()
+    def __init__(self) -> None:
         self._poses: deque[_StampedPose] = deque()
         self._frame = 0
-        self._bias = YawRateBias(self._params)
+        self._bias = YawRateBias()
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
@@ -76,7 +72,7 @@ class Odometry:
         pose = self._next_pose(state)
         yaw_rate_rps = self._bias.corrected(state)
         self._poses.append(_StampedPose(state.stamp_ns, pose, state.speed_mps, yaw_rate_rps))
-        while self._poses[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
+        while self._poses[0].stamp_ns < state.stamp_ns - ns_from_s(HISTORY_S):
             self._poses.popleft()
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
@@ -86,7 +82,7 @@ class Odometry:
             return None
         start = self._poses[index]
         elapsed_s = s_from_ns(stamp_ns - start.stamp_ns)
-        if elapsed_s > self._params.max_gap_s:
+        if elapsed_s > MAX_GAP_S:
             return None
         after = self._poses[index + 1] if index + 1 < len(self._poses) else start
         share = elapsed_s / max(s_from_ns(after.stamp_ns - start.stamp_ns), elapsed_s, 1e-9)
@@ -96,14 +92,14 @@ class Odometry:
 
     def _is_late(self, stamp_ns: int) -> bool:
         """Return whether a stamp lies behind the newest, but not so far that the clock must have been set back."""
-        return bool(self._poses) and 0 <= self._poses[-1].stamp_ns - stamp_ns <= ns_from_s(self._params.max_gap_s)
+        return bool(self._poses) and 0 <= self._poses[-1].stamp_ns - stamp_ns <= ns_from_s(MAX_GAP_S)
 
     def _next_pose(self, state: VehicleState) -> Pose2:
         """Return the pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
         if self._poses:
             last = self._poses[-1]
             elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
-            if 0.0 < elapsed_s <= self._params.max_gap_s:
+            if 0.0 < elapsed_s <= MAX_GAP_S:
                 self._bias.add(state, elapsed_s)
                 return _moved(last, state.speed_mps, self._bias.corrected(state), elapsed_s)
             self._poses.clear()
@@ -122,9 +118,8 @@ class ScanOdometry:
     states alone: a graph, a replay and a chain in one process agree.
     """
 
-    def __init__(self, params: OdometryParams | None = None) -> None:
-        self._params = params or OdometryParams()
-        self._odometry = Odometry(self._params)
+    def __init__(self) -> None:
+        self._odometry = Odometry()
         self._waiting: list[VehicleState] = []
         self._last_query_ns: int | None = None
         self._has_state = False
@@ -142,7 +137,7 @@ class ScanOdometry:
         It is `stationary_pose` while no state has arrived, and None where no state is near enough.
         """
         last_query_ns, self._last_query_ns = self._last_query_ns, stamp_ns
-        if last_query_ns is not None and last_query_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
+        if last_query_ns is not None and last_query_ns - stamp_ns > ns_from_s(MAX_GAP_S):
             # the clock was set back: waiting states from before would be used again later
             self._waiting = [state for state in self._waiting if state.stamp_ns <= last_query_ns]
         self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))

@@ -9,10 +9,9 @@ import numpy as np
 
 from models.perception.evidence.wall_memory import RadarPose, WallMemory
 from models.perception.geometry.stage import WallPrior
-from models.perception.tracking.odometry import OdometryParams, ScanOdometry, stationary_pose
+from models.perception.tracking.odometry import ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker, TrackerParams
-from models.perception.tracking.wall_fusion import WallFusionParams
-from models.perception.tracking.wall_map import WallMap, WallMapParams
+from models.perception.tracking.wall_map import WallMap
 from models.perception.tracking.wall_priors import WallPriorStore
 from models.perception.tracking.yaw_rate_bias import BiasEstimate
 from msgs.values.environment import WallPriors
@@ -27,21 +26,17 @@ class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     tracking: bool = True
     #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
     wall_map: bool = False
-    odometry: OdometryParams = OdometryParams()
     tracker: TrackerParams = TrackerParams()
-    walls: WallMapParams = WallMapParams()
-    #: Fusion with walls from elsewhere (topic `environment/walls`).
-    wall_priors: WallFusionParams = WallFusionParams()
 
 
 class ScanMemory:
     """State across scans of one radar: vehicle states in any order, scans in the order of their stamps."""
 
     def __init__(self, params: MemoryParams) -> None:
-        self._odometry = ScanOdometry(params.odometry)
+        self._odometry = ScanOdometry()
         self._tracker = Tracker(params.tracker) if params.tracking else None
-        self._walls = WallMap(params.walls) if params.wall_map else None
-        self._priors = WallPriorStore(params.wall_priors)
+        self._walls = WallMap() if params.wall_map else None
+        self._priors = WallPriorStore()
         self._elements = WallMemory()
 
     def add(self, state: VehicleState) -> None:

@@ -18,7 +18,7 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from models.perception.tracking.appearance import AppearanceParams, Outlook, RecentWalls, radar_ahead
+from models.perception.tracking.appearance import Outlook, RecentWalls, radar_ahead
 from models.perception.tracking.association import log_likelihoods, marginal_probabilities
 from models.perception.tracking.bernoulli import MAX_EXISTENCE, Bernoulli, born, is_same, log_odds_of_pairs, updated
 from models.perception.tracking.estimate import Estimate
@@ -44,8 +44,16 @@ LIKELY = 0.5
 SWEEPS_UNTIL_MISSED = 1.15
 
 
+#: Probability that an object still exists, and hides, a second later.
+SURVIVAL_PER_S = 0.8
+#: A track ends below this existence.
+LEAST_EXISTENCE = 0.05
+#: All tracks are deleted where no scan arrived for longer, or the clock went back by more.
+MAX_GAP_S = 2.0
+
+
 class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Motion and measurement model, birth and death of objects, and the limits of existence."""
+    """Motion and measurement model, birth of objects, and the existence from which a track is published."""
 
     #: Spectral density of the white acceleration: after 1 s the velocity has this variance more.
     acceleration_density_m2ps3: float = 2.0
@@ -57,28 +65,15 @@ class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     detection_probability: float = 0.6
     #: Density of the reports of a scan that are new objects; with their scores it gives that of false reports.
     birth_density_per_m2: float = 3e-4
-    #: Probability that an object still exists, and hides, a second later.
-    survival_per_s: float = 0.8
     #: A track is published from this existence on.
     confirm_existence: float = 0.6
-    #: A track ends below this existence.
-    least_existence: float = 0.05
-    #: All tracks are deleted where no scan arrived for longer, or the clock went back by more.
-    max_gap_s: float = 2.0
-    appearance: AppearanceParams = AppearanceParams()
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__[:-1]:
+        for name in self.__struct_fields__:
             require_positive(f"tracker.{name}", getattr(self, name))
-        for name in ("survival_per_s", "confirm_existence", "least_existence"):
-            require_within(f"tracker.{name}", 0.0, 1.0, getattr(self, name))
+        require_within("tracker.confirm_existence", LEAST_EXISTENCE, 1.0, self.confirm_existence)
         require_within("tracker.detection_probability", 0.0, MAX_EXISTENCE, self.detection_probability)
         require_within("tracker.birth_density_per_m2", 1e-12, 1.0, self.birth_density_per_m2)
-        if self.least_existence > self.confirm_existence:
-            raise ValueError(
-                f"tracker.least_existence must be at most confirm_existence ({self.confirm_existence}), "
-                f"got {self.least_existence!r}"
-            )
 
 
 @dataclass
@@ -109,14 +104,11 @@ class Tracker:
 
     params: TrackerParams = field(default_factory=TrackerParams)
     _tracks: list[_TrackState] = field(default_factory=list, init=False)
-    _walls: RecentWalls = field(init=False)
+    _walls: RecentWalls = field(default_factory=RecentWalls, init=False)
     _next_id: int = field(default=1, init=False)
     _last_ns: int | None = field(default=None, init=False)
     _frame: int | None = field(default=None, init=False)
     _messages: tuple[Track, ...] = field(default=(), init=False)
-
-    def __post_init__(self) -> None:
-        self._walls = RecentWalls(self.params.appearance.wall_memory_s)
 
     def step(
         self,
@@ -146,8 +138,8 @@ class Tracker:
         a, b = self._walls.add(frame.stamp_ns, frame.walls, odom_from_radar)
         confirmed = self._confirmed()
         # an outlook takes as long as all the rest
-        radar_m = radar_ahead(pose, vehicle_from_radar, self.params.appearance) if confirmed else np.zeros((0, 2))
-        outlook = Outlook(radar_m, a, b, self.params.appearance)
+        radar_m = radar_ahead(pose, vehicle_from_radar) if confirmed else np.zeros((0, 2))
+        outlook = Outlook(radar_m, a, b)
         messages = (self._to_message(track, frame.stamp_ns, odom_from_radar, outlook) for track in confirmed)
         self._messages = tuple(message for message in messages if _position_std_m(message) <= MAX_POSITION_STD_M)
         return self._messages
@@ -155,10 +147,10 @@ class Tracker:
     def _is_late(self, stamp_ns: int) -> bool:
         if self._last_ns is None:
             return False
-        return 0 <= self._last_ns - stamp_ns <= ns_from_s(self.params.max_gap_s)
+        return 0 <= self._last_ns - stamp_ns <= ns_from_s(MAX_GAP_S)
 
     def _is_gap(self, stamp_ns: int) -> bool:
-        return self._last_ns is not None and abs(stamp_ns - self._last_ns) > ns_from_s(self.params.max_gap_s)
+        return self._last_ns is not None and abs(stamp_ns - self._last_ns) > ns_from_s(MAX_GAP_S)
 
     def _forget(self, frame: int | None) -> None:
         """End all tracks; the next id stays."""
@@ -179,7 +171,7 @@ class Tracker:
         params, stamp_ns = self.params, frame.stamp_ns
         elapsed_s = 0.0 if self._last_ns is None else s_from_ns(stamp_ns - self._last_ns)
         for track in self._tracks:
-            track.bernoulli = track.bernoulli.survived(elapsed_s, params.survival_per_s)
+            track.bernoulli = track.bernoulli.survived(elapsed_s, SURVIVAL_PER_S)
         measurements = self._new(reported, frame)
         now = [track.estimate.at(stamp_ns, params.acceleration_density_m2ps3) for track in self._tracks]
         detection = detection_probabilities(frame, now, odom_from_radar, params.detection_probability)
@@ -250,7 +242,7 @@ class Tracker:
         """Begin a track of each measurement, with the existence that is left to explain."""
         for sighting, share in zip(measurements, explained.tolist(), strict=True):
             bernoulli = born(sighting, share, self.params.first_speed_std_mps)
-            if bernoulli.existence >= self.params.least_existence:
+            if bernoulli.existence >= LEAST_EXISTENCE:
                 begun_ns = sighting.stamp_ns
                 self._tracks.append(
                     _TrackState(self._next_id, begun_ns, bernoulli, measured_ns=begun_ns, looked_ns=begun_ns)
@@ -259,7 +251,7 @@ class Tracker:
 
     def _kept(self) -> list[_TrackState]:
         """Return the tracks that may exist, by id; of too many the likeliest, of two on one object the better known."""
-        kept = [track for track in self._tracks if track.bernoulli.existence >= self.params.least_existence]
+        kept = [track for track in self._tracks if track.bernoulli.existence >= LEAST_EXISTENCE]
         kept = sorted(kept, key=lambda track: (-track.bernoulli.existence, track.id))[:MAX_TRACKS]
         distinct: list[_TrackState] = []
         for track in sorted(kept, key=lambda track: (-track.measurements, track.id)):

@@ -12,54 +12,44 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from models.perception.tracking.wall_lines import RADAR, WallLine
 from models.physics.mirror import crosses, segments_cross
-from msgs.values.arrays import require_positive
 from msgs.values.perception import Wall
 
-
-class WallFusionParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions under which a prior agrees with a wall of the scan, contradicts it, and serves as a wall itself."""
-
-    #: Older messages are dropped; a source repeats its walls more often.
-    max_age_s: float = 2.0
-    #: Errors of odometry over a metre driven since the message.
-    place_std_m_per_m: float = 0.02
-    heading_std_rad_per_m: float = math.radians(0.05)
-    #: Errors that all returns of a scan share, added to those of its walls.
-    scan_offset_std_m: float = 0.03
-    scan_angle_std_rad: float = math.radians(0.3)
-    #: Two walls are one where they differ by less than so many standard deviations plus these margins.
-    same_sigmas: float = 3.0
-    same_angle_rad: float = math.radians(2.0)
-    same_offset_m: float = 0.2
-    #: And where the gap between them is no wider.
-    join_gap_m: float = 2.0
-    #: Walls side by side that are nearer, or that cross, contradict each other.
-    rival_m: float = 3.0
-    #: Number of direct returns behind a prior, and how far behind, that prove that it is no wall.
-    seen_through_points: int = 3
-    min_depth_m: float = 1.0
-    #: Ends of a prior within which returns prove nothing.
-    trim_m: float = 1.0
-    #: Unevenness of real walls, added to each return's own error.
-    flatness_m: float = 0.08
-    #: A prior alone is a wall from this length and offset on; measured walls as short as a vehicle contradict nothing.
-    min_length_m: float = 2.5
-    min_offset_m: float = 0.5
-    vehicle_length_m: float = 5.5
-    #: Half the field of view, and the range, in which a prior must be visible.
-    view_rad: float = math.radians(60.0)
-    max_range_m: float = 110.0
-    #: Number of priors that a scan takes, the nearest first.
-    max_walls: int = 24
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_positive(f"wall_priors.{name}", getattr(self, name))
+#: Older messages are dropped; a source repeats its walls more often.
+MAX_AGE_S = 2.0
+#: Errors of odometry over a metre driven since the message.
+PLACE_STD_M_PER_M = 0.02
+HEADING_STD_RAD_PER_M = math.radians(0.05)
+#: Errors that all returns of a scan share, added to those of its walls.
+SCAN_OFFSET_STD_M = 0.03
+SCAN_ANGLE_STD_RAD = math.radians(0.3)
+#: Two walls are one where they differ by less than so many standard deviations plus these margins.
+SAME_SIGMAS = 3.0
+SAME_ANGLE_RAD = math.radians(2.0)
+SAME_OFFSET_M = 0.2
+#: And where the gap between them is no wider.
+JOIN_GAP_M = 2.0
+#: Walls side by side that are nearer, or that cross, contradict each other.
+RIVAL_M = 3.0
+#: Number of direct returns behind a prior, and how far behind, that prove that it is no wall.
+SEEN_THROUGH_POINTS = 3
+MIN_DEPTH_M = 1.0
+#: Ends of a prior within which returns prove nothing.
+TRIM_M = 1.0
+#: Unevenness of real walls, added to each return's own error.
+FLATNESS_M = 0.08
+#: A prior alone is a wall from this length and offset on; measured walls as short as a vehicle contradict nothing.
+MIN_LENGTH_M = 2.5
+MIN_OFFSET_M = 0.5
+VEHICLE_LENGTH_M = 5.5
+#: Half the field of view, and the range, in which a prior must be visible.
+VIEW_RAD = math.radians(60.0)
+MAX_RANGE_M = 110.0
+#: Number of priors that a scan takes, the nearest first.
+MAX_WALLS = 24
 
 
 class PlacedPrior(NamedTuple):
@@ -97,18 +87,16 @@ class _Entry:
         return 0.0 if self.wall is None else self.wall.curvature_per_m
 
 
-def fused(
-    priors: Sequence[PlacedPrior], returns: ScanReturns, walls: list[Wall], params: WallFusionParams
-) -> tuple[list[Wall], np.ndarray]:
+def fused(priors: Sequence[PlacedPrior], returns: ScanReturns, walls: list[Wall]) -> tuple[list[Wall], np.ndarray]:
     """Return the walls of a scan with priors, and the wall of each return [N]; measured walls come first.
 
     The result does not depend on the order of the priors: the more certain ones come first.
     """
-    visible = [prior for prior in priors if _is_usable(prior.line, params)]
-    nearest = sorted(visible, key=lambda prior: prior.line.range_m)[: params.max_walls]
+    visible = [prior for prior in priors if _is_usable(prior.line)]
+    nearest = sorted(visible, key=lambda prior: prior.line.range_m)[:MAX_WALLS]
     if not nearest:
         return walls, returns.wall
-    fusion = _Fusion(returns, walls, params)
+    fusion = _Fusion(returns, walls)
     for prior in sorted(nearest, key=_certainty):
         fusion.add(prior)
     return fusion.result()
@@ -119,24 +107,24 @@ def _certainty(prior: PlacedPrior) -> tuple[float, str, list[float]]:
     return float(np.trace(prior.line.covariance)), prior.source, prior.line.ends_m.ravel().tolist()
 
 
-def _in_view(line: WallLine, params: WallFusionParams) -> np.ndarray:
+def _in_view(line: WallLine) -> np.ndarray:
     """Return the points along a wall that lie in the field of view and range [K, 2]."""
     points_m = line.samples_m
-    inside = np.abs(np.arctan2(points_m[:, 1], points_m[:, 0])) <= params.view_rad
-    return points_m[inside & (np.hypot(points_m[:, 0], points_m[:, 1]) <= params.max_range_m)]
+    inside = np.abs(np.arctan2(points_m[:, 1], points_m[:, 0])) <= VIEW_RAD
+    return points_m[inside & (np.hypot(points_m[:, 0], points_m[:, 1]) <= MAX_RANGE_M)]
 
 
-def _is_usable(line: WallLine, params: WallFusionParams) -> bool:
+def _is_usable(line: WallLine) -> bool:
     """Return whether a prior can be a wall of the scan: long enough, not through the radar, in view."""
-    is_wall = 2.0 * line.half_m >= params.min_length_m and abs(line.offset_m) >= params.min_offset_m
-    return is_wall and len(_in_view(line, params)) > 0
+    is_wall = 2.0 * line.half_m >= MIN_LENGTH_M and abs(line.offset_m) >= MIN_OFFSET_M
+    return is_wall and len(_in_view(line)) > 0
 
 
 class _Fusion:
     """The list of walls of one scan while priors are added."""
 
-    def __init__(self, returns: ScanReturns, walls: list[Wall], params: WallFusionParams) -> None:
-        self._returns, self._params = returns, params
+    def __init__(self, returns: ScanReturns, walls: list[Wall]) -> None:
+        self._returns = returns
         self._entries = [_Entry.of(wall, index) for index, wall in enumerate(walls)]
         self._measured = list(self._entries)
 
@@ -176,27 +164,26 @@ class _Fusion:
 
         Priors of one source must agree within the margins alone: its map says that they are two.
         """
-        params = self._params
-        if entry.curvature_per_m or entry.line.gap_m(prior.line) > params.join_gap_m:
+        if entry.curvature_per_m or entry.line.gap_m(prior.line) > JOIN_GAP_M:
             return False
         off, covariance = prior.line.seen_at(entry.line)
         if not np.isfinite(off).all():
             return False
-        sigmas = 0.0 if prior.source in entry.sources and not entry.members else params.same_sigmas
+        sigmas = 0.0 if prior.source in entry.sources and not entry.members else SAME_SIGMAS
         joint = covariance + self._errors_of(entry)
         at = np.array([1.0, entry.line.common_m(prior.line)])
-        offset_gate_m = sigmas * math.sqrt(at @ joint @ at) + params.same_offset_m
-        angle_gate_rad = sigmas * math.sqrt(joint[1, 1]) + params.same_angle_rad
+        offset_gate_m = sigmas * math.sqrt(at @ joint @ at) + SAME_OFFSET_M
+        angle_gate_rad = sigmas * math.sqrt(joint[1, 1]) + SAME_ANGLE_RAD
         return abs(float(at @ off)) <= offset_gate_m and abs(float(off[1])) <= angle_gate_rad
 
     def _errors_of(self, entry: _Entry) -> np.ndarray:
         """Return the covariance of a wall; that of a measured one with the errors that its returns share."""
-        shared = np.square([self._params.scan_offset_std_m, self._params.scan_angle_std_rad])
+        shared = np.square([SCAN_OFFSET_STD_M, SCAN_ANGLE_STD_RAD])
         return entry.line.covariance + (np.diag(shared) if entry.members and not entry.sources else 0.0)
 
     def _contradicts(self, prior: PlacedPrior, entry: _Entry) -> bool:
         """Return whether a wall denies a prior: it crosses it, or runs beside it; a source never denies itself."""
-        is_short = entry.members and 2.0 * entry.line.half_m <= self._params.vehicle_length_m
+        is_short = entry.members and 2.0 * entry.line.half_m <= VEHICLE_LENGTH_M
         if is_short or (prior.source in entry.sources and not entry.members):
             return False
         return self._is_beside(prior.line, entry) or self._is_across(prior.line, entry)
@@ -213,43 +200,43 @@ class _Fusion:
         # an arc lies this far over its chord
         height_m = height_m - 0.5 * entry.curvature_per_m * (over_m**2 - entry.line.half_m**2)
         inside = (over_m >= low_m) & (over_m <= high_m)
-        return bool((np.abs(height_m[inside]) < self._params.rival_m).all()) if inside.any() else False
+        return bool((np.abs(height_m[inside]) < RIVAL_M).all()) if inside.any() else False
 
     def _is_across(self, line: WallLine, entry: _Entry) -> bool:
         """Return whether a line and a wall cross well within both."""
-        ends_m = line.trimmed_m(self._params.trim_m), entry.line.trimmed_m(self._params.trim_m)
+        ends_m = line.trimmed_m(TRIM_M), entry.line.trimmed_m(TRIM_M)
         return bool(segments_cross(*np.concatenate(ends_m).ravel().tolist(), 0.0))
 
     def _is_seen_through(self, line: WallLine, same: list[_Entry]) -> bool:
         """Return whether direct returns in plain sight lie behind parts of a prior that no wall of the scan covers."""
         points_m = self._returns.points_m
         height_m = line.height_m(points_m)
-        depth_m = self._params.min_depth_m + self._params.same_sigmas * math.sqrt(line.covariance[0, 0])
+        depth_m = MIN_DEPTH_M + SAME_SIGMAS * math.sqrt(line.covariance[0, 0])
         points_m = points_m[height_m < -depth_m] if line.offset_m > 0.0 else points_m[:0]
         points_m = points_m[~self._behind_measured(points_m)]
         if len(points_m) == 0:
             return False
         share = line.offset_m / (line.offset_m - line.height_m(points_m))
         at_m = line.along_m(points_m * share[:, None])
-        margin_m = min(self._params.trim_m + 2.0 * line.end_std_m, 0.5 * line.half_m)
+        margin_m = min(TRIM_M + 2.0 * line.end_std_m, 0.5 * line.half_m)
         through = np.abs(at_m) < line.half_m - margin_m
         for entry in same:
             low_m, high_m = np.sort(line.along_m(entry.line.ends_m))
             through &= (at_m < low_m) | (at_m > high_m)
-        return bool(through.sum() >= self._params.seen_through_points)
+        return bool(through.sum() >= SEEN_THROUGH_POINTS)
 
     def _behind_measured(self, points_m: np.ndarray) -> np.ndarray:
         """Return which points [N, 2] lie behind a measured wall: no direct sight leads there; bool [N]."""
         hidden = np.zeros(len(points_m), bool)
         for entry in self._measured:
-            if 2.0 * entry.line.half_m > self._params.vehicle_length_m:
+            if 2.0 * entry.line.half_m > VEHICLE_LENGTH_M:
                 hidden |= self._is_behind(entry.line, points_m)
         return hidden
 
     def _is_behind(self, line: WallLine, points_m: np.ndarray) -> np.ndarray:
         """Return which points [N, 2] the certain part of a wall hides from the radar; bool [N]."""
-        low_m, high_m = line.trimmed_m(self._params.trim_m)
-        deep = line.height_m(points_m) < -self._params.min_depth_m
+        low_m, high_m = line.trimmed_m(TRIM_M)
+        deep = line.height_m(points_m) < -MIN_DEPTH_M
         return np.asarray(deep & crosses(RADAR, points_m, low_m[None], high_m[None])[:, 0])
 
     def _join(self, prior: PlacedPrior, same: list[_Entry]) -> None:
@@ -276,10 +263,10 @@ class _Fusion:
 
     def _is_visible(self, entry: _Entry) -> bool:
         """Return whether any part of a prior in view lies before all other walls."""
-        points_m = _in_view(entry.line, self._params)
+        points_m = _in_view(entry.line)
         hidden = np.zeros(len(points_m), bool)
         for other in self._entries:
-            if other is not entry and 2.0 * other.line.half_m > self._params.vehicle_length_m:
+            if other is not entry and 2.0 * other.line.half_m > VEHICLE_LENGTH_M:
                 hidden |= self._is_behind(other.line, points_m)
         return not hidden.all()
 
@@ -288,9 +275,9 @@ class _Fusion:
         points_m = self._returns.points_m
         own = np.einsum("i,nij,j->n", line.normal, self._returns.covariance_m2, line.normal)
         along_m = line.along_m(points_m)
-        variance = own + line.variance_at(along_m) + self._params.flatness_m**2
-        near = line.height_m(points_m) ** 2 <= self._params.same_sigmas**2 * variance
-        inside = np.abs(along_m) <= line.half_m + self._params.trim_m
+        variance = own + line.variance_at(along_m) + FLATNESS_M**2
+        near = line.height_m(points_m) ** 2 <= SAME_SIGMAS**2 * variance
+        inside = np.abs(along_m) <= line.half_m + TRIM_M
         return np.flatnonzero(near & inside & (wall_of_point == -1))
 
     def _wall(self, entry: _Entry, on_line: np.ndarray) -> Wall:
@@ -298,7 +285,7 @@ class _Fusion:
         line = entry.line
         if len(on_line) and not entry.members:
             points_m, covariance_m2 = self._returns.points_m[on_line], self._returns.covariance_m2[on_line]
-            noise = np.einsum("i,nij,j->n", line.normal, covariance_m2, line.normal) + self._params.flatness_m**2
+            noise = np.einsum("i,nij,j->n", line.normal, covariance_m2, line.normal) + FLATNESS_M**2
             factors = np.stack([np.ones(len(points_m)), line.along_m(points_m)], axis=1)
             line = line.corrected(factors, -line.height_m(points_m), np.diag(noise))
         return line.as_wall(entry.inliers + len(on_line))

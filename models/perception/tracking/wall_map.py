@@ -24,7 +24,6 @@ from models.perception.geometry.walls import WallParams, find_walls
 from models.perception.tracking.estimate import linear_update
 from models.perception.tracking.odometry import OdometryPose
 from models.physics.mirror import crosses
-from msgs.values.arrays import require_positive
 from msgs.values.frames import Pose2, wrap_angle
 from msgs.values.perception import Wall
 from msgs.values.units import s_from_ns
@@ -32,49 +31,41 @@ from msgs.values.units import s_from_ns
 RADAR = np.zeros(2)
 
 
-class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions for keeping a line, for using it as a mirror, and for dropping it."""
-
-    #: A line starts from fewer and less certain returns than a wall of a single scan.
-    candidate: WallParams = WallParams(
-        min_inliers=3, min_score=4.0, max_angle_std_rad=math.radians(15.0), sparse_min_score=6.0, curved=False
-    )
-    #: A kept line is a mirror from so many scans, so much evidence and so certain a direction on.
-    min_scans: int = 3
-    min_score: float = 12.0
-    max_angle_std_rad: float = math.radians(4.0)
-    #: And where one scan alone showed it this long: longer than a vehicle.
-    min_span_m: float = 6.0
-    #: Evidence fades to 1/e in this time and over this distance; it never exceeds `most_score`.
-    fade_s: float = 5.0
-    fade_m: float = 30.0
-    most_score: float = 40.0
-    #: Evidence that a scan costs in which a wall in view gave no return.
-    miss_score: float = 3.0
-    #: Number of returns of a scan behind a line that prove that it is no wall.
-    seen_through_points: int = 2
-    #: Unevenness of real walls, added to each return's own error.
-    flatness_m: float = 0.08
-    #: Errors that a scan adds to a line: those that the returns of the next scan share.
-    scan_angle_std_rad: float = math.radians(0.3)
-    scan_offset_std_m: float = 0.03
-    #: Of odometry, over a metre driven and a radian turned.
-    place_std_m_per_m: float = 0.02
-    heading_std_rad_per_m: float = math.radians(0.05)
-    heading_std_rad_per_rad: float = 0.02
-    #: Two lines are one where they differ by less than so many standard deviations plus these margins.
-    same_sigmas: float = 3.0
-    same_angle_rad: float = math.radians(2.0)
-    same_offset_m: float = 0.2
-    max_gap_m: float = 6.5
-    #: Half the field of view.
-    view_rad: float = math.radians(60.0)
-    max_walls: int = 40
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            if name != "candidate":
-                require_positive(f"wall_map.{name}", getattr(self, name))
+#: A line starts from fewer and less certain returns than a wall of a single scan.
+CANDIDATE = WallParams(
+    min_inliers=3, min_score=4.0, max_angle_std_rad=math.radians(15.0), sparse_min_score=6.0, curved=False
+)
+#: A kept line is a mirror from so many scans, so much evidence and so certain a direction on.
+MIN_SCANS = 3
+MIN_SCORE = 12.0
+MAX_ANGLE_STD_RAD = math.radians(4.0)
+#: And where one scan alone showed it this long: longer than a vehicle.
+MIN_SPAN_M = 6.0
+#: Evidence fades to 1/e in this time and over this distance; it never exceeds `MOST_SCORE`.
+FADE_S = 5.0
+FADE_M = 30.0
+MOST_SCORE = 40.0
+#: Evidence that a scan costs in which a wall in view gave no return.
+MISS_SCORE = 3.0
+#: Number of returns of a scan behind a line that prove that it is no wall.
+SEEN_THROUGH_POINTS = 2
+#: Unevenness of real walls, added to each return's own error.
+FLATNESS_M = 0.08
+#: Errors that a scan adds to a line: those that the returns of the next scan share.
+SCAN_ANGLE_STD_RAD = math.radians(0.3)
+SCAN_OFFSET_STD_M = 0.03
+#: Of odometry, over a metre driven and a radian turned.
+PLACE_STD_M_PER_M = 0.02
+HEADING_STD_RAD_PER_M = math.radians(0.05)
+HEADING_STD_RAD_PER_RAD = 0.02
+#: Two lines are one where they differ by less than so many standard deviations plus these margins.
+SAME_SIGMAS = 3.0
+SAME_ANGLE_RAD = math.radians(2.0)
+SAME_OFFSET_M = 0.2
+MAX_GAP_M = 6.5
+#: Half the field of view.
+VIEW_RAD = math.radians(60.0)
+MAX_WALLS = 40
 
 
 @dataclass
@@ -166,8 +157,7 @@ class _Local:
 class WallMap:
     """Map of the walls of one radar; one call a scan, in the order of their stamps."""
 
-    def __init__(self, params: WallMapParams | None = None) -> None:
-        self._params = params or WallMapParams()
+    def __init__(self) -> None:
         self._kept: list[_KeptLine] = []
         self._last: tuple[int, OdometryPose] | None = None
 
@@ -202,7 +192,7 @@ class WallMap:
                 self._support(local, points_m[on_line], covariance_m2[on_line])
                 free = np.setdiff1d(free, on_line)
             elif self._in_view(local, walls):
-                kept.score -= self._params.miss_score
+                kept.score -= MISS_SCORE
             local = _Local.of(kept, radar_from_odom)
             if self._seen_through(local, points_m):
                 kept.score = 0.0
@@ -211,7 +201,7 @@ class WallMap:
                 walls = [*walls, local.as_wall(kept.sure_m or kept.seen_m)]
         self._begin(points_m[free], covariance_m2[free], odom_from_radar)
         self._kept = sorted((line for line in self._kept if line.score > 0.0), key=lambda line: -line.score)
-        self._kept = self._kept[: self._params.max_walls]
+        self._kept = self._kept[:MAX_WALLS]
         return walls, wall_of_point
 
     def _age(self, stamp_ns: int, pose: OdometryPose) -> None:
@@ -222,11 +212,10 @@ class WallMap:
             return
         moved = last[1].odom_from_vehicle.inverse() @ pose.odom_from_vehicle
         driven_m = math.hypot(moved.x_m, moved.y_m)
-        params = self._params
-        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / params.fade_s - driven_m / params.fade_m)
-        angle = params.scan_angle_std_rad**2 + (params.heading_std_rad_per_rad * moved.yaw_rad) ** 2
-        angle += driven_m * params.heading_std_rad_per_m**2
-        offset = params.scan_offset_std_m**2 + (params.place_std_m_per_m * driven_m) ** 2
+        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / FADE_S - driven_m / FADE_M)
+        angle = SCAN_ANGLE_STD_RAD**2 + (HEADING_STD_RAD_PER_RAD * moved.yaw_rad) ** 2
+        angle += driven_m * HEADING_STD_RAD_PER_M**2
+        offset = SCAN_OFFSET_STD_M**2 + (PLACE_STD_M_PER_M * driven_m) ** 2
         for line in self._kept:
             line.score *= fade
             line.covariance = line.covariance + np.diag([offset, angle])
@@ -244,7 +233,7 @@ class WallMap:
                 self._correct(local, wall)
                 wall = _sharpened(wall, local.kept, radar_from_odom)
             elif not wall.curvature_per_m:
-                self._kept.append(_begun(wall, self._params.candidate.min_score * 2.0, radar_from_odom.inverse()))
+                self._kept.append(_begun(wall, CANDIDATE.min_score * 2.0, radar_from_odom.inverse()))
                 met.add(id(self._kept[-1]))
             merged.append(wall)
         return merged, met
@@ -254,7 +243,7 @@ class WallMap:
         best: tuple[float, _Local] | None = None
         for kept in self._kept:
             local = _Local.of(kept, radar_from_odom)
-            apart = math.inf if id(kept) in met else _apart(local, wall, self._params)
+            apart = math.inf if id(kept) in met else _apart(local, wall)
             if apart < (best[0] if best else math.inf):
                 best = apart, local
         return best[1] if best else None
@@ -269,21 +258,19 @@ class WallMap:
         noise = np.diag([max(wall.offset_std_m, 1e-3) ** 2, max(wall.angle_std_rad, 1e-4) ** 2])
         local.kept.corrected(factors, np.array(off), noise)
         local.kept.reached(low_m, high_m)
-        local.kept.score = min(local.kept.score + 2.0 * self._params.candidate.min_score, self._params.most_score)
+        local.kept.score = min(local.kept.score + 2.0 * CANDIDATE.min_score, MOST_SCORE)
         local.kept.inliers = max(local.kept.inliers, wall.inliers)
 
     def _on(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
         """Return which returns [N] lie on a kept line, within the errors of both and near its known part; bool [N]."""
         along_m = local.along_m(points_m)
-        near = (along_m > local.kept.seen_m[0] - self._params.max_gap_m) & (
-            along_m < local.kept.seen_m[1] + self._params.max_gap_m
-        )
+        near = (along_m > local.kept.seen_m[0] - MAX_GAP_M) & (along_m < local.kept.seen_m[1] + MAX_GAP_M)
         return near & (self._gains(local, points_m, covariance_m2) > 1.0)
 
     def _gains(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
         """Return what each return adds to the evidence of a kept line [N]."""
         factors = np.stack([np.ones(len(points_m)), local.along_m(points_m)], axis=1)
-        own = np.einsum("ni,ij,nj->n", factors, local.kept.covariance, factors) + self._params.flatness_m**2
+        own = np.einsum("ni,ij,nj->n", factors, local.kept.covariance, factors) + FLATNESS_M**2
         widened = covariance_m2 + own[:, None, None] * np.eye(2)
         return gains(np.array(points_m), widened, local.normal[0], local.normal[1], local.offset_m)
 
@@ -291,17 +278,17 @@ class WallMap:
         """Correct a kept line by returns that lie on it."""
         along_m, kept = local.along_m(points_m), local.kept
         gained = float(self._gains(local, points_m, covariance_m2).sum())
-        noise = np.einsum("i,nij,j->n", local.normal, covariance_m2, local.normal) + self._params.flatness_m**2
+        noise = np.einsum("i,nij,j->n", local.normal, covariance_m2, local.normal) + FLATNESS_M**2
         factors = np.stack([np.ones(len(along_m)), along_m], axis=1)
         kept.corrected(factors, -local.off_m(points_m), np.diag(noise))
         kept.reached(float(along_m.min()), float(along_m.max()))
-        kept.score = min(kept.score + gained, self._params.most_score)
+        kept.score = min(kept.score + gained, MOST_SCORE)
         kept.inliers = max(kept.inliers, len(points_m))
 
     def _in_view(self, local: _Local, walls: list[Wall]) -> bool:
         """Return whether a kept line should be visible: its middle ahead, and no wall of the scan in front of it."""
         middle_m = local.ends_m(local.kept.seen_m).mean(axis=0)
-        if abs(math.atan2(middle_m[1], middle_m[0])) > self._params.view_rad:
+        if abs(math.atan2(middle_m[1], middle_m[0])) > VIEW_RAD:
             return False
         arrays = wall_arrays(walls)
         return not crosses(RADAR, 0.98 * middle_m[None], arrays.a, arrays.b).any()
@@ -315,15 +302,15 @@ class WallMap:
         ends_m = local.ends_m((low_m + trim_m, high_m - trim_m))
         behind = local.sign * local.off_m(points_m) < -1.0
         crossed = crosses(RADAR, points_m[behind], ends_m[:1], ends_m[1:])
-        return bool(crossed.sum() >= self._params.seen_through_points)
+        return bool(crossed.sum() >= SEEN_THROUGH_POINTS)
 
     def _is_mirror(self, local: _Local) -> bool:
         """Return whether a kept line is a mirror."""
-        kept, params = local.kept, self._params
-        sure = kept.scans >= params.min_scans and kept.score >= params.min_score and kept.sure_m is not None
-        long = kept.span_m >= params.min_span_m
-        straight = math.sqrt(kept.covariance[1, 1]) <= params.max_angle_std_rad
-        shows = abs(local.offset_m) >= params.candidate.min_offset_m and self._is_ahead(local)
+        kept = local.kept
+        sure = kept.scans >= MIN_SCANS and kept.score >= MIN_SCORE and kept.sure_m is not None
+        long = kept.span_m >= MIN_SPAN_M
+        straight = math.sqrt(kept.covariance[1, 1]) <= MAX_ANGLE_STD_RAD
+        shows = abs(local.offset_m) >= CANDIDATE.min_offset_m and self._is_ahead(local)
         return sure and long and straight and shows
 
     def _is_ahead(self, local: _Local) -> bool:
@@ -331,13 +318,13 @@ class WallMap:
         x_m, y_m = local.ends_m(local.kept.sure_m or local.kept.seen_m).T
         share = np.linspace(0.0, 1.0, 9)
         azimuth_rad = np.arctan2(y_m[0] + share * (y_m[1] - y_m[0]), x_m[0] + share * (x_m[1] - x_m[0]))
-        return bool((np.abs(azimuth_rad) <= self._params.view_rad).any())
+        return bool((np.abs(azimuth_rad) <= VIEW_RAD).any())
 
     def _begin(self, points_m: np.ndarray, covariance_m2: np.ndarray, odom_from_radar: Pose2) -> None:
         """Start new lines from returns on no kept line."""
         labels = np.zeros(len(points_m), np.int64)
-        walls, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
-        self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in walls]
+        walls, _ = find_walls(points_m, covariance_m2, labels, CANDIDATE)
+        self._kept += [_begun(wall, CANDIDATE.min_score, odom_from_radar) for wall in walls]
 
 
 def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _KeptLine:
@@ -363,7 +350,7 @@ def _turn_rad(local: _Local, wall: Wall) -> float:
     return math.atan2(cross, float(normal @ np.array(wall.normal)))
 
 
-def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
+def _apart(local: _Local, wall: Wall) -> float:
     """Return the distance of a wall from a kept line in units of the allowed distance, infinite where more."""
     ends_m = np.array(wall.ends_m)
     low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
@@ -371,9 +358,9 @@ def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
     at = np.array([1.0, 0.5 * (low_m + high_m)])
     angle_std_rad = math.sqrt(local.kept.covariance[1, 1] + wall.angle_std_rad**2)
     offset_std_m = math.sqrt(at @ local.kept.covariance @ at + wall.offset_std_m**2)
-    turned = abs(_turn_rad(local, wall)) / (params.same_sigmas * angle_std_rad + params.same_angle_rad)
-    offset = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (params.same_sigmas * offset_std_m + params.same_offset_m)
-    return max(turned, offset) if gap_m <= params.max_gap_m and max(turned, offset) <= 1.0 else math.inf
+    turned = abs(_turn_rad(local, wall)) / (SAME_SIGMAS * angle_std_rad + SAME_ANGLE_RAD)
+    offset = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (SAME_SIGMAS * offset_std_m + SAME_OFFSET_M)
+    return max(turned, offset) if gap_m <= MAX_GAP_M and max(turned, offset) <= 1.0 else math.inf
 
 
 def _sharpened(wall: Wall, kept: _KeptLine, radar_from_odom: Pose2) -> Wall:

@@ -9,7 +9,14 @@ from collections.abc import Callable
 import numpy as np
 
 from models.perception.tracking.odometry import OdometryPose
-from models.perception.tracking.wall_fusion import PlacedPrior, ScanReturns, WallFusionParams, fused
+from models.perception.tracking.wall_fusion import (
+    HEADING_STD_RAD_PER_M,
+    MAX_AGE_S,
+    PLACE_STD_M_PER_M,
+    PlacedPrior,
+    ScanReturns,
+    fused,
+)
 from models.perception.tracking.wall_lines import WallLine
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.frames import Pose2
@@ -26,8 +33,7 @@ PoseAt = Callable[[int], OdometryPose | None]
 class WallPriorStore:
     """The newest walls of each source at any scan, whatever order messages arrive in within a source's stamps."""
 
-    def __init__(self, params: WallFusionParams | None = None) -> None:
-        self._params = params or WallFusionParams()
+    def __init__(self) -> None:
         self._messages: OrderedDict[str, deque[WallPriors]] = OrderedDict()
 
     def __bool__(self) -> bool:
@@ -43,7 +49,7 @@ class WallPriorStore:
     def at(self, stamp_ns: int, pose_at: PoseAt, vehicle_from_radar: Pose2) -> list[PlacedPrior]:
         """Return the priors of a scan in its radar frame: of each source those stamped last at or before the scan.
 
-        Messages older than `max_age_s`, and those from another odometry frame, are left out.
+        Messages older than `MAX_AGE_S`, and those from another odometry frame, are left out.
         """
         priors: list[PlacedPrior] = []
         for messages in self._messages.values():
@@ -54,7 +60,7 @@ class WallPriorStore:
 
     def _newest(self, messages: deque[WallPriors], stamp_ns: int) -> WallPriors | None:
         """Return the message with the last stamp in time; of two with the same, the one that came later."""
-        oldest_ns = stamp_ns - ns_from_s(self._params.max_age_s)
+        oldest_ns = stamp_ns - ns_from_s(MAX_AGE_S)
         timely = [message for message in messages if oldest_ns <= message.stamp_ns <= stamp_ns]
         return max(reversed(timely), key=lambda message: message.stamp_ns, default=None)
 
@@ -70,8 +76,8 @@ class WallPriorStore:
 
     def _line(self, wall: PriorWall, radar_from_then: Pose2, driven_m: float) -> WallLine:
         """Return a prior in the radar frame, as uncertain as odometry has made it meanwhile."""
-        offset_m = math.hypot(wall.offset_std_m, self._params.place_std_m_per_m * driven_m)
-        angle_rad = math.hypot(wall.angle_std_rad, self._params.heading_std_rad_per_m * driven_m)
+        offset_m = math.hypot(wall.offset_std_m, PLACE_STD_M_PER_M * driven_m)
+        angle_rad = math.hypot(wall.angle_std_rad, HEADING_STD_RAD_PER_M * driven_m)
         ends_m = radar_from_then.apply(np.array(wall.ends_m))
         return WallLine.between(ends_m, offset_m, angle_rad, wall.end_std_m)
 
@@ -84,7 +90,7 @@ class WallPriorStore:
         wall_of_point: np.ndarray,
     ) -> tuple[list[Wall], np.ndarray]:
         """Return the walls of a scan fused with priors, as `models.perception.geometry.stage.WallPrior` has them."""
-        return fused(priors, ScanReturns(points_m, covariance_m2, wall_of_point), walls, self._params)
+        return fused(priors, ScanReturns(points_m, covariance_m2, wall_of_point), walls)
 
 
 def _motion(then_ns: int, now_ns: int, pose_at: PoseAt) -> Pose2 | None:

@@ -12,10 +12,8 @@ import math
 from enum import StrEnum
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
-from msgs.values.arrays import require_positive
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 
@@ -48,24 +46,17 @@ _MAX_PAUSE_S = 600.0
 _REST_STD_RPS = math.radians(0.03)
 
 
-class BiasParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions of standstill, time constant of the bias, and the accuracy required of a bias learnt while driving."""
-
-    standstill_speed_mps: float = 0.05
-    #: The vehicle is at rest once it has been this slow for so long: a car rocks as it stops.
-    settle_s: float = 0.5
-    #: Time constant of the bias after the first so many seconds, in which it is their plain mean.
-    bias_time_s: float = 10.0
-    #: A yaw rate at rest beyond this is no bias: a turntable, a ferry.
-    max_bias_rps: float = 0.05
-    #: A bias learnt while driving is subtracted once its standard deviation is below this.
-    max_driving_std_rps: float = math.radians(0.3)
-    #: A bias learnt at rest holds for so long, whatever driving shows.
-    rest_holds_s: float = 600.0
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_positive(f"odometry.{name}", getattr(self, name))
+STANDSTILL_SPEED_MPS = 0.05
+#: The vehicle is at rest once it has been this slow for so long: a car rocks as it stops.
+SETTLE_S = 0.5
+#: Time constant of the bias after the first so many seconds, in which it is their plain mean.
+BIAS_TIME_S = 10.0
+#: A yaw rate at rest beyond this is no bias: a turntable, a ferry.
+MAX_BIAS_RPS = 0.05
+#: A bias learnt while driving is subtracted once its standard deviation is below this.
+MAX_DRIVING_STD_RPS = math.radians(0.3)
+#: A bias learnt at rest holds for so long, whatever driving shows.
+REST_HOLDS_S = 600.0
 
 
 class BiasSource(StrEnum):
@@ -99,8 +90,7 @@ class YawRateBias:
     driving.
     """
 
-    def __init__(self, params: BiasParams | None = None) -> None:
-        self._params = params or BiasParams()
+    def __init__(self) -> None:
         self._driving = DrivingBias()
         self._slow_since_ns: int | None = None
         self._rested_s = 0.0
@@ -115,7 +105,7 @@ class YawRateBias:
 
     def add(self, state: VehicleState, elapsed_s: float) -> None:
         """Take in a valid state, `elapsed_s` after the one before."""
-        if abs(state.speed_mps) > self._params.standstill_speed_mps:
+        if abs(state.speed_mps) > STANDSTILL_SPEED_MPS:
             self._slow_since_ns = None
             self._driven_s += elapsed_s
             self._driving.add(state)
@@ -124,7 +114,7 @@ class YawRateBias:
         if self._slow_since_ns is None:
             self._slow_since_ns = state.stamp_ns
         if self.rests(state):
-            self._rested_s = min(self._rested_s + elapsed_s, self._params.bias_time_s)
+            self._rested_s = min(self._rested_s + elapsed_s, BIAS_TIME_S)
             gain = min(elapsed_s / max(self._rested_s, 1e-9), 1.0)
             self._rest_rps += gain * (state.yaw_rate_rps - self._rest_rps)
             self._last_rest_ns = state.stamp_ns
@@ -134,8 +124,8 @@ class YawRateBias:
     def rests(self, state: VehicleState) -> bool:
         """Return whether the vehicle stands on ground that does not turn."""
         since_ns = self._slow_since_ns
-        stands = since_ns is not None and state.stamp_ns - since_ns >= ns_from_s(self._params.settle_s)
-        return stands and abs(state.yaw_rate_rps) <= self._params.max_bias_rps
+        stands = since_ns is not None and state.stamp_ns - since_ns >= ns_from_s(SETTLE_S)
+        return stands and abs(state.yaw_rate_rps) <= MAX_BIAS_RPS
 
     def corrected(self, state: VehicleState) -> float:
         """Return the yaw rate without bias; none at all while the vehicle rests."""
@@ -143,11 +133,11 @@ class YawRateBias:
 
     def estimate(self, stamp_ns: int) -> BiasEstimate:
         """Return the bias that is subtracted at a time."""
-        driving, params = self._driving, self._params
-        is_learnt = driving.std_rps <= params.max_driving_std_rps and abs(driving.bias_rps) <= params.max_bias_rps
+        driving = self._driving
+        is_learnt = driving.std_rps <= MAX_DRIVING_STD_RPS and abs(driving.bias_rps) <= MAX_BIAS_RPS
         if self._rested_s > 0.0 and self._last_rest_ns is not None:
             rest_s = s_from_ns(stamp_ns - self._last_rest_ns)
-            if rest_s <= params.rest_holds_s or not is_learnt:
+            if rest_s <= REST_HOLDS_S or not is_learnt:
                 return BiasEstimate(self._rest_rps, _REST_STD_RPS, BiasSource.REST, driven_s=self._driven_s)
         if is_learnt:
             return BiasEstimate(driving.bias_rps, driving.std_rps, BiasSource.DRIVING, driven_s=self._driven_s)
@@ -159,13 +149,13 @@ class YawRateBias:
         return BiasEstimate(self._driving.bias_rps, self._driving.std_rps, BiasSource.DRIVING, "", self._driven_s)
 
     def _why_not(self) -> str:
-        driving, limit = self._driving, math.degrees(self._params.max_driving_std_rps)
+        driving, limit = self._driving, math.degrees(MAX_DRIVING_STD_RPS)
         if self._driven_s == 0.0:
             return "the vehicle has neither stood nor driven yet"
         if not (driving.has_steering or driving.has_wheels):
             return "the vehicle never stood, and neither steering nor wheel speeds are known"
-        if driving.std_rps <= self._params.max_driving_std_rps:
-            max_bias_deg_s = math.degrees(self._params.max_bias_rps)
+        if driving.std_rps <= MAX_DRIVING_STD_RPS:
+            max_bias_deg_s = math.degrees(MAX_BIAS_RPS)
             return f"driving gives {math.degrees(driving.bias_rps):.2f} deg/s, which is beyond {max_bias_deg_s:.2f}"
         return (
             f"the vehicle never stood, and {driving.used_s:.0f} s of driving{self._speeds()} leave a standard "

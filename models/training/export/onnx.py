@@ -23,7 +23,6 @@ from models.perception.detection.detectors import NetworkDetector
 from models.perception.detection.encoding import Encoding, encode_map
 from models.perception.detection.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
 from models.perception.detection.peaks import PeakParams, pursued_points
-from models.perception.detection.pursuit import PursuitParams
 from models.perception.trained_radar import TrainedRadar
 from models.training.calibration import fit_table, peak_outcomes
 from models.training.data.frames import DataSet, Frame, fixed_splits
@@ -345,7 +344,7 @@ def best_pursuit_threshold(file: Path, frames: Iterable[Frame]) -> float:
     predictor = DensePredictor(file)
     tally = DetectionTally(predictor.card.grid, PURSUIT_THRESHOLDS)
     for frame in frames:
-        points = pursued_points(predictor.predict(frame.ra_map), PURSUIT_THRESHOLDS[0], PursuitParams())
+        points = pursued_points(predictor.predict(frame.ra_map), PURSUIT_THRESHOLDS[0])
         tally.add(points, point_labels(frame.labels, frame.ra_map.grid))
     return max(PURSUIT_THRESHOLDS, key=tally.macro_f1)
 

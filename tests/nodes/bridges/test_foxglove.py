@@ -48,7 +48,7 @@ TRACK = Track(
 
 @pytest.fixture
 def bridge() -> Iterator[FoxgloveBridge]:
-    node = create(Params(port=0, allowed_origins=("https://app.foxglove.dev",), max_clients=2))
+    node = create(Params(port=0, allowed_origins=("https://app.foxglove.dev",)))
     yield node
     node.close()
 
@@ -263,7 +263,6 @@ def test_a_token_of_the_same_run_is_kept(tmp_path: Any) -> None:
     ("params", "rule"),
     [
         ({"port": 70_000}, "port must be 0..65535"),
-        ({"max_clients": 0}, "max_clients must be 1..64"),
         ({"allowed_origins": ("*",)}, "allowed_origins must be scheme://host:port"),
         ({"allowed_origins": ("https://a/b",)}, "without a path"),
         ({"allowed_origins": ("null",)}, "allowed_origins must be"),

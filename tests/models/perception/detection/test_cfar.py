@@ -10,10 +10,10 @@ from scipy.stats import binom
 from models.perception.detection.cfar import (
     PHOTON_CFAR,
     CfarParams,
-    cfar_mask,
     cfar_peaks,
     classify_behind_walls,
     detect,
+    ordered_statistic_mask,
 )
 from models.perception.detection.ridges import RidgeParams, side_lobes
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
@@ -47,23 +47,23 @@ def lobe(range_m: float, azimuth_deg: float, snr_db: float) -> np.ndarray:
     return 10.0 ** (snr_db / 20.0) * np.outer(range_part, azimuth_part)
 
 
-@pytest.mark.parametrize("kind", ["ca", "os"])
 @pytest.mark.parametrize("rate", [1e-2, 1e-3])
-def test_false_alarm_rate_on_exponential_noise(kind, rate):
+def test_false_alarm_rate_on_exponential_noise(rate):
     """Independent exponential cells: alarms are binomial up to the correlation that shared training cells bring,
     which widens the spread; the interval is that of 99.99 %, widened by half."""
     power = np.square(np.abs(noise(11)))
-    alarms = int(cfar_mask(power, CfarParams(kind=kind, false_alarm_rate=rate)).sum())
+    alarms = int(ordered_statistic_mask(power, CfarParams(false_alarm_rate=rate)).sum())
     low, high = binom.interval(0.9999, power.size, rate)
     middle, half = 0.5 * (low + high), 0.75 * (high - low)
     assert middle - half <= alarms <= middle + half
 
 
-@pytest.mark.parametrize("kind", ["ca", "os"])
-def test_scale_of_the_map_does_not_matter(kind):
+def test_scale_of_the_map_does_not_matter():
     power = np.square(np.abs(noise(2)))
-    params = CfarParams(kind=kind, false_alarm_rate=1e-3)
-    np.testing.assert_array_equal(cfar_mask(power, params), cfar_mask(power * 2.0**-40, params))
+    params = CfarParams(false_alarm_rate=1e-3)
+    np.testing.assert_array_equal(
+        ordered_statistic_mask(power, params), ordered_statistic_mask(power * 2.0**-40, params)
+    )
 
 
 def echo_map(azimuth_deg: float, mode: str = "coherent") -> RangeAzimuthMap:
@@ -123,7 +123,7 @@ def test_classes_come_from_the_walls_in_front():
         path_class=np.zeros(count, np.uint8), covariance=np.tile(np.diag([0.01, 2e-4]), (count, 1, 1)),
         peak_stamp_ns=np.zeros(count, np.int64), snr_db=np.full(count, 30.0),
     )  # fmt: skip
-    classified = classify_behind_walls(peaks, CfarParams())
+    classified = classify_behind_walls(peaks)
     assert classified.path_class.tolist() == [PathClass.LOS] * 15 + [PathClass.MIRRORED, PathClass.LOS, PathClass.LOS]
 
 
@@ -134,5 +134,3 @@ def test_empty_map_gives_no_peaks():
 def test_refuses_parameters_that_make_no_sense():
     with pytest.raises(ValueError, match="false_alarm_rate"):
         CfarParams(false_alarm_rate=0.0)
-    with pytest.raises(ValueError, match="training"):
-        CfarParams(guard=(4, 4), training=(4, 8))

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.score_calibration import calibrated, calibrated_peaks, check_table, score_of
-from msgs.values.perception import Peaks
+from models.perception.detection.score_calibration import calibrated, check_table, score_of
 
 TABLE = ((0.0, 0.0), (0.5, 0.2), (1.0, 1.0))
 
@@ -24,25 +22,6 @@ def test_no_table_changes_nothing() -> None:
 def test_the_score_of_a_probability_is_the_inverse(probability: float) -> None:
     assert calibrated(TABLE, np.array([score_of(TABLE, probability)]))[0] == pytest.approx(probability, abs=1e-12)
     assert score_of((), probability) == probability
-
-
-def test_only_the_scores_of_peaks_change() -> None:
-    peaks = Peaks(
-        stamp_ns=1,
-        scan_id=2,
-        range_m=np.array([3.0, 4.0]),
-        azimuth_rad=np.array([0.1, 0.2]),
-        score=np.array([0.5, 0.75]),
-        path_class=np.array([0, 1], np.uint8),
-        covariance=np.zeros((2, 2, 2)),
-        peak_stamp_ns=np.zeros(2, np.int64),
-        snr_db=np.zeros(2),
-    )
-    found = calibrated_peaks(TABLE, peaks)
-    np.testing.assert_allclose(found.score, [0.2, 0.6])
-    kept = [name for name in peaks.__struct_fields__ if name != "score"]
-    assert all(getattr(found, name) is getattr(peaks, name) for name in kept)
-    assert msgspec.structs.replace(found, score=peaks.score).scan_id == 2
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ def test_beat_sign_and_background() -> None:
         beams.append(_beam(setup, index, samples))
     want, have = _form(plain).values, _form(beams, setup).values
     assert np.linalg.norm(have - want) <= 1e-5 * np.linalg.norm(want)
-    left = _form(beams, setup, subtract_background=False).values
+    left = _form(beams, msgspec.structs.replace(setup, background=None)).values
     assert np.linalg.norm(left - want) > 0.1 * np.linalg.norm(want)
 
 
@@ -454,7 +454,6 @@ def test_beams_of_another_set_up_are_refused() -> None:
         ({"decimation": 0}, "forming.decimation"),
         ({"range_window": "kaiser"}, "forming.range_window"),
         ({"slow_time_sums": 0}, "forming.slow_time_sums"),
-        ({"doppler_snr_db": float("nan")}, "forming.doppler_snr_db"),
     ],
 )
 def test_wrong_parameters_are_refused(params: dict[str, Any], message: str) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.tracking.appearance import AppearanceParams, Outlook, RecentWalls, radar_ahead
+from models.perception.tracking.appearance import STEPS_S, Outlook, RecentWalls, radar_ahead
 from models.perception.tracking.odometry import OdometryPose
 from msgs.values.frames import Pose2
 from msgs.values.perception import Wall
@@ -16,11 +16,8 @@ from msgs.values.perception import Wall
 WALL = Wall(normal=(-1.0, 0.0), offset_m=10.0, ends_m=((10.0, -5.0), (10.0, 5.0)), inliers=9)
 
 
-def outlook(radar_m: np.ndarray | None = None, params: AppearanceParams | None = None) -> Outlook:
-    params = params or AppearanceParams()
-    at_rest = np.zeros((len(params.steps_s), 2))
-    a, b = RecentWalls(params.wall_memory_s).add(0, [WALL], Pose2())
-    return Outlook(at_rest if radar_m is None else radar_m, a, b, params)
+def outlook() -> Outlook:
+    return Outlook(np.zeros((len(STEPS_S), 2)), *RecentWalls().add(0, [WALL], Pose2()))
 
 
 def test_an_object_appears_when_its_nose_passes_the_edge():
@@ -41,8 +38,7 @@ def test_slow_objects_count_as_standing(speed_mps: float, hidden_all: bool):
 
 def test_the_radar_drives_on_round_its_circle():
     """4 m/s and 0.5 rad/s, mounted 2 m ahead: after t the vehicle is at 8 (sin t/2, 1 - cos t/2), turned by t/2."""
-    params = AppearanceParams(horizon_s=2.0, step_s=1.0)
-    ahead_m = radar_ahead(OdometryPose(0, Pose2(), 4.0, 0.5), Pose2(2.0), params)
+    ahead_m = radar_ahead(OdometryPose(0, Pose2(), 4.0, 0.5), Pose2(2.0))[::10]
     for number, turn in enumerate((0.0, 0.5, 1.0)):
         expected = 8.0 * np.array([math.sin(turn), 1.0 - math.cos(turn)]) + 2.0 * np.array(
             [math.cos(turn), math.sin(turn)]
@@ -52,7 +48,7 @@ def test_the_radar_drives_on_round_its_circle():
 
 def test_walls_are_kept_in_the_odometry_frame_as_long_as_stated():
     """Two scans 1 s apart, the radar 3 m on: both walls count; a second later the first has gone."""
-    walls = RecentWalls(1.5)
+    walls = RecentWalls()
     walls.add(0, [WALL], Pose2())
     a, _ = walls.add(1_000_000_000, [WALL], Pose2(3.0))
     np.testing.assert_allclose(a, [[10.0, -5.0], [13.0, -5.0]])
@@ -64,7 +60,7 @@ def test_walls_are_kept_in_the_odometry_frame_as_long_as_stated():
 
 def test_a_radar_at_rest_is_where_each_step_ahead_would_put_it() -> None:
     """To the byte: the least motion there is takes the way of all steps, and moves it by less than rounding."""
-    params, mounted = AppearanceParams(), Pose2(3.7, -0.4, 0.2)
+    mounted = Pose2(3.7, -0.4, 0.2)
     at_rest = OdometryPose(0, Pose2(17.3, -5.1, 0.7), 0.0, 0.0)
     least = at_rest._replace(speed_mps=5e-324)
-    np.testing.assert_array_equal(radar_ahead(at_rest, mounted, params), radar_ahead(least, mounted, params))
+    np.testing.assert_array_equal(radar_ahead(at_rest, mounted), radar_ahead(least, mounted))

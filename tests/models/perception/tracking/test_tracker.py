@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.tracking.appearance import AppearanceParams
+from models.perception.tracking.appearance import NOSE_M
 from models.perception.tracking.estimate import motion_noise
 from models.perception.tracking.measurements import UNOBSERVABLE_SHARE
-from models.perception.tracking.odometry import Odometry, OdometryParams, OdometryPose, stationary_pose
+from models.perception.tracking.odometry import Odometry, OdometryPose, stationary_pose
 from models.perception.tracking.tracker import MAX_POSITION_STD_M, Tracker, TrackerParams
 from msgs.values.arrays import Covariance
 from msgs.values.frames import Pose2
@@ -56,8 +56,7 @@ def test_existence_of_an_object_seen_twice_is_that_of_bayes():
     the report has variance 2 R + 64 * 0.09 + 2 * 0.027 / 3, the background is k = 3e-4 / 0.6 and p_D = 0.6:
     r' = (r p f + k r (1 - p)) / (r p f + k (1 - r p)).
     """
-    params, tracker = TrackerParams(), Tracker()
-    assert (params.detection_probability, params.survival_per_s, params.birth_density_per_m2) == (0.6, 0.8, 3e-4)
+    tracker = Tracker()
     item = msgspec.structs.replace(seen(8.0, 9.0), score=0.6)
     assert tracker.step(frame(0, item), stationary_pose()) == ()
     (track,) = tracker.step(frame(1, item), stationary_pose())
@@ -255,7 +254,7 @@ def test_time_to_appear_is_when_the_nose_passes_the_corner():
     """Along y = 8 at 4 m/s: the ray from the radar past (10, 4) reaches that line at x = 20."""
     told = drive(Tracker(), [[(4.0 + 1.2 * scan, 8.0)] for scan in range(8)])
     (last,) = told[-1]
-    assert last.time_to_appear_s == pytest.approx((20.0 - AppearanceParams().nose_m - last.x_m) / 4.0, abs=0.15)
+    assert last.time_to_appear_s == pytest.approx((20.0 - NOSE_M - last.x_m) / 4.0, abs=0.15)
 
 
 def test_time_to_appear_counts_the_radars_own_way():
@@ -351,12 +350,9 @@ def test_states_that_are_late_repeated_or_not_valid_change_nothing():
     ("make", "complaint"),
     [
         (lambda: TrackerParams(place_std_m=0.0), "tracker.place_std_m"),
-        (lambda: TrackerParams(survival_per_s=1.1), "tracker.survival_per_s"),
         (lambda: TrackerParams(detection_probability=1.0), "tracker.detection_probability"),
         (lambda: TrackerParams(birth_density_per_m2=1e-30), "tracker.birth_density_per_m2"),
-        (lambda: TrackerParams(least_existence=0.7), "least_existence must be at most confirm_existence"),
-        (lambda: AppearanceParams(step_s=0.0), "tracker.appearance.step_s"),
-        (lambda: OdometryParams(max_gap_s=math.nan), "odometry.max_gap_s"),
+        (lambda: TrackerParams(confirm_existence=0.01), "tracker.confirm_existence"),
     ],
 )
 def test_parameters_are_checked_at_the_door(make, complaint):

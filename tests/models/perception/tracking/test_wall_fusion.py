@@ -8,11 +8,17 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from models.perception.tracking.wall_fusion import PlacedPrior, ScanReturns, WallFusionParams, fused
+from models.perception.tracking.wall_fusion import (
+    FLATNESS_M,
+    MAX_WALLS,
+    SCAN_OFFSET_STD_M,
+    PlacedPrior,
+    ScanReturns,
+    fused,
+)
 from models.perception.tracking.wall_lines import WallLine
 from msgs.values.perception import Wall
 
-PARAMS = WallFusionParams()
 Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -36,7 +42,7 @@ ON_FACADE = [(20.0, float(y)) for y in range(-5, 6)]
 
 
 def walls_of(priors: list[PlacedPrior], walls: list[Wall], seen: ScanReturns = NOTHING) -> list[Wall]:
-    return fused(priors, seen, walls, PARAMS)[0]
+    return fused(priors, seen, walls)[0]
 
 
 def reach_m(wall: Wall) -> list[float]:
@@ -47,7 +53,7 @@ def reach_m(wall: Wall) -> list[float]:
 def test_without_priors_nothing_changes() -> None:
     seen = returns(ON_FACADE, [0] * 11)
     walls = [FACADE]
-    same, numbers = fused([], seen, walls, PARAMS)
+    same, numbers = fused([], seen, walls)
     assert same is walls
     assert numbers is seen.wall
 
@@ -55,7 +61,7 @@ def test_without_priors_nothing_changes() -> None:
 def test_a_prior_on_a_measured_wall_extends_it() -> None:
     """One wall of both, as long as both; a return beyond its measured end now lies on it."""
     seen = returns([*ON_FACADE, (20.02, 9.0), (16.0, 9.0)], [*[0] * 11, -1, -1])
-    walls, numbers = fused([prior(((20.0, -2.0), (20.0, 14.0)))], seen, [FACADE], PARAMS)
+    walls, numbers = fused([prior(((20.0, -2.0), (20.0, 14.0)))], seen, [FACADE])
     assert len(walls) == 1
     assert reach_m(walls[0]) == pytest.approx([-5.0, 14.0])
     assert numbers.tolist() == [*[0] * 12, -1]
@@ -65,7 +71,7 @@ def test_a_prior_on_a_measured_wall_extends_it() -> None:
 def test_a_prior_on_a_measured_wall_is_weighed_by_the_errors_of_both() -> None:
     """0.2 m apart; the scan's 0.1 m with the 0.03 m that its returns share against 0.1 m of the map."""
     (both,) = walls_of([prior(((20.2, -5.0), (20.2, 5.0)))], [FACADE])
-    measured = 0.1**2 + PARAMS.scan_offset_std_m**2
+    measured = 0.1**2 + SCAN_OFFSET_STD_M**2
     assert both.offset_m == pytest.approx(20.0 + 0.2 * measured / (measured + 0.01))
     assert both.offset_std_m == pytest.approx(math.sqrt(measured * 0.01 / (measured + 0.01)), rel=1e-6)
     assert both.offset_std_m < FACADE.offset_std_m
@@ -82,7 +88,7 @@ def test_one_prior_joins_two_parts_of_a_wall() -> None:
     parts = [wall(((20.0, -9.0), (20.0, -2.0)), 5), FACADE, wall(((20.0, 7.0), (20.0, 15.0)), 4)]
     beside = wall(((5.0, 12.0), (15.0, 12.0)), 3)
     seen = returns([(20.0, -5.0), (10.0, 12.0), (20.0, 3.0), (20.0, 9.0)], [0, 3, 1, 2])
-    walls, numbers = fused([prior(((20.0, -9.0), (20.0, 15.0)))], seen, [*parts, beside], PARAMS)
+    walls, numbers = fused([prior(((20.0, -9.0), (20.0, 15.0)))], seen, [*parts, beside])
     assert [item.inliers for item in walls] == [17, 3]
     assert reach_m(walls[0]) == pytest.approx([-9.0, 15.0])
     assert walls[1] is beside
@@ -101,8 +107,8 @@ def test_where_the_scan_shows_nothing_the_prior_is_a_wall() -> None:
 def test_single_returns_correct_a_prior_that_no_wall_was_fitted_to() -> None:
     """Two returns 0.1 m before a wall known to 0.2 m: it comes nearer, and its direction stays."""
     seen = returns([(7.0, 11.9), (13.0, 11.9)], [-1, -1])
-    walls, numbers = fused([prior(((5.0, 12.0), (15.0, 12.0)), offset_std_m=0.2)], seen, [], PARAMS)
-    noise = (0.05**2 + PARAMS.flatness_m**2) / 2.0
+    walls, numbers = fused([prior(((5.0, 12.0), (15.0, 12.0)), offset_std_m=0.2)], seen, [])
+    noise = (0.05**2 + FLATNESS_M**2) / 2.0
     assert walls[0].offset_m == pytest.approx(12.0 - 0.1 * 0.04 / (0.04 + noise), abs=1e-6)
     assert (walls[0].inliers, numbers.tolist()) == (2, [0, 0])
 
@@ -144,7 +150,7 @@ def test_returns_past_the_end_of_a_prior_prove_nothing() -> None:
 def test_a_prior_that_is_seen_through_beside_its_wall_extends_nothing() -> None:
     """The facade is there, the rest of the map's wall is not: it is corrected, and as long as measured."""
     seen = returns([*ON_FACADE, (30.0, 12.0), (30.0, 13.0), (30.0, 14.0)], [*[0] * 11, -1, -1, -1])
-    walls, _ = fused([prior(((20.1, -5.0), (20.1, 14.0)))], seen, [FACADE], PARAMS)
+    walls, _ = fused([prior(((20.1, -5.0), (20.1, 14.0)))], seen, [FACADE])
     assert len(walls) == 1
     assert reach_m(walls[0]) == pytest.approx([-5.0, 5.0], abs=0.01)
     assert 20.0 < walls[0].offset_m < 20.1
@@ -154,7 +160,7 @@ def test_returns_behind_the_measured_part_of_a_prior_prove_nothing_about_the_res
     """What the scan itself took for a wall, though no longer than a vehicle, is extended all the same."""
     part = wall(((20.0, -2.5), (20.0, 2.5)))
     seen = returns([(30.0, -1.0), (30.0, 0.0), (30.0, 1.0)], [-1] * 3)
-    walls, _ = fused([prior(((20.0, -10.0), (20.0, 10.0)))], seen, [part], PARAMS)
+    walls, _ = fused([prior(((20.0, -10.0), (20.0, 10.0)))], seen, [part])
     assert [reach_m(item) for item in walls] == [pytest.approx([-10.0, 10.0])]
 
 
@@ -240,17 +246,12 @@ def test_the_order_of_priors_changes_nothing() -> None:
 
 def test_a_scan_takes_the_nearest_priors() -> None:
     """Walls side by side up the street, one of them more than a scan takes."""
-    count = PARAMS.max_walls + 1
+    count = MAX_WALLS + 1
     priors = [prior(((10.0 + 3.5 * i, 8.0 + i), (10.0 + 3.5 * i, 12.0 + i))) for i in range(count)]
     believed = walls_of(priors, [])
     farthest_m = max(x for item in believed for x, _ in item.ends_m)
-    assert len(believed) <= PARAMS.max_walls
+    assert len(believed) <= MAX_WALLS
     assert farthest_m < 10.0 + 3.5 * (count - 1)
-
-
-def test_parameters_are_checked_by_name() -> None:
-    with pytest.raises(ValueError, match=r"wall_priors.rival_m must be finite and positive, got 0"):
-        WallFusionParams(rival_m=0.0)
 
 
 @pytest.mark.parametrize(("behind_m", "walls"), [(1.25, 1), (1.35, 0), (-1.35, 1)])

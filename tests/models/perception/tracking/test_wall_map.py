@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
-import msgspec
 import numpy as np
 import pytest
 
 from models.perception.geometry.walls import WallParams, find_walls
 from models.perception.tracking.odometry import OdometryPose
-from models.perception.tracking.wall_map import WallMap, WallMapParams
+from models.perception.tracking.wall_map import WallMap
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import Wall
 
@@ -36,9 +35,9 @@ def covariances(points_m: np.ndarray) -> np.ndarray:
 class Street:
     """Scans of returns given in the odometry frame, with errors, through a wall map."""
 
-    def __init__(self, seed: int = 0, params: WallMapParams | None = None) -> None:
+    def __init__(self, seed: int = 0) -> None:
         self.rng = np.random.default_rng(seed)
-        self.map = WallMap(params)
+        self.map = WallMap()
         self.scan = 0
         self.alone: list[Wall] = []
 
@@ -174,27 +173,21 @@ def test_scattered_returns_become_no_walls() -> None:
     assert found <= 1
 
 
-@pytest.mark.parametrize("name", ["min_scans", "fade_s", "max_gap_m"])
-def test_parameters_are_checked_at_the_door(name: str) -> None:
-    with pytest.raises(ValueError, match=f"wall_map.{name}"):
-        msgspec.structs.replace(WallMapParams(), **{name: 0})
-
-
 def test_errors_of_kept_walls_grow_with_the_way_and_the_turn() -> None:
     """Over 10 m and 0.5 rad: 2 % of the way, 2 % of the turn, 0.05 deg by the root of a metre, and a scan's own."""
-    params, walls = WallMapParams(), WallMap()
+    walls = WallMap()
     line = SimpleNamespace(score=8.0, covariance=np.zeros((2, 2)))
     walls._age(0, STANDING)
     walls._kept = [line]  # type: ignore[list-item]
     walls._age(PERIOD_NS, STANDING._replace(odom_from_vehicle=Pose2(8.0, 6.0, 0.5)))
-    offset = params.scan_offset_std_m**2 + (0.02 * 10.0) ** 2
-    angle = params.scan_angle_std_rad**2 + (0.02 * 0.5) ** 2 + 10.0 * math.radians(0.05) ** 2
+    offset = 0.03**2 + (0.02 * 10.0) ** 2
+    angle = math.radians(0.3) ** 2 + (0.02 * 0.5) ** 2 + 10.0 * math.radians(0.05) ** 2
     np.testing.assert_allclose(line.covariance, np.diag([offset, angle]))
-    assert line.score == pytest.approx(8.0 * math.exp(-1e-9 * PERIOD_NS / params.fade_s - 10.0 / params.fade_m))
+    assert line.score == pytest.approx(8.0 * math.exp(-1e-9 * PERIOD_NS / 5.0 - 10.0 / 30.0))
 
 
 def test_evidence_of_a_wall_is_bounded_however_often_it_is_seen() -> None:
     street, rng = Street(), np.random.default_rng(2)
     for _ in range(60):
         street.see(weak_wall(rng, 5))
-    assert max(line.score for line in street.map._kept) == WallMapParams().most_score
+    assert max(line.score for line in street.map._kept) == 40.0
