@@ -110,10 +110,12 @@ def _row(place: int, scene: SceneTruth, scan: ListedScan) -> ScanRow:
 
 def _scenes(truth: ObjectList) -> dict[str, SceneTruth]:
     """Return the boxes of a list as truth: all of them are to be found, and their only mark is the centre."""
-    nothing = {name: np.zeros((0, 3), np.float32) for name in ("los_points_m", "mirrored_points_m", "hidden_points_m")}
+    nothing = np.zeros((0, 3), np.float32)
     return {
         scan.key: SceneTruth(
-            **nothing,
+            los_points_m=nothing,
+            mirrored_points_m=nothing,
+            hidden_points_m=nothing,
             stamp_ns=scan.stamp_ns or 0,
             scan_id=number,
             hidden_object=np.zeros(0, np.int32),

@@ -76,8 +76,7 @@ def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path)
     exact = EvidencePredictor(source)
     card, fields_path = exact.card, exact.fields_path
     maps = [frame.ra_map for frame in data.frames(range(min(count, len(data))))]
-    command = f"mirrorwave export {source} --precision int8 --data {data.directory} --calibration {count} "
-    command += f"--out {model_path}"
+    command = f"mirrorwave export {source} --precision int8 --data {data.directory} --out {model_path}"
     rounded_path = model_path.with_name(f"{fields_path.stem}.int8.onnx")
     fields = read_card(card_path(fields_path), FieldCard)
     quantize_int8(fields_path, rounded_path, np.stack([encode_map(fields.encoding, ra_map) for ra_map in maps]))

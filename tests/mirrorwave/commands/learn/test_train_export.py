@@ -27,7 +27,7 @@ def test_from_data_set_to_a_model_that_loads(tmp_path: Path, capsys: pytest.Capt
     dense(tmp_path / "data", tmp_path / "run", epochs=1, batch_size=4, seed=3, threads=1)
     assert "best Macro-F1 0." in capsys.readouterr().out
     model = tmp_path / "net.onnx"
-    export(tmp_path / "run", model, precision="int8", calibration=2, as_json=True)
+    export(tmp_path / "run", model, precision="int8", as_json=True)
     printed = json.loads(capsys.readouterr().out)
     card = DensePredictor(model).card
     assert printed["sha256"] == card.sha256
@@ -94,7 +94,5 @@ def test_tables_of_a_shipped_network_are_fitted_again(tmp_path: Path, capsys: py
 
 @pytest.mark.parametrize(("precision", "data"), [("fp32", Path("data")), ("int8", None)])
 def test_an_exported_network_is_exported_again_in_whole_numbers_alone(precision: str, data: Path | None) -> None:
-    with pytest.raises(
-        ValueError, match=r"\.onnx: an exported network takes --precision int8 and --data"
-    ):
+    with pytest.raises(ValueError, match=r"\.onnx: an exported network takes --precision int8 and --data"):
         export(DEFAULT_EVIDENCE, Path("out.onnx"), data=data, precision=precision)  # type: ignore[arg-type]
