@@ -54,17 +54,12 @@ def evaluate(
     against: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE",
-            help="Score a list of objects or tracks, one for each drive: .jsonl of `process`, .mcap, .json as nuScenes "
-            "results, .txt as KITTI tracking.",
-            show_default=False,
+            metavar="FILE", help="List of objects or tracks, one a drive: .jsonl, .mcap, nuScenes .json, KITTI .txt."
         ),
     ] = None,
     truth_file: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Truth of each --against: a recording, or a list of its kinds.", show_default=False
-        ),
+        typer.Option(metavar="FILE", help="Truth of each --against: a recording, or a list of those kinds."),
     ] = None,
     published_table: Annotated[
         int | None,
@@ -151,25 +146,16 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
+    given: dict[str, object] = {"--data": data, "--profile": profile, "--set": sets, "--moving": moving or None}
+    given |= {"--method": method, "--limit": limit, "--reference": reference}
     if against or truth_file:
-        given: dict[str, object] = {"--data": data, "--objects": objects or None, "--table": published_table}
-        given |= {"--profile": profile, "--set": sets, "--count": count or places, "--method": method}
-        _refuse("--against", given | {"--limit": limit, "--reference": reference, "--moving": moving or None})
+        _refuse("--against", given | {"--objects": objects or None, "--table": published_table, "--count": count})
         from mirrorwave.commands.learn.evaluate_objects import evaluate_lists
-        from mirrorwave.studies.evaluate.against import ListRequest
 
-        evaluate_lists(
-            ListRequest(
-                lists=against or [], truths=truth_file or [], draws=draws, seed=seed,
-                false_cost=1.0 if false_cost is None else false_cost, out=out,
-            ),
-            as_json,
-        )  # fmt: skip
+        evaluate_lists(against or [], truth_file or [], draws, seed, false_cost, out, as_json)
         return
     if published_table is not None:
-        given = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
-        given |= {"--moving": moving or None, "--method": method, "--limit": limit, "--reference": reference}
-        _refuse("--table", given)
+        _refuse("--table", given | {"--objects": objects or None})
         from mirrorwave.commands.learn.evaluate_table import evaluate_table
 
         evaluate_table(count or places or 100, seed, effects, workers, out, as_json)
