@@ -1,9 +1,4 @@
-"""`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals.
-
-With `--objects`: every profile on the same random places, object by object. With `--against`: a list of anybody. With
-`--table 5`: the systems of the specification from shipped weights, and ours, on random places, beside the published
-figures.
-"""
+"""`mirrorwave eval`: methods on the same frames, profiles on random places, lists of anybody, systems as published."""
 
 from __future__ import annotations
 
@@ -68,7 +63,7 @@ def evaluate(
             metavar="5",
             min=5,
             max=5,
-            help="The specification's systems and ours, from shipped weights.",
+            help="The specification's systems, shipped, and ours.",
             show_default=False,
         ),
     ] = None,
@@ -197,8 +192,7 @@ def evaluate(
 
 def _refuse(word: str, options: dict[str, object]) -> None:
     """Raise `ValueError` where options were given that say nothing beside `word`."""
-    given = [name for name, value in options.items() if value is not None]
-    if given:
+    if given := [name for name, value in options.items() if value is not None]:
         raise ValueError(f"{given[0]} must not be given with {word}")
 
 
