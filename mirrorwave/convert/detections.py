@@ -10,9 +10,10 @@ from typing import Any
 from mirrorwave.convert.detection_bags import open_bag
 from mirrorwave.convert.detection_tables import ScanRows, count_lines, table_scans
 from mirrorwave.convert.formats import Bar
+from models.sensors.detection_arrays import array_scan
 from models.sensors.detection_columns import DetectionMapping, detections_of
 from models.training.files import file_sha256
-from msgs.files.shipped import shipped_path
+from msgs.files.shipped import LAUNCH, shipped_path
 from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingWriter, whole_recording
 from msgs.values.arrays import MAX_STAMP_NS
@@ -20,6 +21,8 @@ from nodes.bridges.detection_mapping import mapping_path, read_mapping
 from nodes.bridges.ros_bag import SUFFIXES
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
+#: Ends of the files of data sets, one scan a file, and their mappings.
+ARRAY_MAPPINGS = {".pcd": "nuscenes.yaml", ".bin": "view_of_delft.yaml"}
 
 
 def import_detections(source: Path, out: Path, given: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
@@ -27,10 +30,12 @@ def import_detections(source: Path, out: Path, given: Path | None, topic: str | 
 
     Raises `ValueError` where file, mapping and topic do not fit, or no scan comes out; `ImportError` without rosbags.
     """
+    if files := _array_files(source):
+        return _import_arrays(source, files, out, given, topic, bar)
     if source.is_dir() or source.suffix.lower() in SUFFIXES:
         return _import_bag(source, out, given, topic, bar)
     if source.suffix.lower() not in TEXT_SUFFIXES:
-        ends = ", ".join((*TEXT_SUFFIXES, *SUFFIXES))
+        ends = ", ".join((*TEXT_SUFFIXES, *ARRAY_MAPPINGS, *SUFFIXES))
         raise ValueError(f"{source}: must be a table or a ROS bag, by the end of its name: {ends}, or a bag's folder")
     if topic is not None:
         raise ValueError(f"{source}: --topic is for bags, got {topic!r}")
@@ -44,6 +49,36 @@ def import_detections(source: Path, out: Path, given: Path | None, topic: str | 
     provenance = _provenance(source, used)
     with bar("lines", count_lines(source)) as advance, whole_recording(out, provenance) as writer:
         sink.write(writer, table_scans(source, mapping, sink.left_out, advance))
+    return sink.summary("")
+
+
+def _array_files(source: Path) -> list[Path]:
+    """Return the scans of a data set, by name: one file, or those of a folder; empty where it is something else."""
+    files = sorted(source.iterdir()) if source.is_dir() else [source]
+    return [file for file in files if file.suffix.lower() in ARRAY_MAPPINGS]
+
+
+def _import_arrays(
+    source: Path, files: list[Path], out: Path, given: Path | None, topic: str | None, bar: Bar
+) -> dict[str, Any]:
+    if topic is not None:
+        raise ValueError(f"{source}: --topic is for bags, got {topic!r}")
+    kinds = {file.suffix.lower() for file in files}
+    if len(kinds) > 1:
+        raise ValueError(f"{source}: must hold files of one kind, got {' and '.join(sorted(kinds))}")
+    used = shipped_path(given) if given else LAUNCH / "detections" / ARRAY_MAPPINGS[kinds.pop()]
+    sink = _Sink(source, read_mapping(used))
+
+    def scans(advance: Callable[[], None]) -> Iterator[ScanRows]:
+        for file in files:
+            stamp_ns, columns = array_scan(file)
+            advance()
+            yield ScanRows(stamp_ns, dict(columns))
+
+    facts = {"files": ", ".join(file.name for file in files[:: max(1, len(files) - 1)])}
+    provenance = _provenance(files[0], used) | facts
+    with bar("files", len(files)) as advance, whole_recording(out, provenance) as writer:
+        sink.write(writer, scans(advance))
     return sink.summary("")
 
 

@@ -187,7 +187,8 @@ def can(
 @app.command()
 def detections(
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="Table (.csv, .tsv, .txt) or ROS bag (file, folder).")
+        Path,
+        typer.Argument(metavar="SOURCE", help="Table, ROS bag, or nuScenes .pcd or View-of-Delft .bin (file, folder)."),
     ],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of radar/detections.")],
     mapping: Annotated[

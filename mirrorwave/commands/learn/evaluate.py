@@ -1,9 +1,4 @@
-"""`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals.
-
-With `--objects`: every profile on the same random places, object by object. With `--against`: a list of anybody. With
-`--table 5`: the systems of the specification from shipped weights, and ours, on random places, beside the published
-figures.
-"""
+"""`mirrorwave eval`: methods on the same frames, profiles on random places, lists of anybody, systems as published."""
 
 from __future__ import annotations
 
@@ -54,17 +49,12 @@ def evaluate(
     against: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE",
-            help="Score a list of objects or tracks, one for each drive: .jsonl of `process`, .mcap, .json as nuScenes "
-            "results, .txt as KITTI tracking.",
-            show_default=False,
+            metavar="FILE", help="List of objects or tracks, one a drive: .jsonl, .mcap, nuScenes .json, KITTI .txt."
         ),
     ] = None,
     truth_file: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Truth of each --against: a recording, or a list of its kinds.", show_default=False
-        ),
+        typer.Option(metavar="FILE", help="Truth of each --against: a recording, or a list of those kinds."),
     ] = None,
     published_table: Annotated[
         int | None,
@@ -73,7 +63,7 @@ def evaluate(
             metavar="5",
             min=5,
             max=5,
-            help="The specification's systems and ours, from shipped weights.",
+            help="The specification's systems, shipped, and ours.",
             show_default=False,
         ),
     ] = None,
@@ -151,25 +141,16 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
+    given: dict[str, object] = {"--data": data, "--profile": profile, "--set": sets, "--moving": moving or None}
+    given |= {"--method": method, "--limit": limit, "--reference": reference}
     if against or truth_file:
-        given: dict[str, object] = {"--data": data, "--objects": objects or None, "--table": published_table}
-        given |= {"--profile": profile, "--set": sets, "--count": count or places, "--method": method}
-        _refuse("--against", given | {"--limit": limit, "--reference": reference, "--moving": moving or None})
+        _refuse("--against", given | {"--objects": objects or None, "--table": published_table, "--count": count})
         from mirrorwave.commands.learn.evaluate_objects import evaluate_lists
-        from mirrorwave.studies.evaluate.against import ListRequest
 
-        evaluate_lists(
-            ListRequest(
-                lists=against or [], truths=truth_file or [], draws=draws, seed=seed,
-                false_cost=1.0 if false_cost is None else false_cost, out=out,
-            ),
-            as_json,
-        )  # fmt: skip
+        evaluate_lists(against or [], truth_file or [], draws, seed, false_cost, out, as_json)
         return
     if published_table is not None:
-        given = {"--data": data, "--objects": objects or None, "--profile": profile, "--set": sets}
-        given |= {"--moving": moving or None, "--method": method, "--limit": limit, "--reference": reference}
-        _refuse("--table", given)
+        _refuse("--table", given | {"--objects": objects or None})
         from mirrorwave.commands.learn.evaluate_table import evaluate_table
 
         evaluate_table(count or places or 100, seed, effects, workers, out, as_json)
@@ -211,8 +192,7 @@ def evaluate(
 
 def _refuse(word: str, options: dict[str, object]) -> None:
     """Raise `ValueError` where options were given that say nothing beside `word`."""
-    given = [name for name, value in options.items() if value is not None]
-    if given:
+    if given := [name for name, value in options.items() if value is not None]:
         raise ValueError(f"{given[0]} must not be given with {word}")
 
 

@@ -21,10 +21,19 @@ def evaluate_objects(request: ObjectRequest, as_json: bool) -> None:
     _show(results, list(tables(results)), request.out, as_json)
 
 
-def evaluate_lists(request: ListRequest, as_json: bool) -> None:
+def evaluate_lists(
+    lists: list[Path],
+    truths: list[Path],
+    draws: int,
+    seed: int,
+    false_cost: float | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
     """Score the lists, write the same files, and print the tables."""
-    results = compared(request)
-    _show(results, list(list_tables(results)), request.out, as_json)
+    cost = 1.0 if false_cost is None else false_cost
+    results = compared(ListRequest(lists=lists, truths=truths, draws=draws, seed=seed, false_cost=cost, out=out))
+    _show(results, list(list_tables(results)), out, as_json)
 
 
 def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as_json: bool) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -106,11 +107,9 @@ def read_truth(path: Path) -> ObjectList | list[SceneTruth]:
 
 
 def _require_once(keys: Iterator[Any], where: str) -> None:
-    seen = set()
-    for key in keys:
-        if key in seen:
-            raise ValueError(f"{where} {key} must be there once")
-        seen.add(key)
+    for key, count in Counter(keys).items():
+        if count > 1:
+            raise ValueError(f"{where} {key} must be there once, got {count} times")
 
 
 def _read_lines(path: Path) -> ObjectList:
