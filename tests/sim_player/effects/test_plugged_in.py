@@ -8,8 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from msgs.files.plugins import EFFECTS
 from msgs.files.shipped import CHECKOUT
 from tests.plugins import write_package
