@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint style audit lock stability site reference bench faults soak fuzz mutants tables sample fdtd-figures full-wave compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench faults soak fuzz mutants tables sample fdtd-figures full-wave compare results results-gpu clean
 
 # $(call beat,WORDS) COMMAND: a line of WORDS every ten seconds until COMMAND, or the shell that runs it, has ended
 beat = (s=0; while sleep 1 && kill -0 $$$$ 2>/dev/null; do s=$$((s + 1)); [ $$((s % 10)) -ne 0 ] || echo "$(1), $$s s"; done) & trap "kill $$!" EXIT;
@@ -68,6 +68,12 @@ test: setup-dev  ## all tests
 test-fast: WORKERS := $(CORES)
 test-fast: setup-dev  ## all tests but those that start processes (graph) or compute for half a second or more (slow)
 	$(PYTEST) -m "not graph and not slow"
+
+# forming, detection, geometry, evidence and tracking; what they say and how it travels; the nodes that wire them
+ROAD := tests/models/perception tests/msgs/bus tests/msgs/values tests/nodes/inputs $(wildcard tests/nodes/test_*.py)
+
+test-road: setup-dev  ## the tests of the way from beams to hidden objects: perception, messages, bus, nodes
+	$(PYTEST) $(ROAD)
 
 style: setup-dev  ## style and types
 	$(BIN)/ruff check .

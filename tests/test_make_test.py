@@ -253,7 +253,7 @@ def test_the_fast_run_leaves_out_what_is_slow_or_starts_processes(tmp_path: Path
 
 def test_every_test_and_every_run_has_a_limit_of_time(pytestconfig: pytest.Config) -> None:
     assert float(pytestconfig.getini("faulthandler_timeout")) > 0.0
-    for goal in ("test", "test-fast"):
+    for goal in ("test", "test-fast", "test-road"):
         assert [words[0] for words in commands(goal)] == ["timeout"]
 
 

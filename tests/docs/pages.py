@@ -59,8 +59,6 @@ SHORTER: tuple[tuple[str, str], ...] = (
     ),
     # the environment of the tests may have been installed before the plug-in was
     (r"^pytest (\S+)$", r"python -m pytest -q -p mirrorwave.testing.fixtures \1"),
-    # benchmarks: that the module is there and knows its options' help
-    (r"^(OPENBLAS_NUM_THREADS=1 )?python -m (benchmarks\.\S+)(?!.* --record ).*$", r"python -m \2 --help"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
     (r"^timeout (.*) 20 ", r"timeout \1 5 "),
     (r"--duration \d+", "--duration 2"),
@@ -83,18 +81,12 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # drives, which are many scans each; no page trains on them
     (r"^(mirrorwave sim dataset .*--count) 8 (--motion .*)$", r"\1 2 \2"),
     (r"^(mirrorwave topic echo .*)--count 8", r"\1--count 2"),
-    # a thin wall of a light material takes few cells
-    (r"^mirrorwave sim wall --plot", "mirrorwave sim wall --material wood --thickness-mm 20 --plot"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
     (r" --full$| --full ", " "),
     (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
-    (
-        r"^mirrorwave compare (?!--scene).*$",
-        "mirrorwave compare --quick --viewpoints 1 --sweep roughness --sensor xband --sensor 77ghz",
-    ),
     # likewise, tests/mirrorwave/studies/tradeoff/test_simulator.py
     (r"^mirrorwave tradeoff --simulator.*$", "mirrorwave tradeoff --simulator --help"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here

@@ -1,8 +1,12 @@
-"""Every command block of the documentation is run: `tests/docs/pages.py` says how, `SHORTER` what is shortened."""
+"""Every command block of README and guides is run: `tests/docs/pages.py` says how, `SHORTER` what is shortened.
+
+Of other pages every command of ours must be one that its verb takes.
+"""
 
 from __future__ import annotations
 
 import re
+import shlex
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,10 +14,12 @@ from pathlib import Path
 import pytest
 from _pytest.mark import ParameterSet
 
+from mirrorwave.cli import main
 from tests.docs.pages import ROOT, SHORTER, Runner, blocks_of, commands_of, shortened
 from tests.docs.prepared import Prepared, remember_trials, speaking_car
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
+OTHERS = sorted(set((ROOT / "docs").glob("**/*.md")) - set(PAGES))
 #: Files of the reader's own that a page speaks of.
 GIVEN: dict[str, tuple[str, ...]] = {
     "docs/guides/connect-my-car.md": ("drive.log", "car.dbc", "car.yaml"),
@@ -77,7 +83,7 @@ def pages_with_code() -> Iterator[ParameterSet]:
     for page in PAGES:
         name = str(page.relative_to(ROOT))
         blocks = blocks_of(page)
-        if blocks and name != GENERATED:
+        if blocks:
             text = "\n".join(block.text for block in blocks)
             # asks a living graph or counts what it lost: wants the machine to itself
             is_live = name in OF_A_GRAPH or LIVE.search(text)
@@ -96,12 +102,26 @@ def test_page(name: str, folder: Path, prepared: Prepared, launched: set[str]) -
         pytest.skip(f"all but what needs {', '.join(runner.missing)}, which this machine lacks")
 
 
+def test_other_pages_name_verbs_and_options_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--help` behind a command's own words: an unknown verb or option is refused before it is heard."""
+    asked = 0
+    for page in OTHERS:
+        shells = [block for block in blocks_of(page) if block.language == "sh"]
+        for block in shells if str(page.relative_to(ROOT)) != GENERATED else []:
+            for line, command in commands_of(block.text):
+                words = shlex.split(re.split(r" [&|>]", command.rstrip("& "))[0])
+                if words[:1] == ["mirrorwave"]:
+                    asked += 1
+                    code = main([*words[1:], "--help"])
+                    assert code == 0, f"{page.name}:{block.line + line}: {command}: {capsys.readouterr().err}"
+    assert asked > 5
+
+
 def test_every_shortening_is_used() -> None:
     """One that no command needs any more would hide the next command that it fits."""
     commands = [
         command
         for page in PAGES
-        if str(page.relative_to(ROOT)) != GENERATED
         for block in blocks_of(page)
         if block.language == "sh"
         for _, command in commands_of(block.text)

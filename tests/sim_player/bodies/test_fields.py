@@ -102,7 +102,7 @@ def test_all_aspects_are_those_of_shot_rays(primitive: str, size_m: tuple[float,
     world = at_origin(primitive=primitive, size_m=size_m)
     mesh = world.scene.objects[0].shape
     assert mesh is not None
-    towards = np.concatenate([directions(np.arange(0.3, 360.0, 9.0), up_deg) for up_deg in (0.0, -5.0, 20.0)])
+    towards = np.concatenate([directions(np.arange(0.3, 360.0, 15.0), up_deg) for up_deg in (0.0, -5.0, 20.0)])
     ours = far_away(world, towards)
     rays = np.array([mesh_field(mesh, one, WAVELENGTH_M) for one in towards])
     level_db, error_db = db(rays) - db(rays).max(), np.abs(db(ours / rays))

@@ -8,8 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from msgs.files.plugins import EFFECTS
 from msgs.files.shipped import CHECKOUT
 from tests.plugins import write_package
@@ -129,30 +127,38 @@ def test_broken_effects_are_left_out_with_a_line_each(tmp_path: Path) -> None:
     assert len(lines) == 6
 
 
-@pytest.mark.parametrize(
-    ("name", "source", "line"),
-    [
-        ("half", HALF.replace("0.5 if", "'x' if"), "factor must return a number or one for each of"),
-        ("half", HALF.replace("0.5 if", "[0.5, 0.5] if"), "factor must return a number or one for each of"),
-        ("half", HALF.replace("0.5 if", "float('nan') if"), "factors must be finite"),
-        ("half", HALF.replace("0.5 if", "1 / 0 if"), "ZeroDivisionError: division by zero ("),
-        ("ghosts", GHOSTS.replace('bit("ghosts")', "0"), "echoes must carry bit('ghosts') in needs"),
-        ("ghosts", GHOSTS.replace("0.316 *", "float('inf') *"), "weights of echoes must be finite"),
-        ("ghosts", GHOSTS.replace("return echoes", "return list(echoes.weight) or echoes"), "apply must return Echoes"),
-        ("ghosts", GHOSTS.replace('bit("ghosts")', 'bit("ghost")'), "'ghost' is no path effect of mirrorwave, nor"),
-    ],
-)
-def test_what_an_effect_does_wrong_is_said_with_its_package(name: str, source: str, line: str, tmp_path: Path) -> None:
-    write_package(tmp_path, "acme", EFFECTS, {name: name}, **{name: source})
+#: What an effect does wrong, by its name, and the line that says so.
+WRONGS = {
+    "worded": (HALF.replace("0.5 if", "'x' if"), "factor must return a number or one for each of"),
+    "short": (HALF.replace("0.5 if", "[0.5, 0.5] if"), "factor must return a number or one for each of"),
+    "unknown": (HALF.replace("0.5 if", "float('nan') if"), "factors must be finite"),
+    "raising": (HALF.replace("0.5 if", "1 / 0 if"), "ZeroDivisionError: division by zero ("),
+    "bitless": (GHOSTS.replace('bit("ghosts")', "0"), "echoes must carry bit('bitless') in needs"),
+    "loud": (GHOSTS.replace("0.316 *", "float('inf') *"), "weights of echoes must be finite"),
+    "listed": (GHOSTS.replace("return echoes", "return list(echoes.weight) or echoes"), "apply must return Echoes"),
+    "misnamed": (GHOSTS.replace('bit("ghosts")', 'bit("ghost")'), "'ghost' is no path effect of mirrorwave, nor"),
+}
+
+
+def test_what_an_effect_does_wrong_is_said_with_its_package(tmp_path: Path) -> None:
+    """One process loads them all and asks for each alone."""
+    sources = {name: source.replace('"ghosts"', f'"{name}"') for name, (source, _) in WRONGS.items()}
+    write_package(tmp_path, "acme", EFFECTS, {name: name for name in sources}, **sources)
     script = f"""{SCENE}
+from sim_player.effects.table import SHIPPED
 from sim_player.planner.plan import manual_plan
-try:
-    manual_plan(world, scene.setup).paths
-except ValueError as error:
-    print(json.dumps(str(error)))
+said = {{}}
+for name in {list(WRONGS)!r}:
+    try:
+        manual_plan(world, scene.setup, SHIPPED | {{name}}).paths
+    except ValueError as error:
+        said[name] = str(error)
+print(json.dumps(said))
 """
-    answer, log = run(tmp_path, script)
+    said, log = run(tmp_path, script)
     assert log == []
-    assert str(answer).startswith(f"effect {name} of acme 1.2: ")
-    assert line in str(answer)
-    assert "\n" not in str(answer)
+    assert list(said) == list(WRONGS)
+    for name, (_, line) in WRONGS.items():
+        assert said[name].startswith(f"effect {name} of acme 1.2: "), name
+        assert line in said[name], name
+        assert "\n" not in said[name], name

@@ -27,7 +27,7 @@ from tests.sim_player.scene.same_paths import assert_same_paths, of_part, of_who
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", range(12))
+@pytest.mark.parametrize("index", range(6))
 def test_drawn_places_keep_all_paths(index: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Arcs, hedges, low walls, glass and grounds are among them; the radar stands where the scene says, then beside."""
     monkeypatch.setattr(reach, "WHOLE_WALLS", 0)
@@ -39,7 +39,7 @@ def test_drawn_places_keep_all_paths(index: int, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["terraced", "detached"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_cities_keep_all_paths_and_trace_less(kind: CityKind, seed: int) -> None:
     world = prepare(made_city(200, kind, seed=seed), seed)
     for x_m in (0.0, 31.7):
