@@ -13,10 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
-from msgs.values.arrays import require_positive
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, Track, Visibility
 from msgs.values.units import s_from_ns
@@ -33,47 +31,35 @@ class Level(IntEnum):
     URGENT = 3
 
 
-class WarningParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits of the rules; each `until` ends the warning that its neighbour above begins."""
-
-    #: An object that enters direct sight within this time.
-    appear_s: float = 3.0
-    appear_until_s: float = 4.0
-    #: Paths that come this near, with a standard deviation of the distance no larger than that, within `crossing_s`.
-    crossing_m: float = 3.0
-    crossing_until_m: float = 4.5
-    crossing_s: float = 4.0
-    crossing_until_s: float = 5.0
-    crossing_step_s: float = 0.1
-    #: An object moves if it is faster than this and than `moving_sigmas` standard deviations of its speed.
-    moving_mps: float = 1.0
-    moving_sigmas: float = 2.0
-    #: A track missed in more scans than this begins no warning.
-    max_misses: int = 2
-    #: With a smaller share of the plane observed in mirrors the radar counts as blind.
-    blind_m2: float = 10.0
-    blind_until_m2: float = 20.0
-    #: A radar without scan, a vehicle without state.
-    silent_s: float = 1.0
-    vehicle_silent_s: float = 0.5
-    #: Views late or absent within the window of `live_timing`.
-    late_views: int = 2
-    #: Lateral limit of "straight ahead".
-    ahead_deg: float = 10.0
-    #: Minimum duration of a visibility condition before its warning; a warning stays this long after its end.
-    settle_s: float = 0.5
-    stay_s: float = 1.0
-    #: Maximum number of warnings shown: the most urgent ones.
-    max_warnings: int = 12
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_positive(f"warnings.{name}", getattr(self, name))
-        for name in ("appear_s", "crossing_m", "crossing_s", "blind_m2"):
-            stem, _, unit = name.rpartition("_")
-            until = getattr(self, f"{stem}_until_{unit}")
-            if until < getattr(self, name):
-                raise ValueError(f"warnings.{stem}_until_{unit} must be at least {name}, got {until!r}")
+#: An object that enters direct sight within this time.
+APPEAR_S = 3.0
+APPEAR_UNTIL_S = 4.0
+#: Paths that come this near, with a standard deviation of the distance no larger than that, within `CROSSING_S`.
+CROSSING_M = 3.0
+CROSSING_UNTIL_M = 4.5
+CROSSING_S = 4.0
+CROSSING_UNTIL_S = 5.0
+CROSSING_STEP_S = 0.1
+#: An object moves if it is faster than this and than `MOVING_SIGMAS` standard deviations of its speed.
+MOVING_MPS = 1.0
+MOVING_SIGMAS = 2.0
+#: A track missed in more scans than this begins no warning.
+MAX_MISSES = 2
+#: With a smaller share of the plane observed in mirrors the radar counts as blind.
+BLIND_M2 = 10.0
+BLIND_UNTIL_M2 = 20.0
+#: A radar without scan, a vehicle without state.
+SILENT_S = 1.0
+VEHICLE_SILENT_S = 0.5
+#: Views late or absent within the window of `live_timing`.
+LATE_VIEWS = 2
+#: Lateral limit of "straight ahead".
+AHEAD_DEG = 10.0
+#: Minimum duration of a visibility condition before its warning; a warning stays this long after its end.
+SETTLE_S = 0.5
+STAY_S = 1.0
+#: Maximum number of warnings shown: the most urgent ones.
+MAX_WARNINGS = 12
 
 
 #: Conditions of a view in plain words: the condition, and its consequence.
@@ -174,8 +160,7 @@ class _Memory(NamedTuple):
 class Warner:
     """Findings made into warnings that do not flicker; called in order of time, belongs to one thread."""
 
-    def __init__(self, params: WarningParams | None = None) -> None:
-        self._params = params or WarningParams()
+    def __init__(self) -> None:
         self._memory: dict[str, _Memory] = {}
         self._now_ns: int | None = None
 
@@ -186,13 +171,13 @@ class Warner:
             self._memory.clear()
         self._now_ns = now_ns
         keys: set[str] = set()
-        for finding in findings(facts, self._params):
+        for finding in findings(facts):
             # the first that counts represents its key
             if finding.key not in keys and self._store(finding, now_ns):
                 keys.add(finding.key)
         self._memory = {key: memory for key, memory in self._memory.items() if self._is_kept(memory, now_ns)}
         warnings = [_warning(memory, now_ns) for memory in self._memory.values() if memory.said]
-        return tuple(sorted(warnings, key=_by_urgency)[: self._params.max_warnings])
+        return tuple(sorted(warnings, key=_by_urgency)[:MAX_WARNINGS])
 
     def _store(self, finding: Finding, now_ns: int) -> bool:
         """Store a finding; False if it does not count: too weak to begin, or to replace a worse one."""
@@ -208,7 +193,7 @@ class Warner:
         return True
 
     def _stays(self, memory: _Memory, now_ns: int) -> bool:
-        return memory.said and s_from_ns(now_ns - memory.last_ns) <= self._params.stay_s
+        return memory.said and s_from_ns(now_ns - memory.last_ns) <= STAY_S
 
     def _is_kept(self, memory: _Memory, now_ns: int) -> bool:
         return memory.last_ns == now_ns or self._stays(memory, now_ns)
@@ -234,16 +219,16 @@ def _by_urgency(warning: DriverWarning) -> tuple[bool, int, float, int, str]:
     )
 
 
-def findings(facts: Facts, params: WarningParams) -> list[Finding]:
+def findings(facts: Facts) -> list[Finding]:
     """Return all conditions that hold; of several with one key the first that counts is meant."""
-    return [finding for rule in RULES for finding in rule(facts, params)]
+    return [finding for rule in RULES for finding in rule(facts)]
 
 
-def _is_fresh(facts: Facts, params: WarningParams) -> bool:
+def _is_fresh(facts: Facts) -> bool:
     """Return whether a view came lately and shows what was measured lately."""
     if facts.frame_at_ns is None:
         return False
-    return max(s_from_ns(facts.now_ns - facts.frame_at_ns), _view_age_s(facts)) <= _silent_s(facts, params)
+    return max(s_from_ns(facts.now_ns - facts.frame_at_ns), _view_age_s(facts)) <= _silent_s(facts)
 
 
 def _view_age_s(facts: Facts) -> float:
@@ -251,45 +236,45 @@ def _view_age_s(facts: Facts) -> float:
     return 0.0 if facts.views is None or facts.views.age_ms is None else 1e-3 * facts.views.age_ms
 
 
-def _silent_s(facts: Facts, params: WarningParams) -> float:
+def _silent_s(facts: Facts) -> float:
     """Return the duration that counts as silence: a few scans, if they are slow."""
-    return max(params.silent_s, 3.0 * facts.scan_period_s)
+    return max(SILENT_S, 3.0 * facts.scan_period_s)
 
 
 def _vehicle_age_s(facts: Facts) -> float:
     return math.inf if facts.vehicle_at_ns is None else s_from_ns(facts.now_ns - facts.vehicle_at_ns)
 
 
-def _is_motion_known(facts: Facts, params: WarningParams) -> bool:
-    return facts.vehicle is not None and facts.vehicle.valid and _vehicle_age_s(facts) <= params.vehicle_silent_s
+def _is_motion_known(facts: Facts) -> bool:
+    return facts.vehicle is not None and facts.vehicle.valid and _vehicle_age_s(facts) <= VEHICLE_SILENT_S
 
 
 # hidden road users
 
 
-def hidden_objects(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def hidden_objects(facts: Facts) -> Iterable[Finding]:
     """Return per side: crossing paths, then objects that enter sight, then moving ones; the most urgent first.
 
     A side, not a track, has the key: one vehicle that is tracked twice, or under a new id, is one warning.
     """
     frame = facts.frame
-    if frame is None or not _is_fresh(facts, params):
+    if frame is None or not _is_fresh(facts):
         return
     tracks = [track for track in frame.tracks if _is_finite(track)]
-    count = Counter(side_of_track(track, params) for track in tracks)
+    count = Counter(side_of_track(track) for track in tracks)
     tracks = sorted(tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
-    crossings = _crossings(facts, tracks, params)
+    crossings = _crossings(facts, tracks)
     # tracks refer to the scan's stamp, warnings to now
     has_age = on_one_clock(frame.stamp_ns, facts.now_ns, facts.graph_since_ns)
     late_s = s_from_ns(facts.now_ns - frame.stamp_ns) if has_age else 0.0
     ranked = [
-        finding._replace(detail=finding.detail + _others(count[side_of_track(track, params)] - 1))
+        finding._replace(detail=finding.detail + _others(count[side_of_track(track)] - 1))
         for track, crossing in zip(tracks, crossings, strict=True)
-        for finding in _about_track(track, crossing, late_s, params)
+        for finding in _about_track(track, crossing, late_s)
     ]
     yield from sorted(ranked, key=_by_precedence)
     if not frame.tracks:
-        yield from _untracked(frame, params)
+        yield from _untracked(frame)
 
 
 def _by_precedence(finding: Finding) -> tuple[int, bool, bool, float]:
@@ -318,28 +303,26 @@ class Crossing(NamedTuple):
     std_m: float
 
 
-def _about_track(track: Track, crossing: Crossing | None, late_s: float, params: WarningParams) -> Iterable[Finding]:
+def _about_track(track: Track, crossing: Crossing | None, late_s: float) -> Iterable[Finding]:
     """Return the findings on one track; if one is not firm, also its replacement."""
-    where, moves = place_words(track.x_m, track.y_m), is_moving(track, params)
-    side, is_current = side_of_track(track, params), track.misses <= params.max_misses
+    where, moves = place_words(track.x_m, track.y_m), is_moving(track)
+    side, is_current = side_of_track(track), track.misses <= MAX_MISSES
     who = f"{'Hidden road user' if moves else 'Slow or standing hidden object'} {side_words(side)}"
     detail = f"{where}, {speed_words(track)}" if moves else where
-    about = Finding(
-        f"hidden/{side}", Level.NOTICE, who, detail, is_current, after_s=params.settle_s, tracks=(track.id,)
-    )
+    about = Finding(f"hidden/{side}", Level.NOTICE, who, detail, is_current, after_s=SETTLE_S, tracks=(track.id,))
     if crossing is not None:
-        yield _meeting(about, crossing, late_s, params)
+        yield _meeting(about, crossing, late_s)
     if track.time_to_appear_s == 0.0:
         in_sight = f"now in direct sight, {where}"
         yield about._replace(kind="appear", level=Level.CAUTION, detail=in_sight, firm=False)
         return
-    if track.time_to_appear_s is not None and track.time_to_appear_s - late_s <= params.appear_until_s:
+    if track.time_to_appear_s is not None and track.time_to_appear_s - late_s <= APPEAR_UNTIL_S:
         left_s = max(track.time_to_appear_s - late_s, 0.0)
         yield about._replace(
             kind="appear",
             level=Level.URGENT if moves else Level.CAUTION,
             title=f"{who}: about to appear",
-            firm=is_current and left_s <= params.appear_s,
+            firm=is_current and left_s <= APPEAR_S,
             left_s=left_s,
             after_s=0.0,
         )
@@ -347,7 +330,7 @@ def _about_track(track: Track, crossing: Crossing | None, late_s: float, params:
         yield about
 
 
-def _meeting(about: Finding, crossing: Crossing, late_s: float, params: WarningParams) -> Finding:
+def _meeting(about: Finding, crossing: Crossing, late_s: float) -> Finding:
     """Return the finding of paths that approach each other, firm if near, certain and soon."""
     left_s = max(crossing.time_s - late_s, 0.0)
     apart = f"{crossing.distance_m:.1f} m (± {crossing.std_m:.1f} m) apart if both go on so"
@@ -356,34 +339,32 @@ def _meeting(about: Finding, crossing: Crossing, late_s: float, params: WarningP
         level=Level.URGENT,
         title=f"{about.title}: ways meet",
         detail=f"{apart}; {about.detail}",
-        firm=about.firm
-        and max(crossing.distance_m, crossing.std_m) <= params.crossing_m
-        and left_s <= params.crossing_s,
+        firm=about.firm and max(crossing.distance_m, crossing.std_m) <= CROSSING_M and left_s <= CROSSING_S,
         left_s=left_s,
         after_s=0.0,
     )
 
 
-def _untracked(frame: BevFrame, params: WarningParams) -> Iterable[Finding]:
+def _untracked(frame: BevFrame) -> Iterable[Finding]:
     """Return objects of a view without tracks: present, but with unknown motion."""
     for item in frame.objects:
         if math.isfinite(item.x_m) and math.isfinite(item.y_m):
-            side = side_of(item.x_m, item.y_m, params)
+            side = side_of(item.x_m, item.y_m)
             title = f"Hidden object {side_words(side)}"
             detail = f"{place_words(item.x_m, item.y_m)}; not followed, motion unknown"
-            yield Finding(f"hidden/{side}", Level.NOTICE, title, detail, after_s=params.settle_s)
+            yield Finding(f"hidden/{side}", Level.NOTICE, title, detail, after_s=SETTLE_S)
 
 
-def is_moving(track: Track, params: WarningParams) -> bool:
+def is_moving(track: Track) -> bool:
     """Return whether the speed of a track is significantly different from zero."""
     velocity = np.array([track.velocity_x_mps, track.velocity_y_mps])
     speed_mps = float(np.hypot(*velocity))
-    if speed_mps <= params.moving_mps:
+    if speed_mps <= MOVING_MPS:
         return False
     covariance = track.velocity_cov_m2ps2
     if covariance is None:
         return True
-    return speed_mps > params.moving_sigmas * _std_along(velocity / speed_mps, np.array(covariance))
+    return speed_mps > MOVING_SIGMAS * _std_along(velocity / speed_mps, np.array(covariance))
 
 
 def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
@@ -393,15 +374,15 @@ def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
     return math.sqrt(max(float(direction @ covariance @ direction), 0.0))
 
 
-def _crossings(facts: Facts, tracks: Sequence[Track], params: WarningParams) -> list[Crossing | None]:
+def _crossings(facts: Facts, tracks: Sequence[Track]) -> list[Crossing | None]:
     """Return where each track's path and the radar's first approach; None if they do not, or it is undetermined."""
     state = facts.vehicle
-    if state is None or not _is_motion_known(facts, params):
+    if state is None or not _is_motion_known(facts):
         return [None] * len(tracks)
-    count = round(params.crossing_until_s / params.crossing_step_s) + 1
-    times_s = params.crossing_step_s * np.arange(count)
+    count = round(CROSSING_UNTIL_S / CROSSING_STEP_S) + 1
+    times_s = CROSSING_STEP_S * np.arange(count)
     radar_m = radar_ahead_m(state, facts.vehicle_from_radar, times_s)
-    return [crossing_of(track, radar_m, times_s, params.crossing_until_m) for track in tracks]
+    return [crossing_of(track, radar_m, times_s, CROSSING_UNTIL_M) for track in tracks]
 
 
 def radar_ahead_m(state: VehicleState, vehicle_from_radar: Pose2, times_s: np.ndarray) -> np.ndarray:
@@ -435,20 +416,20 @@ def crossing_of(track: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: 
     return Crossing(float(times_s[first]), float(distances_m[nearest]), std_m)
 
 
-def side_of(x_m: float, y_m: float, params: WarningParams) -> str:
+def side_of(x_m: float, y_m: float) -> str:
     """Return the side of a position: ahead, left, right, behind."""
     azimuth_deg = math.degrees(math.atan2(y_m, x_m))
-    if abs(azimuth_deg) <= params.ahead_deg:
+    if abs(azimuth_deg) <= AHEAD_DEG:
         return "ahead"
     if abs(azimuth_deg) > 120.0:
         return "behind"
     return "left" if azimuth_deg > 0.0 else "right"
 
 
-def side_of_track(track: Track, params: WarningParams) -> str:
+def side_of_track(track: Track) -> str:
     """Return the side of a track; for one straight ahead that crosses, the side it came from."""
-    side = side_of(track.x_m, track.y_m, params)
-    crosses = abs(track.velocity_y_mps) > max(abs(track.velocity_x_mps), params.moving_mps)
+    side = side_of(track.x_m, track.y_m)
+    crosses = abs(track.velocity_y_mps) > max(abs(track.velocity_x_mps), MOVING_MPS)
     if side == "ahead" and crosses:
         return "left" if track.velocity_y_mps < 0.0 else "right"
     return side
@@ -474,81 +455,79 @@ def place_words(x_m: float, y_m: float) -> str:
 # visibility
 
 
-def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def silence(facts: Facts) -> Iterable[Finding]:
     """Return the absence of views for longer than a few scans: of a silent radar, or of a perception behind it."""
     if facts.frame_at_ns is None:
         waited_s = s_from_ns(facts.now_ns - facts.since_ns)
-        if waited_s > _silent_s(facts, params):
+        if waited_s > _silent_s(facts):
             yield Finding("silent", Level.CAUTION, "No view yet", f"waiting for {waited_s:.0f} s")
-    elif s_from_ns(facts.now_ns - facts.frame_at_ns) <= _silent_s(facts, params) < _view_age_s(facts):
+    elif s_from_ns(facts.now_ns - facts.frame_at_ns) <= _silent_s(facts) < _view_age_s(facts):
         yield Finding("silent", Level.URGENT, "The view is old", f"measured {_view_age_s(facts):.0f} s ago")
-    elif not _is_fresh(facts, params):
+    elif not _is_fresh(facts):
         quiet = f"no view for {s_from_ns(facts.now_ns - facts.frame_at_ns):.0f} s"
-        yield Finding("silent", Level.URGENT, *_who_is_silent(facts, quiet, params))
+        yield Finding("silent", Level.URGENT, *_who_is_silent(facts, quiet))
 
 
-def _who_is_silent(facts: Facts, quiet: str, params: WarningParams) -> tuple[str, str]:
+def _who_is_silent(facts: Facts, quiet: str) -> tuple[str, str]:
     """Return title and detail of a silence; if no map ever came its source is undetermined."""
     if facts.map_at_ns is None:
         return "No view", quiet
     map_age_s = s_from_ns(facts.now_ns - facts.map_at_ns)
-    if map_age_s > _silent_s(facts, params):
+    if map_age_s > _silent_s(facts):
         return f"No view: the {facts.sensor} is silent", f"no scan for {map_age_s:.0f} s"
     return "No view: perception is silent", f"scans come, {quiet}"
 
 
-def blindness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def blindness(facts: Facts) -> Iterable[Finding]:
     """Return the finding that no mirror is observed: an empty view is then meaningless."""
-    if facts.frame is None or not _is_fresh(facts, params):
+    if facts.frame is None or not _is_fresh(facts):
         return
     cells = int(np.count_nonzero(facts.frame.visibility == Visibility.MIRRORED))
     area_m2 = cells * facts.frame.grid.cell_m**2
-    if area_m2 >= params.blind_until_m2:
+    if area_m2 >= BLIND_UNTIL_M2:
         return
     reason = "no wall found to look round with" if not facts.frame.walls else "no wall mirrors what is hidden"
     if facts.frame.walls and facts.sensor != "radar":
         reason = "what it would see of an object is not known"
-    firm = area_m2 < params.blind_m2
+    firm = area_m2 < BLIND_M2
     title = "Cannot see round corners"
-    yield Finding(
-        "blind", Level.CAUTION, title, f"{reason}; an empty view means nothing", firm, after_s=params.settle_s
-    )
+    yield Finding("blind", Level.CAUTION, title, f"{reason}; an empty view means nothing", firm, after_s=SETTLE_S)
 
 
-def conditions(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def conditions(facts: Facts) -> Iterable[Finding]:
     """Return the conditions that the scan reports."""
-    if facts.frame is None or not _is_fresh(facts, params):
+    if facts.frame is None or not _is_fresh(facts):
         return
     for flag in facts.frame.flags:
         title, detail = FLAG_WORDS.get(flag, (flag.replace("_", " ").capitalize(), "the scan says so of itself"))
         level = Level.NOTICE if flag in _HARMLESS_FLAGS else Level.CAUTION
-        yield Finding(f"flag/{flag}", level, title, detail, after_s=params.settle_s)
+        yield Finding(f"flag/{flag}", level, title, detail, after_s=SETTLE_S)
 
 
-def own_motion(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def own_motion(facts: Facts) -> Iterable[Finding]:
     """Return a missing vehicle state: without any the radar counts as stationary; after the last tracking stops."""
     age_s = _vehicle_age_s(facts)
     if facts.vehicle is None:
         if facts.frame is not None:
             so = f"the {facts.sensor} is taken as standing"
-            yield Finding("vehicle", Level.NOTICE, "No vehicle state", so, after_s=params.settle_s)
-    elif age_s > params.vehicle_silent_s or not facts.vehicle.valid:
+            yield Finding("vehicle", Level.NOTICE, "No vehicle state", so, after_s=SETTLE_S)
+    elif age_s > VEHICLE_SILENT_S or not facts.vehicle.valid:
         reason = facts.vehicle.reason or "the vehicle state is not valid"
-        why = f"no vehicle state for {age_s:.1f} s" if age_s > params.vehicle_silent_s else reason
+        why = f"no vehicle state for {age_s:.1f} s" if age_s > VEHICLE_SILENT_S else reason
         yield Finding("vehicle", Level.CAUTION, "Own motion unknown", f"{why}; hidden objects cannot be followed")
 
 
-def lateness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def lateness(facts: Facts) -> Iterable[Finding]:
     """Return views that are late or missing."""
     views = facts.views
     if views is None or views.misses + views.overdue == 0:
         return
-    firm = views.misses + views.overdue >= params.late_views
+    firm = views.misses + views.overdue >= LATE_VIEWS
     detail = f"{views.late} later than {views.deadline_s:g} s and {views.absent} missing in {views.window_s:.0f} s"
     yield Finding("late", Level.CAUTION, "Views come late", detail, firm)
 
 
-def nodes(facts: Facts, params: WarningParams) -> Iterable[Finding]:
+def nodes(facts: Facts) -> Iterable[Finding]:
     """Return faulty parts of the graph, and the losses between them."""
     for node in facts.nodes:
         if node.state in ("degraded", "silent"):
@@ -559,7 +538,7 @@ def nodes(facts: Facts, params: WarningParams) -> Iterable[Finding]:
             yield Finding(f"lost/{node.node}", Level.CAUTION, f"{node.node} loses messages", detail)
 
 
-RULES: tuple[Callable[[Facts, WarningParams], Iterable[Finding]], ...] = (
+RULES: tuple[Callable[[Facts], Iterable[Finding]], ...] = (
     silence,
     hidden_objects,
     blindness,

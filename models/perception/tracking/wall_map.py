@@ -41,10 +41,10 @@ MIN_SCORE = 12.0
 MAX_ANGLE_STD_RAD = math.radians(4.0)
 #: And where one scan alone showed it this long: longer than a vehicle.
 MIN_SPAN_M = 6.0
-#: Evidence fades to 1/e in this time and over this distance; it never exceeds `MOST_SCORE`.
+#: Evidence fades to 1/e in this time and over this distance; it never exceeds `MAX_SCORE`.
 FADE_S = 5.0
 FADE_M = 30.0
-MOST_SCORE = 40.0
+MAX_SCORE = 40.0
 #: Evidence that a scan costs in which a wall in view gave no return.
 MISS_SCORE = 3.0
 #: Number of returns of a scan behind a line that prove that it is no wall.
@@ -258,7 +258,7 @@ class WallMap:
         noise = np.diag([max(wall.offset_std_m, 1e-3) ** 2, max(wall.angle_std_rad, 1e-4) ** 2])
         local.kept.corrected(factors, np.array(off), noise)
         local.kept.reached(low_m, high_m)
-        local.kept.score = min(local.kept.score + 2.0 * CANDIDATE.min_score, MOST_SCORE)
+        local.kept.score = min(local.kept.score + 2.0 * CANDIDATE.min_score, MAX_SCORE)
         local.kept.inliers = max(local.kept.inliers, wall.inliers)
 
     def _on(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
@@ -282,7 +282,7 @@ class WallMap:
         factors = np.stack([np.ones(len(along_m)), along_m], axis=1)
         kept.corrected(factors, -local.off_m(points_m), np.diag(noise))
         kept.reached(float(along_m.min()), float(along_m.max()))
-        kept.score = min(kept.score + gained, MOST_SCORE)
+        kept.score = min(kept.score + gained, MAX_SCORE)
         kept.inliers = max(kept.inliers, len(points_m))
 
     def _in_view(self, local: _Local, walls: list[Wall]) -> bool:

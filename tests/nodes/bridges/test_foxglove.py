@@ -49,6 +49,7 @@ TRACK = Track(
 @pytest.fixture
 def bridge() -> Iterator[FoxgloveBridge]:
     node = create(Params(port=0, allowed_origins=("https://app.foxglove.dev",)))
+    node.server._max_clients = 2
     yield node
     node.close()
 

@@ -15,6 +15,7 @@ from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track, Visib
 from msgs.values.radar import MAP_FAULTS
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import ViewFigures
+from nodes.viewer import driver_warnings
 from nodes.viewer.driver_warnings import (
     FLAG_WORDS,
     DriverWarning,
@@ -22,7 +23,6 @@ from nodes.viewer.driver_warnings import (
     Level,
     NodeFact,
     Warner,
-    WarningParams,
     crossing_of,
     is_moving,
     place_words,
@@ -32,7 +32,6 @@ from nodes.viewer.driver_warnings import (
 )
 
 S = 1_000_000_000
-PARAMS = WarningParams()
 #: Standard deviations 0.5 m and 0.3 m/s, along any direction.
 PLACE_COV: Covariance = ((0.25, 0.0), (0.0, 0.25))
 VELOCITY_COV: Covariance = ((0.09, 0.0), (0.0, 0.09))
@@ -65,8 +64,8 @@ def facts(now_s: float, view: BevFrame | None, **changes: Any) -> Facts:
     return Facts(now_ns, 0, view, now_ns, now_ns, STATE, now_ns)._replace(**changes)
 
 
-def run(steps: list[Facts], params: WarningParams = PARAMS) -> list[list[DriverWarning]]:
-    warner = Warner(params)
+def run(steps: list[Facts]) -> list[list[DriverWarning]]:
+    warner = Warner()
     return [list(warner.step(one)) for one in steps]
 
 
@@ -116,7 +115,7 @@ def test_a_standing_object_is_no_road_user_about_to_appear() -> None:
 def test_only_what_surely_moves_is_called_moving(speed_mps: float, std_mps: float | None, moves: bool) -> None:
     covariance = None if std_mps is None else ((std_mps**2, 0.0), (0.0, std_mps**2))
     one = track(velocity_x_mps=0.6 * speed_mps, velocity_y_mps=-0.8 * speed_mps, velocity_cov_m2ps2=covariance)
-    assert is_moving(one, PARAMS) is moves
+    assert is_moving(one) is moves
 
 
 def test_one_car_followed_twice_is_one_warning() -> None:
@@ -341,10 +340,10 @@ def test_an_unknown_own_motion_is_told_with_its_reason(changes: dict[str, Any], 
     assert one.detail.startswith(detail)
 
 
-def test_every_condition_of_a_scan_has_plain_words() -> None:
+def test_every_condition_of_a_scan_has_plain_words(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(FLAG_WORDS) >= {*MAP_FAULTS, "incoherent", "missing_beams", "saturated"}
-    every = WarningParams(max_warnings=len(FLAG_WORDS) + 1)
-    told = run(steady(frame(flags=(*FLAG_WORDS, "something_new"))), every)[-1]
+    monkeypatch.setattr(driver_warnings, "MAX_WARNINGS", len(FLAG_WORDS) + 1)
+    told = run(steady(frame(flags=(*FLAG_WORDS, "something_new"))))[-1]
     assert {one.key for one in told} == {f"flag/{flag}" for flag in (*FLAG_WORDS, "something_new")}
     assert "Something new" in {one.title for one in told}
     assert all("_" not in one.title + one.detail for one in told)
@@ -382,7 +381,7 @@ def test_a_clock_that_goes_back_begins_anew() -> None:
 
 def test_no_more_than_can_be_read() -> None:
     many = [NodeFact(f"n{index:02d}", "silent", "gone", 0) for index in range(64)]
-    assert len(at_last(steady(frame(), 1, nodes=many))) == PARAMS.max_warnings
+    assert len(at_last(steady(frame(), 1, nodes=many))) == 12
 
 
 def test_a_page_gets_how_long_it_lasts() -> None:
@@ -404,19 +403,5 @@ def test_a_page_gets_how_long_it_lasts() -> None:
     ],
 )
 def test_places_in_words(place: tuple[float, float], side: str, words: str) -> None:
-    assert side_of(*place, PARAMS) == side
+    assert side_of(*place) == side
     assert place_words(*place) == words
-
-
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        ({"appear_s": -1.0}, "appear_s"),
-        ({"appear_s": 5.0}, "appear_until_s must be at least appear_s"),
-        ({"crossing_until_m": math.nan}, "crossing_until_m"),
-        ({"nope": 1.0}, "nope"),
-    ],
-)
-def test_wrong_limits_are_named(change: dict[str, float], rule: str) -> None:
-    with pytest.raises((msgspec.ValidationError, ValueError), match=rule):
-        msgspec.convert(change, WarningParams)
