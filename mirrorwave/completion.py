@@ -42,13 +42,6 @@ def complete_profiles(incomplete: str) -> list[str]:
     return [*_beginning(profile_names(), incomplete), *_files(incomplete, "launch/profiles")]
 
 
-def complete_object_sets(incomplete: str) -> list[str]:
-    """Names of the committed sets of `eval --objects`."""
-    from mirrorwave.studies.evaluate.objects import read_sets
-
-    return _beginning(read_sets().sets, incomplete)
-
-
 def complete_launch_files(incomplete: str) -> list[str]:
     """Launch files of the checkout, as named from here, and YAML files and folders where the word leads."""
     return _files(incomplete, "launch")

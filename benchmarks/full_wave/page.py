@@ -25,7 +25,7 @@ from mirrorwave.plots.style import (
     new_figure,
     save,
 )
-from mirrorwave.studies.report import table
+from mirrorwave.markdown import table
 
 #: Groups this far below the strongest of their run are beyond the aim, and drawn hollow.
 CONSIDERED_DB = -30.0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.completion import complete_object_sets, complete_profiles
+from mirrorwave.completion import beginning, complete_profiles
 from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted
 

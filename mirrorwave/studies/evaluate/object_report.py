@@ -20,7 +20,7 @@ from mirrorwave.studies.evaluate.objects import (
     run_objects,
     scenes_sha256,
 )
-from mirrorwave.studies.report import table
+from mirrorwave.markdown import table
 from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.drive_metrics import DriveReport, drive_report
 from models.evaluation.frame_scores import Estimate, bootstrap_weights

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from mirrorwave.studies.evaluate.runner import FrameFacts, MethodRun, Run, SweepPoint
-from mirrorwave.studies.report import table
+from mirrorwave.markdown import table
 from models.evaluation.frame_scores import (
     CAP_M,
     COUNTED,
