@@ -27,6 +27,13 @@ if TYPE_CHECKING:
     from msgs.values.radar import RadarSetup
 
 
+def complete_object_sets(incomplete: str) -> list[str]:
+    """Names of the committed sets of `eval --objects`."""
+    from mirrorwave.studies.evaluate.objects import read_sets
+
+    return beginning(read_sets().sets, incomplete)
+
+
 class SplitOption(StrEnum):
     """Scenes of the fixed splits."""
 

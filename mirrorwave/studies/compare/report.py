@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
+from mirrorwave.markdown import table
 from mirrorwave.studies.compare.runner import SWEEPS, Plan, SceneResult, Seen, Value
 from mirrorwave.studies.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
-from mirrorwave.markdown import table
 from mirrorwave.studies.report import DRAWS, Interval, Provenance, machine, versions
 from models.evaluation.frame_scores import INTERVAL, bootstrap_weights
 from models.physics.fresnel import coherent_power

@@ -12,7 +12,17 @@ import msgspec
 import numpy as np
 
 from mirrorwave.markdown import table
-from mirrorwave.studies.report import DRAWS, Interval, Provenance, Times, busy_reason, finite, machine, quantiles_ms, versions
+from mirrorwave.studies.report import (
+    DRAWS,
+    Interval,
+    Provenance,
+    Times,
+    busy_reason,
+    finite,
+    machine,
+    quantiles_ms,
+    versions,
+)
 from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, FrameResult, Plan
 from mirrorwave.studies.tradeoff.settings import PROFILE, Setting
 from models.evaluation.frame_scores import Estimate, FrameScores, bootstrap_weights, differences, estimates
