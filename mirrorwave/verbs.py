@@ -26,12 +26,12 @@ def plugged_in(verb: str = "") -> dict[str, typer.Typer]:
     broken is left out, but for the one that is asked for: `ValueError` says what it lacks.
     """
     brought = plugins(VERBS)
-    found = {}
+    groups = {}
     for name in [verb] if verb else brought.usable:
         try:
             if (plugin := brought.plugin(name)) is not None:
-                found[name] = plugin.load("app").app
+                groups[name] = plugin.load("app").app
         except ValueError:
             if verb:
                 raise
-    return found
+    return groups

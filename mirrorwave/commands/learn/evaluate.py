@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.completion import beginning, complete_profiles
+from mirrorwave.commands.learn.evaluate_objects import complete_object_sets
+from mirrorwave.completion import complete_profiles
 from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted
 
@@ -25,13 +26,6 @@ if TYPE_CHECKING:
     from models.evaluation.frame_scores import FrameTruth
     from models.training.data.frames import DataSet, Frame, Splits
     from msgs.values.radar import RadarSetup
-
-
-def complete_object_sets(incomplete: str) -> list[str]:
-    """Names of the committed sets of `eval --objects`."""
-    from mirrorwave.studies.evaluate.objects import read_sets
-
-    return beginning(read_sets().sets, incomplete)
 
 
 class SplitOption(StrEnum):
