@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
 import importlib.metadata
-import importlib.util
 import logging
 import os
 import sys
@@ -21,7 +19,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 from mirrorwave.exit_signals import INTERRUPTED, ended_by_signal, was_interrupted
 from mirrorwave.terminal import READER_LEFT
+from mirrorwave.verbs import loaded, plugged_in
 from msgs.files.open_files import raise_open_files
+from msgs.files.plugins import VERBS, plugins
 from nodes.process.kernel_cache import use_fallback
 
 #: Verbs and groups as the help lists them, each with an example.
@@ -123,6 +123,9 @@ class WholeHelp(typer.core.TyperGroup):
                     if (command := self.get_command(ctx, name)) is not None:
                         formatter.write_dl([(name.ljust(_NAME_WIDTH), command.get_short_help_str(1000))])
                         formatter.write(f"{'':{formatter.current_indent + _NAME_WIDTH + 2}}$ mirrorwave {example}\n")
+        if brought := [name for name in self.list_commands(ctx) if name not in _EXAMPLES]:
+            with formatter.section("Of other packages"):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(1000)) for name in brought])
 
 
 def _describe_whole(group: typer.core.TyperGroup) -> None:
@@ -173,17 +176,21 @@ def command_line(verb: str = "") -> typer.Typer:
     )
     app.callback()(_options)
     for name, target in _VERBS.items():
-        if verb in ("", name) and (loaded := _load(target)) is not None:
-            app.command(name)(loaded)
+        if verb in ("", name) and (function := loaded(target)) is not None:
+            app.command(name)(function)
     for name, target in _GROUPS.items():
-        if verb in ("", name) and (loaded := _load(target)) is not None:
-            app.add_typer(loaded, name=name, cls=WholeHelp)
+        if verb in ("", name) and (group := loaded(target)) is not None:
+            app.add_typer(group, name=name, cls=WholeHelp)
+    if verb not in _VERBS | _GROUPS:
+        for name, group in plugged_in(verb).items():
+            if name not in _VERBS | _GROUPS:
+                app.add_typer(group, name=name, cls=WholeHelp)
     return app
 
 
 def _verb(argv: list[str]) -> str:
     """Return the verb or verb group that a command line begins with, or nothing: then all are wanted."""
-    return argv[0] if argv and argv[0] in _VERBS | _GROUPS else ""
+    return argv[0] if argv and (argv[0] in _VERBS | _GROUPS or argv[0] in plugins(VERBS).usable) else ""
 
 
 def _understood(words: list[str]) -> list[str]:
@@ -192,13 +199,6 @@ def _understood(words: list[str]) -> list[str]:
     if at is not None and (words[0] in _GROUPS or (at < 2 and set(words[:at]) <= _VERBS.keys())):
         return [*words[:at], *words[at + 1 :], "--help"]
     return words
-
-
-def _load(target: str) -> Any:
-    module_name, _, attribute = target.partition(":")
-    if importlib.util.find_spec(module_name) is None:
-        return None
-    return getattr(importlib.import_module(module_name), attribute)
 
 
 def main(argv: list[str] | None = None) -> int:

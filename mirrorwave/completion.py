@@ -19,7 +19,7 @@ def complete_topics(incomplete: str) -> list[str]:
     """Names of topics."""
     from msgs.bus.topics import TOPICS
 
-    return _beginning(TOPICS, incomplete)
+    return beginning(TOPICS, incomplete)
 
 
 def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -32,21 +32,14 @@ def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:
         entries = sorted(run_dir(domain).iterdir())
     except (OSError, ValueError):
         return []
-    return _beginning((entry.name.partition("@")[2] for entry in entries if "@" in entry.name), incomplete)
+    return beginning((entry.name.partition("@")[2] for entry in entries if "@" in entry.name), incomplete)
 
 
 def complete_profiles(incomplete: str) -> list[str]:
     """Names of profiles, and YAML files and folders where the word leads."""
     from mirrorwave.profiles import profile_names
 
-    return [*_beginning(profile_names(), incomplete), *_files(incomplete, "launch/profiles")]
-
-
-def complete_object_sets(incomplete: str) -> list[str]:
-    """Names of the committed sets of `eval --objects`."""
-    from mirrorwave.studies.evaluate.objects import read_sets
-
-    return _beginning(read_sets().sets, incomplete)
+    return [*beginning(profile_names(), incomplete), *_files(incomplete, "launch/profiles")]
 
 
 def complete_launch_files(incomplete: str) -> list[str]:
@@ -63,10 +56,11 @@ def complete_materials(incomplete: str) -> list[str]:
     """Materials of the table."""
     from models.physics.materials import wall_names
 
-    return _beginning(wall_names(), incomplete)
+    return beginning(wall_names(), incomplete)
 
 
-def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
+def beginning(names: Iterable[str], incomplete: str) -> list[str]:
+    """The names that begin with a word, each once."""
     return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
 
 
@@ -86,7 +80,7 @@ def _files(incomplete: str, folder: str) -> list[str]:
         ]
     except OSError:
         near = []
-    return _beginning([*shipped, *near], incomplete)
+    return beginning([*shipped, *near], incomplete)
 
 
 #: A node of a running graph.

@@ -13,6 +13,7 @@ from rich.table import Table
 from benchmarks.full_wave.comparison import NAMED_DB, Comparison, Group, Roughness
 from benchmarks.full_wave.lobe import LobeRow
 from benchmarks.full_wave.scenes import MiniScene
+from mirrorwave.markdown import table
 from mirrorwave.plots.style import (
     BLACK,
     GREY,
@@ -25,7 +26,6 @@ from mirrorwave.plots.style import (
     new_figure,
     save,
 )
-from mirrorwave.studies.report import table
 
 #: Groups this far below the strongest of their run are beyond the aim, and drawn hollow.
 CONSIDERED_DB = -30.0

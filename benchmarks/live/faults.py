@@ -26,7 +26,7 @@ from typing import Any
 
 import psutil
 
-from mirrorwave.studies.report import table
+from mirrorwave.markdown import table
 from msgs.bus.interface import Received
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT

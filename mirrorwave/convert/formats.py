@@ -16,7 +16,7 @@ from msgs.values.wording import counted
 
 
 class Format(StrEnum):
-    """A format to convert to; each is one module, `mirrorwave.convert.NAME`."""
+    """A format to convert to."""
 
     FOXGLOVE = "foxglove"
     ROS2 = "ros2"
@@ -24,6 +24,13 @@ class Format(StrEnum):
     NUMPY = "numpy"
 
 
+#: The module that writes each.
+WRITERS = {
+    Format.FOXGLOVE: "mirrorwave.convert.foxglove",
+    Format.ROS2: "mirrorwave.convert.ros2",
+    Format.SIGMF: "mirrorwave.convert.sigmf",
+    Format.NUMPY: "mirrorwave.convert.numpy",
+}
 #: What a name's end says of its format.
 SUFFIXES = {
     ".mcap": Format.FOXGLOVE,
@@ -70,7 +77,7 @@ def convert(source: Path, out: Path, target: Format, bar: Bar) -> Conversion:
     """
     from msgs.recording.mcap import RecordingReader
 
-    module = importlib.import_module(f"mirrorwave.convert.{target.value}")
+    module = importlib.import_module(WRITERS[target])
     paths = _written_paths(out, target)
     for path in paths:
         if path.exists():

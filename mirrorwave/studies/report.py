@@ -1,11 +1,10 @@
-"""Shared parts of the reports of all studies: how a run was made, intervals and quantiles, tables, the two files."""
+"""Shared parts of the reports of all studies: how a run was made, intervals and quantiles, the two files."""
 
 from __future__ import annotations
 
 import math
 import os
 import platform
-from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -99,12 +98,6 @@ def versions() -> dict[str, str]:
     """Return the versions of what times depend on."""
     packages = ("mirrorwave", "numpy", "scipy", "numba", "onnxruntime", "pyzmq", "msgspec")
     return {"python": platform.python_version()} | {name: version(name) for name in packages}
-
-
-def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Return the lines of a Markdown table; None is a dash."""
-    lines = (columns, ["---"] * len(columns), *rows)
-    return [f"| {' | '.join('-' if cell is None else str(cell) for cell in row)} |" for row in lines]
 
 
 def write_report(out: Path, name: str, report: Any, page: str) -> None:

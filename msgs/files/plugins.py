@@ -1,7 +1,7 @@
 """Parts that other installed packages bring: entry points of their distributions, each naming a module.
 
 A package declares them in its `pyproject.toml`, name = module, under `[project.entry-points."mirrorwave.nodes"]`,
-`"mirrorwave.effects"` or `"mirrorwave.topics"`. Nothing of a package is imported before `load`.
+`"mirrorwave.effects"`, `"mirrorwave.topics"` or `"mirrorwave.verbs"`. Nothing of a package is imported before `load`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 NODES, EFFECTS, TOPICS = "mirrorwave.nodes", "mirrorwave.effects", "mirrorwave.topics"
+VERBS = "mirrorwave.verbs"
 MODULE_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 PLUGIN_NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 

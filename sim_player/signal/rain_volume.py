@@ -18,7 +18,7 @@ from models.compiled import compiled
 from models.physics.antenna import element_field, row_field
 from models.physics.precipitation import reflectivity_per_m
 from msgs.values.radar import RadarSetup
-from sim_player.effects.weights import air_db_per_m
+from sim_player.scene.air import air_db_per_m
 from sim_player.scene.world import Snapshot
 from sim_player.signal.clutter import CELLS, Clutter, cell_range_m, direction_sines
 from sim_player.signal.switches import SignalEffects, isotropic

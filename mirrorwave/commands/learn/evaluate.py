@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.completion import complete_object_sets, complete_profiles
+from mirrorwave.commands.learn.evaluate_objects import complete_object_sets
+from mirrorwave.completion import complete_profiles
 from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted
 

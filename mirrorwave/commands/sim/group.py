@@ -11,11 +11,9 @@ import typer
 
 from mirrorwave.commands.sim.dataset import dataset, statistics
 from mirrorwave.commands.sim.effects import Budget, Effects, For, SceneFile, effects, paths
-from mirrorwave.commands.sim.fdtd import reflectance, wall
-from mirrorwave.commands.sim.lidar import lidar
 from mirrorwave.commands.sim.map_import import app as import_app
-from mirrorwave.commands.sim.material import material
 from mirrorwave.console import compile_line, print_line, progress_bar, require_new_file
+from mirrorwave.verbs import loaded
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -25,8 +23,14 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
 #: Endings of what `sim run` writes; without one it is SigMF, two files of that name.
 _CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
-for verb in (effects, paths, material, reflectance, wall, dataset, statistics, lidar):
-    app.command()(verb)
+#: Verbs in order; those from beside the floors by name.
+_VERBS = (
+    *(effects, paths, "mirrorwave.commands.sim.material:material"),
+    *("mirrorwave.commands.sim.fdtd:reflectance", "mirrorwave.commands.sim.fdtd:wall"),
+    *(dataset, statistics, "mirrorwave.commands.sim.lidar:lidar"),
+)
+for verb in _VERBS:
+    app.command()(loaded(verb) if isinstance(verb, str) else verb)
 app.add_typer(import_app, name="import")
 
 

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
+from mirrorwave.markdown import table
 from mirrorwave.studies.compare.runner import SWEEPS, Plan, SceneResult, Seen, Value
 from mirrorwave.studies.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
-from mirrorwave.studies.report import DRAWS, Interval, Provenance, machine, table, versions
+from mirrorwave.studies.report import DRAWS, Interval, Provenance, machine, versions
 from models.evaluation.frame_scores import INTERVAL, bootstrap_weights
 from models.physics.fresnel import coherent_power
 from models.physics.link_budget import half_range, map_noise_gain, radar_threshold, spad_threshold, two_way_field

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from mirrorwave.console import progress_bar
+from mirrorwave.markdown import table
 from mirrorwave.studies.evaluate.mot_tables import write_mot_tables
 from mirrorwave.studies.evaluate.objects import (
     ObjectPlan,
@@ -20,7 +21,6 @@ from mirrorwave.studies.evaluate.objects import (
     run_objects,
     scenes_sha256,
 )
-from mirrorwave.studies.report import table
 from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.drive_metrics import DriveReport, drive_report
 from models.evaluation.frame_scores import Estimate, bootstrap_weights

@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mirrorwave.markdown import table
 from mirrorwave.studies.evaluate.runner import FrameFacts, MethodRun, Run, SweepPoint
-from mirrorwave.studies.report import table
 from models.evaluation.frame_scores import (
     CAP_M,
     COUNTED,

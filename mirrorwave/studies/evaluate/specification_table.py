@@ -17,10 +17,11 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mirrorwave.markdown import table
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.profiles import DEFAULT, read_profile
 from mirrorwave.studies.evaluate.runner import answer_of
-from mirrorwave.studies.report import DRAWS, Interval, Provenance, Times, machine, quantiles_ms, table, versions
+from mirrorwave.studies.report import DRAWS, Interval, Provenance, Times, machine, quantiles_ms, versions
 from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.runner import FrameResult, PlaceTruth
 from models.evaluation.frame_scores import FrameScores, bootstrap_weights, estimates, score_frames

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mirrorwave.markdown import table
 from mirrorwave.studies.report import (
     DRAWS,
     Interval,
@@ -20,7 +21,6 @@ from mirrorwave.studies.report import (
     finite,
     machine,
     quantiles_ms,
-    table,
     versions,
 )
 from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, FrameResult, Plan

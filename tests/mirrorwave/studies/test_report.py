@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mirrorwave.studies.report import Times, finite, quantiles_ms, table
+from mirrorwave.markdown import table
+from mirrorwave.studies.report import Times, finite, quantiles_ms
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 
 from models.physics.attenuation import gas_db_per_m, rain_db_per_m
 from sim_player.effects import weights
+from sim_player.scene.air import air_db_per_m
 from sim_player.scene.description import Surface, Weather
 from tests.sim_player.effects.point_scenes import RADAR, points_world, wall
 
@@ -40,8 +41,8 @@ def test_air_attenuates_by_gases_and_rain() -> None:
     weather = Weather(temperature_c=25.0, pressure_hpa=990.0, water_vapour_g_per_m3=12.0, rain_mm_per_h=50.0)
     world = points_world([(4.0, 0.0, 1.0)], weather=weather)
     gas = gas_db_per_m(RADAR.carrier_hz, 25.0, 990.0, 12.0)
-    assert weights.air_db_per_m(world) == pytest.approx(gas + rain_db_per_m(RADAR.carrier_hz, 50.0))
-    assert gas < 0.1 * weights.air_db_per_m(world)
+    assert air_db_per_m(world) == pytest.approx(gas + rain_db_per_m(RADAR.carrier_hz, 50.0))
+    assert gas < 0.1 * air_db_per_m(world)
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.values.radar import PRESETS
 from msgs.values.units import BOLTZMANN_J_PER_K, SPEED_OF_LIGHT_MPS
 from sim_player.dataset.labelled_scan import labelled_scan
-from sim_player.effects.weights import air_db_per_m
 from sim_player.planner.plan import manual_plan, noisy_profiles, plan_world
 from sim_player.player import ScenePlayer
+from sim_player.scene.air import air_db_per_m
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.scene.world import prepare, snapshot
