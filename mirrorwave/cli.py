@@ -16,10 +16,10 @@ import typer.core
 # BLAS threads cost more than they bring on matrices of this size; must be said before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from mirrorwave.commands.verbs import loaded, plugged_in
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 from mirrorwave.exit_signals import INTERRUPTED, ended_by_signal, was_interrupted
 from mirrorwave.terminal import READER_LEFT
-from mirrorwave.verbs import loaded, plugged_in
 from msgs.files.open_files import raise_open_files
 from msgs.files.plugins import VERBS, plugins
 from nodes.process.kernel_cache import use_fallback

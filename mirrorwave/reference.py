@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import msgspec
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import MIB, SHIPPED, TOPICS, Topic
 from msgs.files.shipped import CHECKOUT

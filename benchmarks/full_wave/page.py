@@ -13,7 +13,7 @@ from rich.table import Table
 from benchmarks.full_wave.comparison import NAMED_DB, Comparison, Group, Roughness
 from benchmarks.full_wave.lobe import LobeRow
 from benchmarks.full_wave.scenes import MiniScene
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.plots.style import (
     BLACK,
     GREY,

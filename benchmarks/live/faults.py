@@ -26,7 +26,7 @@ from typing import Any
 
 import psutil
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from msgs.bus.interface import Received
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT

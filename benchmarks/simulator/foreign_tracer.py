@@ -29,7 +29,7 @@ from benchmarks.simulator.path_comparison import (
     join_comparisons,
     our_routes,
 )
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.report import machine, versions
 from sim_player.foreign.export import ARC_ERROR_M, clear_of_bodies, exported_surfaces
 from sim_player.foreign.sionna_tracer import SAMPLES, ForeignTracerMissingError, llvm_version, trace_to_points

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 
 from benchmarks.transport import attacks_hangup, attacks_ipc, attacks_link
 from benchmarks.transport.net import Row
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 
 _HEAD = ("victim", "attack", "tried", "accepted", "what it did or said", "good peer served")
 

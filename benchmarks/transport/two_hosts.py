@@ -33,7 +33,7 @@ import yaml
 
 from benchmarks.live.live_graph import QUANTILES, quantiles
 from benchmarks.transport.net import Host, Wire, why_no_namespaces
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from msgs.bus.interface import Received
 from msgs.bus.zmq import ZmqBus
 from msgs.files.shipped import CHECKOUT

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from mirrorwave.commands.verbs import loaded
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
-from mirrorwave.verbs import loaded
 from msgs.values.wording import counted
 
 app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")

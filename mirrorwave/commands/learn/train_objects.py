@@ -43,14 +43,13 @@ def objects(
     json: AsJson = False,
 ) -> None:
     """Train the field network, which sees walls, and the evidence network, which judges what they may hide."""
-    import shutil
+    import math
 
     import msgspec
 
-    from models.perception.cards import card_path
     from models.perception.detection.onnx_model import DEFAULT_MODEL
     from models.training.evidence.grid_training import GridSchedule
-    from models.training.evidence.runs import EVIDENCE_FILE, FIELDS_FILE, EvidenceRun
+    from models.training.evidence.runs import EVIDENCE_FILE, EvidenceRun
 
     detector = model or DEFAULT_MODEL
     run = EvidenceRun(
@@ -67,7 +66,7 @@ def objects(
         return GridSchedule(
             epochs=epochs,
             batch_size=batch_size,
-            learning_rate=rate * (batch_size / 8) ** 0.5,
+            learning_rate=rate * math.sqrt(batch_size / 8),
             weight_decay=weight_decay,
             minutes=minutes,
             seed=seed,
@@ -85,9 +84,7 @@ def objects(
         if fields is None:
             run.train_fields(schedule(field_epochs, FIELD_RATE, FIELD_DECAY), show)
         else:
-            out.mkdir(parents=True, exist_ok=True)
-            for source, target in ((fields, out / FIELDS_FILE), (card_path(fields), card_path(out / FIELDS_FILE))):
-                shutil.copyfile(source, target)
+            run.take_fields(fields)
         card = run.train_evidence(schedule(epochs, EVIDENCE_RATE, EVIDENCE_DECAY), show)
     if json:
         print_json(msgspec.to_builtins(card))

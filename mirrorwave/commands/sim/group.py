@@ -12,8 +12,8 @@ import typer
 from mirrorwave.commands.sim.dataset import dataset, statistics
 from mirrorwave.commands.sim.effects import Budget, Effects, For, SceneFile, effects, paths
 from mirrorwave.commands.sim.map_import import app as import_app
+from mirrorwave.commands.verbs import loaded
 from mirrorwave.console import compile_line, print_line, progress_bar, require_new_file
-from mirrorwave.verbs import loaded
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.compare.runner import SWEEPS, Plan, SceneResult, Seen, Value
 from mirrorwave.studies.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
 from mirrorwave.studies.report import DRAWS, Interval, Provenance, machine, versions

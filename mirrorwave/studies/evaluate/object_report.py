@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from mirrorwave.console import progress_bar
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.evaluate.mot_tables import write_mot_tables
 from mirrorwave.studies.evaluate.objects import (
     ObjectPlan,

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.evaluate.runner import FrameFacts, MethodRun, Run, SweepPoint
 from models.evaluation.frame_scores import (
     CAP_M,

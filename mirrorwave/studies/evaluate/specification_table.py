@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.markdown import table
 from mirrorwave.node_chain import SharedParts
+from mirrorwave.plots.markdown import table
 from mirrorwave.profiles import DEFAULT, read_profile
 from mirrorwave.studies.evaluate.runner import answer_of
 from mirrorwave.studies.report import DRAWS, Interval, Provenance, Times, machine, quantiles_ms, versions

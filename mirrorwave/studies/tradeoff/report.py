@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.report import (
     DRAWS,
     Interval,

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.report import Provenance, Times, machine, quantiles_ms, versions
 from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.simulator_cases import BODIES, GROUPS, SAME_DB, Case, Clock, Value, setting_name

@@ -7,6 +7,7 @@ both see. What is there already is kept, so that a run that was stopped goes on.
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from models.perception.cards import card_path
 from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.evidence.field_predictor import FieldCard
@@ -73,6 +75,13 @@ class EvidenceRun:
             training.start_from(self.field_start)
         best = training.run(lambda epoch: report("fields", epoch))
         return export_fields(folder, ENCODING, GRID, self.folder / FIELDS_FILE, **self._facts(training, best))
+
+    def take_fields(self, path: Path) -> None:
+        """Take an exported field network in place of training one."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        target = self.folder / FIELDS_FILE
+        for own, other in ((target, path), (card_path(target), card_path(path))):
+            shutil.copyfile(other, own)
 
     def train_evidence(self, schedule: GridSchedule, report: Report = lambda *_: None) -> EvidenceCard:
         """Train and export the evidence network by the field network in the run folder."""

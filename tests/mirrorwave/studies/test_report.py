@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mirrorwave.markdown import table
+from mirrorwave.plots.markdown import table
 from mirrorwave.studies.report import Times, finite, quantiles_ms
 
 
