@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.commands.learn.evaluate_objects import complete_object_sets
+from mirrorwave.commands.learn.complete_sets import complete_object_sets
 from mirrorwave.completion import complete_profiles
 from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted

@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mirrorwave.completion import beginning
 from mirrorwave.console import print_json, print_line, print_table
 from mirrorwave.studies.evaluate.against import ListRequest, compared
 from mirrorwave.studies.evaluate.against import tables as list_tables
@@ -48,10 +47,3 @@ def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as
         print_table(columns, rows)
     if out is not None:
         print_line(f"{out}: results.json and results.md")
-
-
-def complete_object_sets(incomplete: str) -> list[str]:
-    """Names of the committed sets of `eval --objects`."""
-    from mirrorwave.studies.evaluate.objects import read_sets
-
-    return beginning(read_sets().sets, incomplete)
