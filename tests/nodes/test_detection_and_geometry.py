@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import itertools
 import logging
 from pathlib import Path
 from typing import Any
@@ -76,20 +75,6 @@ def test_the_published_peaks_stand_beside_ours(corner_map: RangeAzimuthMap) -> N
     """One scene, both ways: the same kind of answer, other places."""
     ours, published = (detected(corner_map, refine=refine) for refine in (True, False))
     assert ours.azimuth_rad.tolist() != published.azimuth_rad.tolist()
-
-
-def test_scores_become_probabilities_by_the_cards_table_where_asked_for(corner_map: RangeAzimuthMap) -> None:
-    """The committed network's table says 0.184623 is 0.662086 and 0.193579 is 0.696039, straight between; the same
-    peaks either way. Of every peak found the score is read off the table's knots here. Tolerance: rounding.
-    """
-    table = load_card(DEFAULT_MODEL).calibration
-    assert table[1:3] == ((0.184623, 0.662086), (0.193579, 0.696039))
-    plain, calibrated = (detected(corner_map, calibrate=calibrate) for calibrate in (False, True))
-    np.testing.assert_array_equal(calibrated.range_m, plain.range_m)
-    for score, probability in zip(plain.score.tolist(), calibrated.score.tolist(), strict=True):
-        (low, at_low), (high, at_high) = next(pair for pair in itertools.pairwise(table) if pair[1][0] >= score)
-        assert probability == pytest.approx(at_low + (at_high - at_low) * (score - low) / (high - low), abs=1e-12)
-    assert (calibrated.score > plain.score + 0.05).any()
 
 
 def mirrored(ra_map: RangeAzimuthMap) -> RangeAzimuthMap:
