@@ -124,7 +124,7 @@ faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times o
 	$(BIN)/python -m benchmarks.live.faults
 
 soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/README.md
-	$(BIN)/python -m benchmarks.live.soak --figure docs/images/soak.png
+	$(BIN)/python -m benchmarks.live.soak --figure runs/soak.png
 
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000
