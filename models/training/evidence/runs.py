@@ -11,7 +11,6 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +61,7 @@ class EvidenceRun:
         for data in (*train, *judges):
             if (data.grid, data.setup) != (train[0].grid, train[0].setup):
                 raise ValueError(f"{data.directory}: radar and grid must be those of {train[0].directory}")
-        for pair in product(train, judges):
-            _refuse_shared_places(*pair)
+        _refuse_shared_places(train, judges)
 
     def train_fields(self, schedule: GridSchedule, report: Report = lambda *_: None) -> FieldCard:
         """Train and export the field network; raises `ValueError` for a start of another shape."""
@@ -122,13 +120,19 @@ class EvidenceRun:
         }
 
 
-def _refuse_shared_places(train: DataSet, validation: DataSet) -> None:
+def _refuse_shared_places(train: Sequence[DataSet], validation: Sequence[DataSet]) -> None:
     """Raise `ValueError` where a place or drive of the validation scans is trained on."""
-    trained = {item for index in range(len(train)) for item in train.identity(index).items()}
-    for index in range(len(validation)):
-        for kind, value in validation.identity(index).items():
-            if (kind, value) in trained:
-                raise ValueError(
-                    f"{validation.directory}: no scan may share a place with {train.directory}, scan {index} does "
-                    f"(same {kind})"
-                )
+    trained = {
+        item: data.directory
+        for data in reversed(train)
+        for index in range(len(data))
+        for item in data.identity(index).items()
+    }
+    for data in validation:
+        for index in range(len(data)):
+            for kind, value in data.identity(index).items():
+                if (kind, value) in trained:
+                    raise ValueError(
+                        f"{data.directory}: no scan may share a place with {trained[kind, value]}, scan {index} does "
+                        f"(same {kind})"
+                    )

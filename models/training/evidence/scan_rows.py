@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from models.evaluation.object_rows import ImageTruth, ScanRow, scan_row
 from models.perception.evidence.detections import Detections, hidden_objects
+from models.training.data.evidence_store import ScanTruth
 from models.training.data.frames import FrameLabels
-from msgs.values.perception import PathClass, SceneTruth, TruthObject
+from msgs.values.perception import PathClass, SceneTruth
 
 
-class LabelledScan(Protocol):
-    """What the truth of a scan is made of."""
-
-    @property
-    def labels(self) -> FrameLabels:
-        """All returns of the map."""
-
-    @property
-    def truth(self) -> tuple[TruthObject, ...]:
-        """All objects."""
-
-    @property
-    def noise_power_mw(self) -> float:
-        """Of a beam, per range bin."""
-
-
-def add_rows(rows: dict[float, list[ScanRow]], likely: Detections, stamp_ns: np.ndarray, stored: LabelledScan) -> None:
+def add_rows(rows: dict[float, list[ScanRow]], likely: Detections, stamp_ns: np.ndarray, stored: ScanTruth) -> None:
     """Append a scan to the rows of each threshold: what is `likely`, measured at the times [N], beside its truth."""
     stamp_ns = np.rint(stamp_ns).astype(np.int64)
     truth, images = scan_truth(len(rows[min(rows)]), stored), image_truths(stored)
@@ -38,7 +21,7 @@ def add_rows(rows: dict[float, list[ScanRow]], likely: Detections, stamp_ns: np.
         scored.append(scan_row(truth.scan_id, reports, truth, images))
 
 
-def scan_truth(scan: int, stored: LabelledScan) -> SceneTruth:
+def scan_truth(scan: int, stored: ScanTruth) -> SceneTruth:
     """Return the truth of a scan as far as the labels tell it."""
     labels = stored.labels
     images = np.flatnonzero((labels.path_class == PathClass.MIRRORED) & (labels.object_index >= 0))
@@ -56,7 +39,7 @@ def scan_truth(scan: int, stored: LabelledScan) -> SceneTruth:
     )
 
 
-def image_truths(stored: LabelledScan) -> list[ImageTruth]:
+def image_truths(stored: ScanTruth) -> list[ImageTruth]:
     """Return what the labels tell of each object's images; those under 10 dB have no label.
 
     An object beside the radar's sector is in sight although no label of the map shows it.
