@@ -287,7 +287,7 @@ def _map(parts: Parts, box: Box) -> None:
 def _mesh(parts: Parts, box: Box) -> None:
     import numpy as np
 
-    from sim_player.scene.meshes import load_mesh
+    from sim_player.bodies.meshes import load_mesh
 
     suffix = (".obj", ".ply", ".stl", ".glb", ".gltf")[number(parts, 0, 5)]
     mesh = load_mesh(box.put(f"a{suffix}", part(parts, 1)), "mm" if number(parts, 0, 32) >= 16 else "m")
@@ -311,7 +311,7 @@ def _launch(parts: Parts, box: Box) -> None:
 
 
 def _settings(parts: Parts, box: Box) -> None:
-    from mirrorwave.studies.tradeoff.settings import read_settings
+    from lab.tradeoff.rows import read_settings
 
     read_settings(box.put("a.yaml", part(parts, 0)))
 
@@ -384,8 +384,8 @@ def _mapping(parts: Parts, box: Box) -> None:
 
 
 def _detection_table(parts: Parts, box: Box) -> None:
+    from contrib.imports.detections import import_detections
     from mirrorwave.console import progress_bar
-    from mirrorwave.convert.detections import import_detections
     from msgs.recording.mcap import RecordingReader
 
     table, mapping = box.put("a.csv", part(parts, 1)), box.put("a.yaml", part(parts, 0))
@@ -398,7 +398,7 @@ def _detection_table(parts: Parts, box: Box) -> None:
 
 
 def _target_list(parts: Parts, box: Box) -> None:
-    from models.sensors.target_list import TargetListParams, TargetListReader
+    from contrib.boards.target_list import TargetListParams, TargetListReader
     from msgs.files.shipped import shipped_path
     from nodes.can.bus import load_dbc
 
@@ -465,16 +465,16 @@ def _log_lines(parts: Parts, box: Box) -> None:
 
 
 def _background(parts: Parts, box: Box) -> None:
-    from models.perception.forming.background import load_background
+    from models.perception.form.background import load_background
 
     assert load_background(box.put("a.npy", part(parts, 0))).ndim == 2
 
 
 def _card(parts: Parts, box: Box) -> None:
     from models.perception.cards import read_card
-    from models.perception.detection.onnx_model import ModelCard
-    from models.perception.geometry.confidence import PositionConfidence
-    from models.perception.geometry.residual_model import ResidualCard
+    from models.perception.find.onnx_model import ModelCard
+    from models.perception.mirrors.confidence import PositionConfidence
+    from models.perception.mirrors.residual_model import ResidualCard
 
     kind: Any = (ModelCard, PositionConfidence, ResidualCard)[number(parts, 0, 3)]
     card = read_card(box.put("a.json", part(parts, 1)), kind)
@@ -485,7 +485,7 @@ def _card(parts: Parts, box: Box) -> None:
 def _onnx(parts: Parts, box: Box) -> None:
     import msgspec
 
-    from models.perception.detection.onnx_model import DensePredictor
+    from models.perception.find.onnx_model import DensePredictor
 
     model = box.put("a.onnx", part(parts, 1))
     # a checksum that every change breaks would hide all that lies behind it
@@ -498,7 +498,7 @@ def _onnx(parts: Parts, box: Box) -> None:
 
 
 def _manifest(parts: Parts, box: Box) -> None:
-    from mirrorwave.annotate.manifest import Pose, load_manifest
+    from contrib.annotate.manifest import Pose, load_manifest
 
     found = load_manifest(box.put("a.yaml", part(parts, 0)))
     for cloud in found.clouds:
@@ -507,8 +507,8 @@ def _manifest(parts: Parts, box: Box) -> None:
 
 
 def _cloud(parts: Parts, box: Box) -> None:
-    from models.annotation.clouds import SUFFIXES, read_cloud, read_columns
-    from models.sensors.point_cloud2 import columns_cloud
+    from contrib.annotate.clouds import SUFFIXES, read_cloud, read_columns
+    from contrib.ros2.point_cloud2 import columns_cloud
     from msgs.values.lidar import LidarPoints
 
     path = box.put(f"a{SUFFIXES[number(parts, 0, len(SUFFIXES))]}", part(parts, 1))
@@ -520,7 +520,7 @@ def _cloud(parts: Parts, box: Box) -> None:
 
 
 def _image(parts: Parts, box: Box) -> None:
-    from models.sensors.jpeg import jpeg_of_file
+    from contrib.imports.jpeg import jpeg_of_file
     from msgs.values.camera import CameraImage
 
     image = CameraImage.of(jpeg_of_file(part(parts, 0)), stamp_ns=0)
@@ -528,7 +528,7 @@ def _image(parts: Parts, box: Box) -> None:
 
 
 def _shard(parts: Parts, box: Box) -> None:
-    from models.training.data.frames import DataSet, fixed_splits
+    from lab.training.data.frames import DataSet, fixed_splits
     from sim_player.dataset.shards import UNREADABLE, read_shard
 
     path = box.put("set/shard-00000.npz", part(parts, 0))
@@ -549,7 +549,7 @@ def _shard(parts: Parts, box: Box) -> None:
 
 
 def _xradarnlos(parts: Parts, box: Box) -> None:
-    from models.training.data.xradarnlos import import_folder
+    from lab.training.data.xradarnlos import import_folder
 
     box.new("in")
     if number(parts, 0, 2):
@@ -566,8 +566,8 @@ def _xradarnlos(parts: Parts, box: Box) -> None:
 def _dca1000(parts: Parts, box: Box) -> None:
     import numpy as np
 
-    from models.sensors.config_file import read_config
-    from models.sensors.dca1000 import array_params, frame_samples, frames_of, map_grid
+    from contrib.boards.config_file import read_config
+    from contrib.boards.dca1000_capture import array_params, frame_samples, frames_of, map_grid
 
     suffix = (".cfg", ".json", ".lua")[number(parts, 0, 3)]
     capture, config = box.put("a.bin", part(parts, 2)), read_config(box.put(f"a{suffix}", part(parts, 1)), None)
@@ -580,8 +580,8 @@ def _dca1000(parts: Parts, box: Box) -> None:
 
 
 def _card_datagrams(parts: Parts, box: Box) -> None:
-    from models.sensors.dca1000_packets import FrameAssembler
-    from nodes.drivers.dca1000 import parse_answer, reports
+    from contrib.boards.dca1000_packets import FrameAssembler
+    from contrib.boards.dca1000_socket import parse_answer, reports
 
     assembler = FrameAssembler((64, 6144, 1 << 16)[number(parts, 0, 3)])
     frames = []
@@ -596,7 +596,7 @@ def _card_datagrams(parts: Parts, box: Box) -> None:
 
 
 def _transients(parts: Parts, box: Box) -> None:
-    from models.sensors.confocal import read_confocal
+    from lab.transients.confocal import read_confocal
 
     scan = read_confocal(box.put("a.mat", part(parts, 0)))
     assert scan.range_m.shape == (scan.bins,)
@@ -604,8 +604,8 @@ def _transients(parts: Parts, box: Box) -> None:
 
 
 def _json_files(parts: Parts, box: Box) -> None:
-    from mirrorwave.studies.tradeoff.latency_budget import _recall
-    from mirrorwave.studies.tradeoff.report import read_report
+    from lab.tradeoff.latency_budget import _recall
+    from lab.tradeoff.row_report import read_report
     from nodes.process.supervisor import LOCK_NAME, read_lock
 
     content = part(parts, 1)
@@ -626,7 +626,7 @@ def _json_files(parts: Parts, box: Box) -> None:
 
 
 def _reflectance(parts: Parts, box: Box) -> None:
-    from sim_player.fdtd.reflectance import _read_partial, load_table
+    from lab.full_wave.reflectance import _read_partial, load_table
 
     _read_partial(box.put("a.cells.jsonl", part(parts, 2)))
     try:
@@ -639,7 +639,7 @@ def _reflectance(parts: Parts, box: Box) -> None:
 
 
 def _keys(parts: Parts, box: Box) -> None:
-    from msgs.link.keys import is_loopback, load_allowed, load_own, load_public
+    from contrib.two_machines.keys import is_loopback, load_allowed, load_own, load_public
 
     secret, public = box.put("own/a.key_secret", part(parts, 0)), box.put("peers/b.key", part(parts, 1))
     secret.chmod(0o600), public.chmod(0o644)
@@ -659,12 +659,12 @@ def _words(parts: Parts, box: Box) -> None:
     """What is typed at the command line: conditions, fields, angles, lists, spans, methods, overrides."""
     import math
 
+    from lab.evaluate import methods as evaluate_methods
+    from lab.training.data.selection import parse_selection
+    from lab.walls import curves as wall_curves
     from mirrorwave.commands.captures import bag_options
     from mirrorwave.commands.sim import dataset as sim_dataset
     from mirrorwave.diagnose import topic_echo
-    from mirrorwave.studies.evaluate import methods as evaluate_methods
-    from mirrorwave.studies.walls import curves as wall_curves
-    from models.training.data.selection import parse_selection
     from msgs.bus.codec import to_builtins
 
     word = text(parts, 1)
@@ -885,7 +885,7 @@ def _dca_seeds() -> list[Parts]:
 
 
 def _datagram_seeds() -> list[Parts]:
-    from models.sensors.dca1000_packets import PAYLOAD_BYTES, datagram
+    from contrib.boards.dca1000_packets import PAYLOAD_BYTES, datagram
 
     payload = bytes(range(1, 183)) * 8
     sent = [datagram(1 + at, at * PAYLOAD_BYTES, payload) for at in range(8)]
@@ -916,7 +916,7 @@ def _table_seeds() -> list[Parts]:
     import numpy as np
 
     from fuzz import seeds
-    from sim_player.fdtd.reflectance import ReflectanceTable
+    from lab.full_wave.reflectance import ReflectanceTable
 
     card = b'{"sha256": "", "bands_ghz": [10.0], "walls": [{"name": "concrete"}]}'
     return [[card, seeds.npz(**{name: np.zeros((1, 1)) for name in ReflectanceTable.ARRAYS}), b'{"entry": {}}\n']]

@@ -68,27 +68,27 @@ _VERBS = {
     "launch": "mirrorwave.commands.graph.launch:launch",
     "process": "mirrorwave.commands.captures.process:process",
     "view": "mirrorwave.commands.captures.view:view",
-    "export": "mirrorwave.commands.learn.export:export",
-    "eval": "mirrorwave.commands.learn.evaluate:evaluate",
-    "tradeoff": "mirrorwave.commands.learn.tradeoff:tradeoff",
-    "compare": "mirrorwave.commands.learn.compare:compare",
+    "export": "lab.commands.export:export",
+    "eval": "lab.commands.evaluate:evaluate",
+    "tradeoff": "lab.commands.tradeoff:tradeoff",
+    "compare": "lab.commands.compare:compare",
     "doctor": "mirrorwave.commands.graph.doctor:doctor",
     "top": "mirrorwave.commands.graph.top:top",
     "graph": "mirrorwave.commands.graph.graph:graph",
-    "annotate": "mirrorwave.commands.captures.annotate:annotate",
+    "annotate": "contrib.annotate.verb:annotate",
 }
 #: Verb group -> module and `typer.Typer`.
 _GROUPS = {
     "sim": "mirrorwave.commands.sim.group:app",
-    "train": "mirrorwave.commands.learn.train:app",
+    "train": "lab.commands.train:app",
     "bag": "mirrorwave.commands.captures.bag:app",
-    "calibrate": "mirrorwave.commands.captures.calibrate:app",
+    "calibrate": "contrib.calibrate.verb:app",
     "can": "mirrorwave.commands.captures.can:app",
     "import": "mirrorwave.commands.captures.imports:app",
     "topic": "mirrorwave.commands.graph.topics:app",
     "node": "mirrorwave.commands.graph.nodes:app",
     "param": "mirrorwave.commands.graph.params:app",
-    "security": "mirrorwave.commands.graph.security:app",
+    "security": "contrib.two_machines.verb:app",
 }
 
 #: Wrong usage, as the command line parser below typer raises it; typer brings its own copy or takes the installed one.

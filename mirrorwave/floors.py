@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-FLOORS = ("msgs", "models", "sim_player", "nodes")
+FLOORS = ("msgs", "models", "sim_player", "nodes", "lab", "contrib")
 _INSTALLED = Path(__file__).resolve().parent / "floors_below"
 #: Folder that holds them.
 FOLDER = _INSTALLED if _INSTALLED.is_dir() else _INSTALLED.parents[1]

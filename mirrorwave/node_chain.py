@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from models.perception.chain import Chain
-from models.perception.detection.detectors import Detector
-from models.perception.detection.stage import DetectionStage
-from models.perception.evidence.predictor import EvidencePredictor
-from models.perception.geometry.confidence import Confidence
-from models.perception.geometry.recovery import Residual
-from models.perception.tracking.stage import ViewStage
+from models.perception.find.detectors import Detector
+from models.perception.find.maps_to_peaks import DetectionStage
+from models.perception.mirrors.confidence import Confidence
+from models.perception.mirrors.recovery import Residual
+from models.perception.see.evidence_predictor import EvidencePredictor
+from models.perception.track.views_over_scans import ViewStage
 from msgs.values.radar import RadarSetup
 from nodes import dense_predictor, geometry, ra_former
 from nodes.process.validation import convert_at

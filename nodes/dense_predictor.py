@@ -11,11 +11,11 @@ from typing import Literal
 import msgspec
 
 from models.perception.cards import learned_path
-from models.perception.detection.cfar import CfarParams
-from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
-from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.perception.detection.peaks import PeakParams
-from models.perception.detection.stage import DetectionStage
+from models.perception.find.cfar import CfarParams
+from models.perception.find.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
+from models.perception.find.maps_to_peaks import DetectionStage
+from models.perception.find.onnx_model import DEFAULT_MODEL
+from models.perception.find.peaks import PeakParams
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState
@@ -36,7 +36,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported network (FILE.onnx) with its card beside it, or the name of a committed one; None: the default.
     model: str | None = None
     threads: int = 1
-    #: How a network's peaks are placed (`models.perception.detection.detectors.Refine`): true is "pursuit", false
+    #: How a network's peaks are placed (`models.perception.find.detectors.Refine`): true is "pursuit", false
     #: "none".
     refine: bool | Refine = True
     #: The mean answer to the map and to the map with left and right exchanged.

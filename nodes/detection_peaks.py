@@ -7,10 +7,10 @@ from contextlib import nullcontext
 
 import msgspec
 
-from models.perception.detections.defaults import DETECTION_GEOMETRY
-from models.perception.detections.sensor import DetectionSensor
-from models.perception.detections.stage import DetectionsStage
-from models.perception.geometry.stage import GeometryParams
+from models.perception.mirrors.peaks_to_view import GeometryParams
+from models.perception.target_lists.defaults import DETECTION_GEOMETRY
+from models.perception.target_lists.sensor import DetectionSensor
+from models.perception.target_lists.targets_to_peaks import DetectionsStage
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.detections import RadarDetections

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.perception.cards import learned_path
-from models.perception.detections.defaults import DETECTION_GEOMETRY
-from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
-from models.perception.geometry.recovery import Residual
-from models.perception.geometry.stage import BackEnd, GeometryParams
+from models.perception.mirrors.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
+from models.perception.mirrors.peaks_to_view import BackEnd, GeometryParams
+from models.perception.mirrors.recovery import Residual
+from models.perception.target_lists.defaults import DETECTION_GEOMETRY
 from models.perception.timing import Timed
-from models.perception.tracking.scan_state import MemoryParams
-from models.perception.tracking.stage import ViewStage
-from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasSource
+from models.perception.track.scan_state import MemoryParams
+from models.perception.track.views_over_scans import ViewStage
+from models.perception.track.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import WEIGHTS
 from msgs.values.arrays import require_within
@@ -29,7 +29,7 @@ from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 if TYPE_CHECKING:
-    from models.perception.evidence.predictor import EvidencePredictor
+    from models.perception.see.evidence_predictor import EvidencePredictor
 
 _LOG = logging.getLogger(__name__)
 
@@ -209,7 +209,7 @@ def predictor_of(params: Params) -> EvidencePredictor | None:
     if params.object_network == "none":
         return None
     # as the residual: the runtime comes along only where it is needed
-    from models.perception.evidence.predictor import EvidencePredictor
+    from models.perception.see.evidence_predictor import EvidencePredictor
 
     path = learned_path(params.object_network, ".onnx")
     return EvidencePredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
@@ -217,7 +217,7 @@ def predictor_of(params: Params) -> EvidencePredictor | None:
 
 def _learned_residual(name: str, back_end: BackEnd) -> Residual:
     # here: without a network this node starts again faster by what bringing its runtime along takes
-    from models.perception.geometry.residual_model import LearnedResidual
+    from models.perception.mirrors.residual_model import LearnedResidual
 
     residual = LearnedResidual(learned_path(name, ".onnx"))
     residual.require_trained_for(back_end)

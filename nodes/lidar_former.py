@@ -6,7 +6,7 @@ import logging
 
 import msgspec
 
-from models.perception.forming.photon_map import PhotonFormer
+from models.perception.form.photon_map import PhotonFormer
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarSetup, PhotonHistograms

@@ -393,8 +393,8 @@ def with_walls(events: Iterator[Event], player: ScenePlayer | LidarPlayer, param
     if params.walls == "none":
         yield from events
         return
+    from sim_player.scene.wall_priors import POOR, scene_walls
     from sim_player.scene.world import radar_pose
-    from sim_player.wall_priors import POOR, scene_walls
 
     errors = POOR if params.walls == "noisy" else None
     scan = 0

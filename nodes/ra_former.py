@@ -13,9 +13,9 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
-from models.perception.forming.background import load_background
-from models.perception.forming.ra_forming import FormingParams
-from models.perception.forming.stage import FormingStage
+from models.perception.form.background import load_background
+from models.perception.form.beams_to_maps import FormingStage
+from models.perception.form.ra_forming import FormingParams
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState

@@ -16,10 +16,14 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
+from sim_player.paths.conversion import as_paths
+from sim_player.paths.path_tracks import PathTrack, tracing_step_s
+from sim_player.paths.ray_tracing import BASIC_EFFECTS, trace_echoes
+from sim_player.paths.reach import reachable_snapshot
+from sim_player.paths.truth import scene_truth
 from sim_player.planner.plan import resolve_plan
 from sim_player.scene.clear_path import first_meeting, meeting_text
 from sim_player.scene.description import Ego, Scene
-from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import RadarState, prepare, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, with_clutter
 from sim_player.signal.fmcw import noise_bank
@@ -27,11 +31,7 @@ from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electr
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN
-from sim_player.trace.conversion import as_paths
-from sim_player.trace.path_tracks import PathTrack, tracing_step_s
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace_echoes
-from sim_player.trace.truth import scene_truth
+from sim_player.trace.path_table import Paths
 
 
 @dataclass(frozen=True)

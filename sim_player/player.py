@@ -12,6 +12,9 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
+from sim_player.paths.path_tracks import PathTrack, scene_step_s
+from sim_player.paths.ray_tracing import BASIC_EFFECTS, trace
+from sim_player.paths.truth import scene_truth
 from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.planner.purposes import purpose_of
 from sim_player.scene.clear_path import ego_meeting, meeting_text
@@ -23,10 +26,7 @@ from sim_player.signal.levels import Terms, echo_terms, group_beats, record_beam
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN, SignalEffects
-from sim_player.trace.path_tracks import PathTrack, scene_step_s
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace
-from sim_player.trace.truth import scene_truth
+from sim_player.trace.path_table import Paths
 
 
 class ScenePlayer:
@@ -39,7 +39,7 @@ class ScenePlayer:
 
     `effects`: "basic" (direct echoes and single mirrors), "auto" (the effects that the scene needs for a `purpose`
     under `budget_db`, planned once), "all", or names with commas between them. What moves is traced at instants between
-    which it moves little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto"
+    which it moves little (`sim_player.paths.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto"
     leaves out its weakest paths, chosen from one instant to the next.
     """
 

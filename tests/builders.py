@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from models.perception.chain import Chain
-from models.perception.detection.detectors import CfarDetector
-from models.perception.detection.stage import DetectionStage
-from models.perception.forming.ra_forming import FormingParams
-from models.perception.forming.stage import FormingStage
-from models.perception.tracking.scan_state import MemoryParams
-from models.perception.tracking.stage import ViewStage
+from models.perception.find.detectors import CfarDetector
+from models.perception.find.maps_to_peaks import DetectionStage
+from models.perception.form.beams_to_maps import FormingStage
+from models.perception.form.ra_forming import FormingParams
+from models.perception.track.scan_state import MemoryParams
+from models.perception.track.views_over_scans import ViewStage
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from models.sensors.point_cloud2 import LidarMounting, lidar_points
+from contrib.ros2.point_cloud2 import LidarMounting, lidar_points
 from msgs.values.lidar import LidarPoints
 
 #: Fields of a point as the driver of an Ouster lays them out: name, offset, type by ROS's number; 48 bytes a point.

@@ -21,11 +21,11 @@ import zstandard
 from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from mirrorwave.annotate.manifest import load_manifest
+from contrib.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
+from contrib.annotate.manifest import load_manifest
+from contrib.boards.config_file import read_config
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
-from models.annotation.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
-from models.sensors.config_file import read_config
 from msgs.files import array_files, yaml_loader
 from msgs.files.array_files import load_arrays
 from msgs.files.shipped import CHECKOUT
@@ -35,8 +35,8 @@ from msgs.recording.sigmf import SigmfCapture
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import MAX_DBC_BYTES, load_dbc
 from nodes.can.log_file import MAX_LINE, MAX_OBJECT_BYTES, read_log
+from sim_player.bodies.meshes import load_mesh
 from sim_player.scene.description import MAX_BYTES, load_scene, scene_from_yaml
-from sim_player.scene.meshes import load_mesh
 
 MIB = 1 << 20
 
@@ -340,31 +340,30 @@ def _size(count: int) -> str:
 
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
-    from mirrorwave.convert import detection_tables
+    from contrib.annotate import clouds as annotate_clouds
+    from contrib.boards import config_file
+    from contrib.imports import detection_tables, recorded_sensors
+    from contrib.ros2 import ros2_link, ros2_topics
+    from contrib.two_machines import curve as curve_link
+    from contrib.two_machines import exporter as curve_exporter
+    from contrib.two_machines import keys as curve_keys
+    from contrib.two_machines import peer_messages
+    from lab.transients import confocal, scan
     from mirrorwave.diagnose import foreign_topic
-    from models.annotation import clouds as annotate_clouds
     from models.perception import cards, onnx_session
-    from models.perception.transients import scan
-    from models.sensors import config_file, confocal
     from msgs.bus import codec
     from msgs.bus import sequencing as tally
     from msgs.bus.topics import TOPICS
     from msgs.files import unpacking
-    from msgs.link import curve as curve_link
-    from msgs.link import exporter as curve_exporter
-    from msgs.link import keys as curve_keys
-    from msgs.link import peer_messages
     from msgs.recording import sigmf as sigmf_capture
     from msgs.values import arrays, camera
-    from nodes.bridges import ros2_link, ros2_topics
     from nodes.can import log_file as can_log_file
-    from nodes.drivers import recorded_sensors
     from nodes.process import launch_file, logs
     from nodes.viewer import connection_limiter as limiter
     from nodes.viewer import series, server
     from nodes.viewer.server import MAX_CLIENTS
+    from sim_player.bodies import meshes
     from sim_player.scene import description as scene
-    from sim_player.scene import meshes
 
     promised = _limits()
     expected = {name: _size(topic.max_bytes) for name, topic in TOPICS.items()} | {

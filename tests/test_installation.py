@@ -43,7 +43,7 @@ OPTIONAL = {
 
 
 #: A module whose kernels the installation compiles and keeps itself; the others' are lent.
-COMPILED = "models/perception/forming/slow_time_sums.py"
+COMPILED = "models/perception/form/slow_time_sums.py"
 
 
 @pytest.fixture(scope="module")

@@ -30,11 +30,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.kernels_ahead import compile_ahead
-from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.training.data.frames import DataSet, fixed_splits
-from models.training.data.map_arrays import ArrayMaker, MapArrays, View
-from models.training.data.samples import DataConfig
-from models.training.files import json_lines
+from lab.training.data.frames import DataSet, fixed_splits
+from lab.training.data.map_arrays import ArrayMaker, MapArrays, View
+from lab.training.data.samples import DataConfig
+from models.perception.find.onnx_model import DEFAULT_MODEL
+from msgs.files.checksums import json_lines
 from msgs.files.whole_files import write_whole
 
 MIRRORWAVE = (sys.executable, "-m", "mirrorwave.cli")
@@ -422,10 +422,10 @@ def train(plan: Plan, job: Job) -> None:
     """Train, score and export one network with the arrays in the plan's folder; what is done is left."""
     import torch
 
-    from models.training.export.onnx import export_scored
-    from models.training.run_folder import save_state
-    from models.training.timed.packed_runs import PACKED, packed, unpacked
-    from models.training.timed.training import TimedTraining, best_threshold
+    from lab.training.export.onnx import export_scored
+    from lab.training.run_folder import save_state
+    from lab.training.timed.packed_runs import PACKED, packed, unpacked
+    from lab.training.timed.training import TimedTraining, best_threshold
 
     start_s = time.monotonic()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -501,7 +501,7 @@ def train(plan: Plan, job: Job) -> None:
 
 def write_results(plan: Plan, jobs: Sequence[Job], out: Path) -> None:
     """Pack what has been trained to `out`, and write and print the figures."""
-    from models.training.timed.packed_runs import write_parts
+    from lab.training.timed.packed_runs import write_parts
 
     done = [job for job in jobs if (plan.run_dir(job) / "result.json").exists()]
     results = {job.name: json.loads((plan.run_dir(job) / "result.json").read_bytes()) for job in done}
@@ -535,9 +535,9 @@ def _is_complete(plan: Plan, *splits: MapArrays) -> bool:
 
 def run_config(plan: Plan, job: Job, on_gpu: bool) -> Any:
     """Return the configuration of a run as its folder and the card state it, alike whenever the command is given."""
-    from models.training.families import FAMILIES, choice_of, preset_network
-    from models.training.schedules import ScheduleConfig
-    from models.training.train_dense import RunConfig, TrainDenseConfig
+    from lab.training.families import FAMILIES, choice_of, preset_network
+    from lab.training.schedules import ScheduleConfig
+    from lab.training.train_dense import RunConfig, TrainDenseConfig
 
     family, size = job.network.split(":")
     choice, encoding = preset_network(family, size)
@@ -572,7 +572,7 @@ def tiny(config: Any) -> Any:
 
 def unpack(folder: Path, out: Path) -> None:
     """Write the run folders that a run packed to `out`, with its figures, and print how they are exported."""
-    from models.training.timed.packed_runs import read_parts
+    from lab.training.timed.packed_runs import read_parts
 
     for run in read_parts(folder, out):
         print(f"mirrorwave export {run} --out {out / run.name}.onnx")

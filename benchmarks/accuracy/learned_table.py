@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from models.training.data.frames import fixed_splits
+from lab.training.data.frames import fixed_splits
 
 STEPS = ("train", "residual", "confidence", "eval")
 MIRRORWAVE = (sys.executable, "-m", "mirrorwave.cli")

@@ -12,9 +12,9 @@ import argparse
 import json
 from pathlib import Path
 
-from mirrorwave.studies.tradeoff.latency_budget import COMMITTED, ProfileLoss, ProfileLosses
-from mirrorwave.studies.tradeoff.settings import profile_setting
-from models.training.files import json_lines
+from lab.tradeoff.latency_budget import COMMITTED, ProfileLoss, ProfileLosses
+from lab.tradeoff.rows import profile_setting
+from msgs.files.checksums import json_lines
 from msgs.files.whole_files import write_whole
 
 

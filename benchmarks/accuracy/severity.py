@@ -28,14 +28,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks.accuracy.six_scenes import SCENES
 from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, save
-from models.evaluation.metrics import Counts, match_objects, recovered_counts
 from models.perception.chain import Chain
-from models.perception.detection.detectors import NetworkDetector
-from models.perception.detection.stage import DetectionStage
-from models.perception.forming.stage import FormingStage
-from models.perception.tracking.stage import ViewStage
+from models.perception.find.detectors import NetworkDetector
+from models.perception.find.maps_to_peaks import DetectionStage
+from models.perception.form.beams_to_maps import FormingStage
+from models.perception.track.views_over_scans import ViewStage
 from models.physics.antenna import setup_weights
 from models.physics.waveform import window_noise_gain
+from models.scores.point_metrics import Counts, match_objects, recovered_counts
 from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import FULL_SCALE_CODE, RadarBeam, RadarSetup
 from msgs.values.units import db_from_ratio, ratio_from_db
@@ -211,7 +211,7 @@ class Case(msgspec.Struct, kw_only=True):
     scene: str
     seed: int
     asked: int = 0
-    #: Face and centre errors (`models.evaluation.object_error`) of the found.
+    #: Face and centre errors (`models.scores.object_error`) of the found.
     errors_m: list[float] = []
     centre_errors_m: list[float] = []
     missed: int = 0

@@ -23,14 +23,14 @@ import numpy as np
 
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.profiles import DEFAULT, read_profile
-from models.evaluation.metrics import match_objects
 from models.perception.chain import Chain
-from models.perception.detection.detectors import NetworkDetector
-from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.perception.detection.stage import DetectionStage
-from models.perception.forming.stage import FormingStage
-from models.perception.geometry.confidence import load_confidence
-from models.perception.tracking.stage import ViewStage
+from models.perception.find.detectors import NetworkDetector
+from models.perception.find.maps_to_peaks import DetectionStage
+from models.perception.find.onnx_model import DEFAULT_MODEL
+from models.perception.form.beams_to_maps import FormingStage
+from models.perception.mirrors.confidence import load_confidence
+from models.perception.track.views_over_scans import ViewStage
+from models.scores.point_metrics import match_objects
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import RadarSetup

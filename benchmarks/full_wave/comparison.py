@@ -13,10 +13,10 @@ from benchmarks.full_wave.rays import RayField, ray_field
 from benchmarks.full_wave.scenes import RADAR, THREAD_PERMITTIVITY, MiniScene
 from benchmarks.full_wave.waves import Waves
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.effects.names import PATH_EFFECTS
 from sim_player.effects.table import WEIGHTS
 from sim_player.scene.description import DiffuseLobe
 from sim_player.scene.world import World
+from sim_player.trace.effect_names import PATH_EFFECTS
 
 #: The chirp's sweep; the full wave is read at so many frequencies.
 SWEEP_HZ = RADAR.carrier_hz + RADAR.bandwidth_hz * np.linspace(-0.5, 0.5, 29)

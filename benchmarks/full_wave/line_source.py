@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import newton
 
-from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
-from sim_player.fdtd.grid import LOOK_STEPS, GridParams, Media, YeeGrid
+from lab.full_wave.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
+from lab.full_wave.grid import LOOK_STEPS, GridParams, Media, YeeGrid
 
 #: Relative standard deviation of the pulse, and its half length in deviations.
 PULSE_SHARE, HALF_LENGTH = 0.15, 5.0

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.full_wave.scenes import RADAR, ROUGH_M
+from lab.full_wave.rough import FloquetOrders, RoughParams, quiet_width, scatter
 from models.physics.materials import permittivity
 from models.physics.rough_lobe import RoughLobe
 from models.physics.roughness import diffuse_share
-from sim_player.fdtd.rough import FloquetOrders, RoughParams, quiet_width, scatter
 
 CORRELATION_M = 0.03
 CELLS_PER_WAVELENGTH = 16.0

@@ -26,12 +26,12 @@ from models.physics.rough_lobe import RoughLobe
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.effects.los_surfaces import flash_weight
-from sim_player.effects.names import bit
+from sim_player.paths.conversion import weights
+from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import Snapshot, World, snapshot
-from sim_player.trace.conversion import weights
 from sim_player.trace.echoes import Echoes, echo_amplitude
-from sim_player.trace.ray_tracing import trace_echoes
+from sim_player.trace.effect_names import bit
 
 #: Bends and arcs turn a route by other angles than walls along the axes do.
 TURNS = bit("edge_diffraction") | bit("curved_wall")

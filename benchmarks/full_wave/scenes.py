@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.full_wave.line_source import ABSORBER, CONDUCTOR_PERMITTIVITY, LineGrid
+from lab.full_wave.rough import SUB_COLUMNS, is_conductor, rough_profile
 from models.physics.curved_mirror import arc_from_ends
 from models.physics.materials import permittivity
 from msgs.values.radar import RadarParams
-from sim_player.fdtd.rough import SUB_COLUMNS, is_conductor, rough_profile
 from sim_player.scene.description import Scene, SceneObject, Surface
 from sim_player.scene.world import World, prepare
 

@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from models.annotation.registration import PosedCloud, RegistrationParams, moved, register, rounded_pose
-from models.annotation.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
+from contrib.annotate.registration import PosedCloud, RegistrationParams, moved, register, rounded_pose
+from contrib.annotate.simulated_clouds import LidarCloud, LidarParams, choose_viewpoints, lidar_cloud, rigid
+from contrib.annotate.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
 from models.physics.mirror import blocked, reflect, wall_from_ends
 from models.physics.plane import segment_distance_m
 from msgs.files.shipped import CHECKOUT
 from nodes import player
 from sim_player.generate.placement import Boxes, chords
-from sim_player.lidar.clouds import LidarCloud, LidarParams, choose_viewpoints, lidar_cloud, rigid
 from sim_player.scene.description import Scene, load_scene
 
 SCENES = CHECKOUT / "launch" / "scenes"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.perception.detections.sensor import DetectionSensor
+from models.perception.target_lists.sensor import DetectionSensor
 from msgs.values.detections import RadarDetections
 
 FRAMES = ("000005", "000022", "000034", "000036", "000204", "000302")

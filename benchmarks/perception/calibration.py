@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.perception.ra_forming import machine
-from mirrorwave.calibrate.drive import DriveParams, solve_drive
+from contrib.calibrate.drive import DriveParams, solve_drive
 from mirrorwave.console import progress_bar
 from models.vehicle.mounting import Mounting
 from msgs.recording.mcap import RecordingWriter

@@ -1,6 +1,6 @@
 """The chain as it runs, in single precision, against the same chain in double precision; and one thread against two.
 
-Random labelled places (`sim_player.dataset.labelled_beams`, every effect the place calls for), the default profile.
+Random labelled places (`lab.evaluate.labelled_beams`, every effect the place calls for), the default profile.
 Single: `RaFormer`, `NetworkDetector`, `fold_scan` as the nodes call them. Double: the same formulas written out in
 float64 and complex128 from the integer sums on (transform, window, Doppler, co-array by least squares on the stacked
 system instead of normal equations, encoding, every operator of the network, pursuit, peaks), geometry as it is, for it
@@ -35,22 +35,22 @@ from rich.progress import track
 from scipy.special import gammainccinv
 from threadpoolctl import threadpool_limits
 
-from models.evaluation.metrics import match_points
-from models.perception.detection.detectors import NetworkDetector
-from models.perception.detection.encoding import Encoding, sample_columns
-from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
-from models.perception.detection.peaks import PeakParams, find_pursued_peaks
-from models.perception.forming.coarray import NOISE_FALSE_ALARM, CoherenceTest, beam_matrix, ideal_beams
-from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import DOPPLER_EXCESS_DB, DOPPLER_LIMIT_MPS, DOPPLER_SNR_DB, FormingParams
-from models.perception.forming.slow_time_sums import fold_chirps, group_edges
-from models.perception.geometry.stage import FoldedScan, GeometryParams, fold_scan, recover_bev
+from lab.evaluate.labelled_beams import LabelledPlace
+from models.perception.find.detectors import NetworkDetector
+from models.perception.find.encoding import Encoding, sample_columns
+from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
+from models.perception.find.peaks import PeakParams, find_pursued_peaks
+from models.perception.form.coarray import NOISE_FALSE_ALARM, CoherenceTest, beam_matrix, ideal_beams
+from models.perception.form.ra_former import RaFormer
+from models.perception.form.ra_forming import DOPPLER_EXCESS_DB, DOPPLER_LIMIT_MPS, DOPPLER_SNR_DB, FormingParams
+from models.perception.form.slow_time_sums import fold_chirps, group_edges
+from models.perception.mirrors.peaks_to_view import FoldedScan, GeometryParams, fold_scan, recover_bev
+from models.scores.point_metrics import match_points
 from msgs.bus.codec import encode_inline
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import BevFrame, PathClass, Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, amplitude_per_code
 from msgs.values.units import ratio_from_db
-from sim_player.dataset.labelled_beams import LabelledPlace
 
 #: Ridge and taps of the chain, for a complete scan.
 RIDGE, HANN = 1e-7, (-0.5, 1.0, -0.5)

@@ -19,10 +19,10 @@ import numba
 import numpy as np
 import scipy
 
-from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
-from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import BeamFolder, FormingParams
-from models.perception.forming.slow_time_sums import fold_chirps
+from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.perception.form.ra_former import RaFormer
+from models.perception.form.ra_forming import BeamFolder, FormingParams
+from models.perception.form.slow_time_sums import fold_chirps
 from models.physics.antenna import (
     element_field,
     row_field,

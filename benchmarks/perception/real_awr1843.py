@@ -1,6 +1,7 @@
 """A person as a track over a real 77 GHz capture: 20 s of an AWR1843 indoors, 1000 frames of one loop, 20 ms apart.
 
-The capture lacks two of four lanes (`models.sensors.dca1000`): the evidence for that reading is among the figures.
+The capture lacks two of four lanes (`contrib.boards.dca1000_capture`): the evidence for that reading is among the
+figures.
 What stands still is the mean over a second about a frame, and is taken off; the strongest return left, 15 dB or more
 over the noise, is measured between cells in range and azimuth. The tracker in use follows it, told what is different
 here: a person in plain sight, measured 50 times a second, not the middle of a vehicle behind a corner every 0.3 s.
@@ -28,11 +29,11 @@ import msgspec
 import numpy as np
 
 from benchmarks.captures import add_data_option, capture_folder
-from models.perception.forming.digital_array import DigitalArrayParams, form_digital_map, slots_turned
-from models.perception.tracking.odometry import stationary_pose
-from models.perception.tracking.tracker import Tracker, TrackerParams
-from models.sensors.config_file import read_config
-from models.sensors.dca1000 import Dca1000Config, array_params, frame_samples, map_grid
+from contrib.boards.config_file import read_config
+from contrib.boards.dca1000_capture import Dca1000Config, array_params, frame_samples, map_grid
+from models.perception.form.digital_array import DigitalArrayParams, form_digital_map, slots_turned
+from models.perception.track.odometry import stationary_pose
+from models.perception.track.tracker import Tracker, TrackerParams
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
 from msgs.values.units import ns_from_s
 

@@ -25,11 +25,11 @@ import numpy as np
 
 from benchmarks.captures import add_data_option, capture_folder
 from benchmarks.perception.astyx_frames import FRAMES, IMAGE_FRAME, SENSOR, AstyxFrame, Box, read_frame
-from models.perception.detections.defaults import DETECTION_GEOMETRY
-from models.perception.detections.stage import DetectionsStage
-from models.perception.geometry.lines import fit_line
-from models.perception.geometry.recovery import Recovered
-from models.perception.geometry.stage import fold_scan, recover_bev
+from models.perception.mirrors.lines import fit_line
+from models.perception.mirrors.peaks_to_view import fold_scan, recover_bev
+from models.perception.mirrors.recovery import Recovered
+from models.perception.target_lists.defaults import DETECTION_GEOMETRY
+from models.perception.target_lists.targets_to_peaks import DetectionsStage
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import BevFrame, PathClass, Peaks, Wall
 

@@ -28,8 +28,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mirrorwave.convert.can_log import log_states
-from models.perception.tracking.odometry import Odometry
-from models.perception.tracking.yaw_rate_bias import BiasSource
+from models.perception.track.odometry import Odometry
+from models.perception.track.yaw_rate_bias import BiasSource
 from models.vehicle.can_state import CanDecoder, StateReporter
 from msgs.files.shipped import CHECKOUT
 from msgs.values.frames import wrap_angle

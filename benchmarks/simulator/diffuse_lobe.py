@@ -15,16 +15,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
+from sim_player.paths.conversion import as_paths
+from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.planner.ablation import signal_effects
 from sim_player.planner.cells import cells_of
 from sim_player.scene.description import DiffuseLobe, Scene
 from sim_player.scene.world import prepare, snapshot
 from sim_player.signal.levels import kernel_profiles, noise_rms
-from sim_player.trace.conversion import as_paths
-from sim_player.trace.ray_tracing import trace_echoes
+from sim_player.trace.effect_names import bit
 
 #: Random places of the page.
 PLACES, SEED = 40, 3

@@ -20,12 +20,12 @@ from rich.progress import Progress
 from rich.table import Table
 
 from benchmarks.perception.ra_forming import machine
+from lab.full_wave.cpml import SPEED_OF_LIGHT_MPS
+from lab.full_wave.rough import RoughParams
+from lab.full_wave.scattering import reflect
+from lab.full_wave.smooth import SMOOTH_WALLS, SmoothWall
 from models.physics.fresnel import slab_reflection, slab_transmission
 from models.physics.materials import permittivity
-from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS
-from sim_player.fdtd.rough import RoughParams
-from sim_player.fdtd.scattering import reflect
-from sim_player.fdtd.smooth import SMOOTH_WALLS, SmoothWall
 
 ANGLES_DEG = np.arange(0.0, 81.0, 5.0)
 CELLS = (10, 20, 40)

@@ -29,10 +29,10 @@ from benchmarks.simulator.path_comparison import (
     join_comparisons,
     our_routes,
 )
+from lab.foreign.export import ARC_ERROR_M, clear_of_bodies, exported_surfaces
+from lab.foreign.sionna_tracer import SAMPLES, ForeignTracerMissingError, llvm_version, trace_to_points
+from lab.studies.report import machine, versions
 from mirrorwave.plots.markdown import table
-from mirrorwave.studies.report import machine, versions
-from sim_player.foreign.export import ARC_ERROR_M, clear_of_bodies, exported_surfaces
-from sim_player.foreign.sionna_tracer import SAMPLES, ForeignTracerMissingError, llvm_version, trace_to_points
 from sim_player.generate.places import random_place
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare, snapshot
@@ -42,7 +42,7 @@ LENGTH_AIM_M, AMPLITUDE_AIM_DB = 1e-4, 0.5
 COMMON_GROUND = """\
 Both tracers find all specular paths of one way, by two reflections at most: from the antenna to every scattering centre
 and, as "own image", back to the antenna. Out and back by them make every echo of an object up to antenna - wall - wall
-- object - wall - wall - antenna. `sim_player/foreign/` exports a scene as triangles and reads the foreign paths as
+- object - wall - wall - antenna. `lab/foreign/` exports a scene as triangles and reads the foreign paths as
 routes, from which our echoes and beats are made.
 
 - Walls: both mirror upright sheets with the reflection of a slab; ours takes vertical polarisation as TE, the foreign

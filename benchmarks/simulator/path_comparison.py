@@ -9,14 +9,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from lab.foreign.export import ExportedSurface, SurfaceKind
+from lab.foreign.one_way import OneWayPaths, as_routes, meets_own_object, surface_columns
 from sim_player.effects.curved_wall import arc_routes
 from sim_player.effects.second_relay import two_wall_routes
 from sim_player.effects.table import PATHS
-from sim_player.foreign.export import ExportedSurface, SurfaceKind
-from sim_player.foreign.one_way import OneWayPaths, as_routes, meets_own_object, surface_columns
+from sim_player.scene.segments import BODY, WALL, segment_occlusion, without
 from sim_player.scene.world import Snapshot
 from sim_player.trace.routes import Routes, join_routes, mirror_routes
-from sim_player.trace.segments import BODY, WALL, segment_occlusion, without
 from sim_player.trace.snapshot import TraceContext
 
 #: Effects whose routes are specular paths from the antenna to a point.

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 from scipy import optimize
 
-from models.perception.transients.scan import ConfocalTransients
-from models.perception.transients.shape import HiddenShape
+from lab.transients.scan import ConfocalTransients
+from lab.transients.shape import HiddenShape
 from models.physics.photons.flux import counts_between, pulses_of
 from msgs.values.lidar import SpadParams
 from msgs.values.units import SPEED_OF_LIGHT_MPS

@@ -1,7 +1,7 @@
 """Physics anchors: what the simulator says where a textbook knows the answer.
 
 Run from the root of the checkout: python -m benchmarks.simulator.physics_anchors [--json]
-The tests in tests/sim_player/trace/test_mesh_rcs.py assert the same anchors.
+The tests in tests/sim_player/bodies/test_mesh_rcs.py assert the same anchors.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile, window_noise_gain
 from msgs.values.radar import PRESETS, RadarSetup, amplitude_per_code
 from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.bodies.meshes import primitive_mesh
 from sim_player.dataset.labelled_scan import WINDOW, profile_noise
+from sim_player.paths.ray_tracing import trace
 from sim_player.scene.description import Scene, SceneObject, SceneRadar
-from sim_player.scene.meshes import primitive_mesh
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_codes, noise_bank, noise_reads
 from sim_player.trace.echoes import echo_amplitude
-from sim_player.trace.ray_tracing import trace
 
 CARRIERS_HZ = (10e9, 77e9)
 #: Distance of the targets in scenes, and the height of their middles and of the radar.

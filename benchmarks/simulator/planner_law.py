@@ -30,7 +30,6 @@ import numpy as np
 from rich.progress import track
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, PATHS
 from sim_player.generate.places import random_place
 from sim_player.planner.cells import cells_of
@@ -38,6 +37,7 @@ from sim_player.planner.plan import Plan, clean_profiles, manual_plan, noisy_pro
 from sim_player.planner.purposes import DETECTION, Purpose
 from sim_player.scene.world import World, prepare
 from sim_player.signal.levels import noise_profiles, noise_rms
+from sim_player.trace.effect_names import bit
 
 Preset = Literal["xband", "77ghz"]
 BUDGETS_DB = (-10.0, -20.0, -30.0)

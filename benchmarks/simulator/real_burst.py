@@ -22,11 +22,11 @@ import msgspec
 import numpy as np
 
 from benchmarks.captures import add_data_option, capture_folder
-from mirrorwave.calibrate.capture import Capture
-from mirrorwave.calibrate.radar import measure_noise, scene_with_receiver
-from models.perception.forming.front_end_faults import FaultParams
-from models.perception.forming.noise_floor import NoiseFloor
-from models.sensors.phaser import PhaserCalibration, PhaserParams, beam_samples, beam_table, radar_setup
+from contrib.boards.phaser import PhaserCalibration, PhaserParams, beam_samples, beam_table, radar_setup
+from contrib.calibrate.capture import Capture
+from contrib.calibrate.radar_alone import measure_noise, scene_with_receiver
+from models.perception.form.front_end_faults import FaultParams
+from models.perception.form.noise_floor import NoiseFloor
 from msgs.recording.sigmf import write_capture
 from msgs.values.radar import BeamGrid, RadarBeam, RadarSetup
 from sim_player.player import ScenePlayer

@@ -37,12 +37,12 @@ from benchmarks.simulator.photon_target import (
     plane_patches,
     retroreflected_share,
 )
-from mirrorwave.convert.transients import draw_shape
-from models.perception.transients.light_cone import DEFAULT_SNR, reconstruct
-from models.perception.transients.scan import ConfocalTransients
-from models.perception.transients.shape import HiddenShape, hidden_shape
+from lab.transients.confocal import read_confocal
+from lab.transients.import_transients import draw_shape
+from lab.transients.light_cone import DEFAULT_SNR, reconstruct
+from lab.transients.scan import ConfocalTransients
+from lab.transients.shape import HiddenShape, hidden_shape
 from models.physics.photons.counting import draw_histogram, expected_histogram
-from models.sensors.confocal import read_confocal
 from msgs.values.lidar import SpadParams
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 

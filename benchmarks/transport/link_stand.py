@@ -22,12 +22,12 @@ import zmq
 
 from benchmarks.transport.net import HOST, Proxy
 from benchmarks.transport.raw_peers import INJECTED, TOPIC, injected
+from contrib.two_machines import keys as curve_keys
 from msgs.bus.codec import encode, topic_frame
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.topics import TOPICS
 from msgs.bus.zmq import ZmqBus
 from msgs.files.shipped import CHECKOUT
-from msgs.link import keys as curve_keys
 from msgs.values.diagnostics import LogRecord, NodeStatus
 from msgs.values.vehicle import VehicleState
 
@@ -83,7 +83,7 @@ class Side:
         self.bus = ZmqBus("observer", self.run_dir)
         for topic in (_DIAGNOSTICS, "log"):
             self.bus.subscribe(topic)
-        command = [sys.executable, "-P", "-m", "nodes.node", "nodes.link", "--name", f"link_{name}"]
+        command = [sys.executable, "-P", "-m", "nodes.node", "contrib.two_machines.link", "--name", f"link_{name}"]
         command += ["--run-dir", str(self.run_dir), "--params", json.dumps(params), "--die-with", str(os.getpid())]
         self._said_to = (folder / f"{name}.log").open("w+")
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}

@@ -33,11 +33,11 @@ import yaml
 
 from benchmarks.live.live_graph import QUANTILES, quantiles
 from benchmarks.transport.net import Host, Wire, why_no_namespaces
+from contrib.two_machines import keys as curve_keys
 from mirrorwave.plots.markdown import table
 from msgs.bus.interface import Received
 from msgs.bus.zmq import ZmqBus
 from msgs.files.shipped import CHECKOUT
-from msgs.link import keys as curve_keys
 from msgs.values.diagnostics import NodeStatus
 from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND

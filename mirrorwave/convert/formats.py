@@ -26,8 +26,8 @@ class Format(StrEnum):
 
 #: The module that writes each.
 WRITERS = {
-    Format.FOXGLOVE: "mirrorwave.convert.foxglove",
-    Format.ROS2: "mirrorwave.convert.ros2",
+    Format.FOXGLOVE: "contrib.foxglove.foxglove_recording",
+    Format.ROS2: "contrib.ros2.ros2_recording",
     Format.SIGMF: "mirrorwave.convert.sigmf",
     Format.NUMPY: "mirrorwave.convert.numpy",
 }
@@ -92,7 +92,7 @@ def convert(source: Path, out: Path, target: Format, bar: Bar) -> Conversion:
 
 def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> Conversion:
     from msgs.files.whole_files import named_errors, require_room
-    from nodes.bridges.shapes import Account
+    from nodes.recording.shapes import Account
 
     summary = reader.info()
     held = {topic.topic: topic.messages for topic in summary.topics}

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from models.training.files import file_sha256
+from msgs.files.checksums import file_sha256
 from msgs.files.text_files import read_text
 from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingReader, RecordingWriter, whole_recording

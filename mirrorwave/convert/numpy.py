@@ -21,7 +21,7 @@ import numpy as np
 from msgs.bus.topics import TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.wording import as_utf8
-from nodes.bridges.shapes import Account, counted
+from nodes.recording.shapes import Account, counted
 
 INDEX_NAME = "index.json"
 INDEX_VERSION = 1

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture, write_capture
 from msgs.values.radar import RadarBeam, RadarSetup
-from nodes.bridges.shapes import Account, counted
+from nodes.recording.shapes import Account, counted
 
 TOPICS = ("radar/setup", "radar/beam")
 

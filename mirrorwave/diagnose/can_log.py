@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from mirrorwave.convert.can_log import log_states
-from models.perception.tracking.odometry import Odometry
+from models.perception.track.odometry import Odometry
 from models.vehicle.can_state import HARMLESS
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
 _OPTIONAL_TOPICS = frozenset({"environment/walls", *SIDE_TOPICS})
 #: Modules of nodes that read every topic.
-_TAKES_ALL = frozenset({"nodes.recorder", "nodes.bridges.foxglove"})
+_TAKES_ALL = frozenset({"nodes.recorder", "contrib.foxglove.bridge"})
 _LOG_BYTES = 1 << 18
 _ROOM_WARNING_BYTES, _ROOM_FAILED_BYTES = 5 * _GIB, 200 * _MIB
 _LOST = ("lost", "rejected")
@@ -278,7 +278,7 @@ def _why_no_message(graph: _Graph, topic: str, visited: tuple[str, ...]) -> str:
 
 def _inputs_of(graph: _Graph, name: str) -> list[str]:
     """Topics that a node makes its own of; a link has those from another host."""
-    if graph.entries.get(name, {}).get("module") == "nodes.link":
+    if graph.entries.get(name, {}).get("module") == "contrib.two_machines.link":
         return []
     rows = topic_rows(graph.heard[name])
     return [row["topic"] for row in rows if row["way"] == "in" and row["topic"] not in _SPARE_TOPICS | _OPTIONAL_TOPICS]
@@ -319,7 +319,7 @@ def check_room(check: str, folder: Path) -> Finding:
     return Finding(check, status, f"{free / _GIB:.1f} GiB free in {folder}: {free / 350e6:.0f} s of raw beams")
 
 
-_CAN_MODULES = ("nodes.vehicle_can", "nodes.can_out", "nodes.car_sim", "nodes.drivers.detections_radar")
+_CAN_MODULES = ("nodes.vehicle_can", "nodes.can_out", "nodes.car_sim", "contrib.boards.detections_radar")
 
 
 def _check_can(name: str, entry: dict[str, Any]) -> Iterator[Finding]:

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msgs.values.perception import PathClass
-from sim_player.effects.names import PATH_EFFECTS, PLUGGED_IN, bit
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import best_power_mw, hidden_objects
+from sim_player.paths.vertices import outbound_vertices
 from sim_player.planner.plan import BUDGET_DB, resolve_plan
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import best_power_mw, hidden_objects
-from sim_player.trace.vertices import outbound_vertices
+from sim_player.trace.effect_names import PATH_EFFECTS, PLUGGED_IN, bit
+from sim_player.trace.path_table import Paths
 
 
 class EchoPaths(NamedTuple):

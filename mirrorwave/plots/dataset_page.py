@@ -20,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mirrorwave.plots.style import legend_below
-from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.form.coarray import AzimuthInterpolator
 from msgs.values.perception import PathClass
 from msgs.values.radar import PRESETS, RangeAzimuthGrid
 from sim_player.dataset.statistics import Histogram, SceneRecord, Statistics, read_records

@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from mirrorwave.plots.style import BLACK, MIRROR_IMAGE, SEEN_DIRECTLY, handles_of, legend_of_figure, new_figure, save
 from msgs.values.perception import PathClass
 from msgs.values.wording import counted
-from sim_player.effects.names import bit
 from sim_player.scene.description import Scene
-from sim_player.trace.paths import Paths
+from sim_player.trace.effect_names import bit
+from sim_player.trace.path_table import Paths
 
 MATERIAL_COLOURS = {
     "glass": "#44aa99",

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from models.perception.detection.stage import DetectionStage
-from models.perception.forming.stage import FormingStage
-from models.perception.tracking.stage import ViewStage
+from models.perception.find.maps_to_peaks import DetectionStage
+from models.perception.form.beams_to_maps import FormingStage
+from models.perception.track.views_over_scans import ViewStage
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState

@@ -27,12 +27,22 @@ MAX_BYTES = 1 << 20
 #: The supervisor's own name on the bus.
 SUPERVISOR = "supervisor"
 RECORDER = "recorder"
+#: Nodes of plug-ins by the name that launch files gave them before they were plug-ins.
+FORMER_MODULES = {
+    "nodes.bridges.foxglove": "contrib.foxglove.bridge",
+    "nodes.bridges.ros2": "contrib.ros2.bridge",
+    "nodes.dca1000_radar": "contrib.boards.dca1000_radar",
+    "nodes.drivers.detections_radar": "contrib.boards.detections_radar",
+    "nodes.drivers.recorded_sensors": "contrib.imports.recorded_sensors",
+    "nodes.link": "contrib.two_machines.link",
+    "nodes.radar_driver": "contrib.boards.radar_driver",
+}
 RECORDER_MODULE = "nodes.recorder"
 VIEWER_MODULE = "nodes.bev_viewer"
 #: Hosts a group of nodes; its parameters are their modules and parameters by name.
 GROUP_MODULE = "nodes.process.group"
 #: Nodes that keep the token of their address while they are restarted.
-_TOKEN_MODULES = (VIEWER_MODULE, "nodes.bridges.foxglove")
+_TOKEN_MODULES = (VIEWER_MODULE, "contrib.foxglove.bridge")
 
 
 def _require_duration(name: str, value: float) -> None:
@@ -96,6 +106,7 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     process: str = ""
 
     def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "module", FORMER_MODULES.get(self.module, self.module))
         if not MODULE_NAME.fullmatch(self.module):
             raise ValueError(f"module must be a dotted module name, got {self.module!r}")
         for name in ("hang_timeout_s", "start_timeout_s"):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.perception.tracking.odometry import ScanOdometry
+from models.perception.track.odometry import ScanOdometry
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND

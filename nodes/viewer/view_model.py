@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from models.evaluation.object_error import object_distances
+from models.scores.object_error import object_distances
 from msgs.values.frames import Pose2
 from msgs.values.lidar import LidarPoints, LidarSetup
 from msgs.values.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility

@@ -1,1 +1,1 @@
-"""Bodies of known shape, meshes and primitives: their scattering centres and the fields of these."""
+"""Meshes of objects and what they send back."""

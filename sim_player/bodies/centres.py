@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from sim_player.bodies.fields import FACE_CORNERS
-from sim_player.scene.meshes import Mesh, cylinder
-from sim_player.trace.mesh_rcs import (
+from sim_player.bodies.mesh_rcs import (
     _any_free,
     _reflection_table,
     _search_tree,
@@ -33,6 +32,7 @@ from sim_player.trace.mesh_rcs import (
     cut_triangles,
     triangle_areas,
 )
+from sim_player.bodies.meshes import Mesh, cylinder
 
 CELL_M, WHOLE_M = 0.15, 0.5
 #: Longest side of a triangle, and how straight its phase is to be for a radar at the distance of the start: 0.1 m at

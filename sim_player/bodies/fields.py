@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from models.compiled import compiled
-from sim_player.trace.mesh_rcs import _ahead, _cross, _dot, _first_hit, _lookup, _radiated, _reflected, _row, _sinc
+from sim_player.bodies.mesh_rcs import _ahead, _cross, _dot, _first_hit, _lookup, _radiated, _reflected, _row, _sinc
 
 #: Largest number of corners of a face, and of such a face cut by two beams.
 FACE_CORNERS, CUT_CORNERS = 12, 48

@@ -16,13 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from models.perception.forming.ra_forming import (
-    BeamFolder,
-    EgoCorrection,
-    FormingParams,
-    beam_middle_s,
-    ego_correction,
-)
+from models.perception.form.ra_forming import BeamFolder, EgoCorrection, FormingParams, beam_middle_s, ego_correction
 from models.physics.waveform import window_noise_gain
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import TruthObject
@@ -30,6 +24,7 @@ from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState, ego_motion
 from sim_player.dataset.labelled_scan import BASIC_USED, WINDOW, Labels, label_points, without_converter
+from sim_player.paths.truth import hidden_objects, labelled, visible_paths
 from sim_player.planner.plan import Plan
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene
@@ -37,8 +32,7 @@ from sim_player.scene.world import radar_pose
 from sim_player.signal.levels import RANGE_BINS, noise_density_mw, with_electronics
 from sim_player.signal.slow_time_profiles import converter_objection, group_noise, group_profiles
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.paths import Paths
-from sim_player.trace.truth import hidden_objects, labelled, visible_paths
+from sim_player.trace.path_table import Paths
 
 #: Vehicle states of a scan, evenly over it: 50 Hz at the default radar.
 STATES_PER_SCAN = 15

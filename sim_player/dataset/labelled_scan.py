@@ -19,6 +19,8 @@ from msgs.values.perception import TruthObject
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
+from sim_player.paths.ray_tracing import BASIC_EFFECTS, trace
+from sim_player.paths.truth import best_power_mw, hidden_objects, true_objects, visible_paths
 from sim_player.planner.plan import Plan, air_power_mw, manual_plan, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
 from sim_player.planner.purposes import Purpose, purpose_of
@@ -27,9 +29,7 @@ from sim_player.scene.world import World, prepare
 from sim_player.signal.fmcw import beam_weights
 from sim_player.signal.levels import RANGE_BINS, kernel_objections, noise_profiles
 from sim_player.signal.switches import IDEAL
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace
-from sim_player.trace.truth import best_power_mw, hidden_objects, true_objects, visible_paths
+from sim_player.trace.path_table import Paths
 
 WINDOW = "hann"
 #: The receiver of the basic signal chain: its converter does not round.
@@ -46,7 +46,7 @@ WALL = "wall"
 class Labels:
     """Truth points of one scene, strongest first, N of them; one for each LOS or mirrored echo that can be resolved.
 
-    Points come from geometric paths alone (`sim_player.trace.truth.labelled`): direct sight, one mirror, two mirrors.
+    Points come from geometric paths alone (`sim_player.paths.truth.labelled`): direct sight, one mirror, two mirrors.
     """
 
     range_m: np.ndarray

@@ -20,6 +20,15 @@ from msgs.values.frames import Pose2
 from msgs.values.radar import speed_codes
 from msgs.values.units import ratio_from_db
 from msgs.values.wording import counted
+from sim_player.dataset.domain_shift import (
+    HARD,
+    SHIFTS,
+    BoardFaults,
+    Shift,
+    domain_shifted_scene,
+    draw_faults,
+    faulty_profiles,
+)
 from sim_player.dataset.labelled_drive import DriveScan, LabelledDrive
 from sim_player.dataset.labelled_scan import (
     LABELS,
@@ -31,15 +40,6 @@ from sim_player.dataset.labelled_scan import (
     stronger,
 )
 from sim_player.effects.table import check_effects
-from sim_player.generate.domain_shift import (
-    HARD,
-    SHIFTS,
-    BoardFaults,
-    Shift,
-    domain_shifted_scene,
-    draw_faults,
-    faulty_profiles,
-)
 from sim_player.generate.drives import STREET_MIX, draw_drive
 from sim_player.generate.layouts import PlaceKind
 from sim_player.generate.places import PLACE_KINDS, Place, draw_place
@@ -47,8 +47,8 @@ from sim_player.generate.streets import random_street
 from sim_player.generate.wall_kinds import Preset
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import PRESETS, Scene, scene_to_yaml
+from sim_player.scene.wall_priors import POOR, scene_walls
 from sim_player.signal.levels import RANGE_BINS
-from sim_player.wall_priors import POOR, scene_walls
 
 #: Any type of place or one of them; `street_v1` is the first series, of `sim_player.generate.streets.random_street`.
 Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection", "street_v1"]
@@ -73,7 +73,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     `sim_player.signal.fmcw`), or names; None: "basic" for `street_v1`, else "auto". purpose: a word of
     `sim_player.planner.purposes`, for plans alone, None: "objects"; labels are those of all effects. `street_v1` has no
     77 GHz scenes. shift: "hard" makes the places rougher and fuller, and the board faulty
-    (`sim_player.generate.domain_shift`), whose faults are those of steered beams. scans: a scene is one of so many
+    (`sim_player.dataset.domain_shift`), whose faults are those of steered beams. scans: a scene is one of so many
     consecutive scans of a drive (`sim_player.generate.drives`) at its true pace; None: a place at rest. truth: the
     facts list all objects, as those of drives always do.
     """

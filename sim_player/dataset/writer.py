@@ -3,7 +3,7 @@
 A new data set has all four types of place (`sim_player.generate.places.random_place`), and for each scene the effects
 that its map calls for under -20 dB. The first series, random streets with the basic effects, is `places="street_v1"`:
 its profiles and first labels are those of the first version of this module. `shift="hard"` is the second test
-set: the same places rougher and fuller, seen by a faulty board (`sim_player.generate.domain_shift`).
+set: the same places rougher and fuller, seen by a faulty board (`sim_player.dataset.domain_shift`).
 
 A folder holds `series.json` (generator, preset, effects, budget, purpose, shift: another series is refused), shards,
 and `manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n scenes:

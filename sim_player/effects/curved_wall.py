@@ -9,12 +9,12 @@ import numpy as np
 
 from models.physics.curved_mirror import bounces
 from sim_player.effects.los_surfaces import flash_weight
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import all_below_top
+from sim_player.scene.segments import free_segments
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.bounce import all_below_top
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import Routes, clear_ways, dot, join_routes, make_routes, mirror_routes, no_routes
-from sim_player.trace.segments import free_segments
 from sim_player.trace.snapshot import TraceContext
 
 

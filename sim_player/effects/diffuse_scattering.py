@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.physics.rough_lobe import RoughLobe, rough_lobe
-from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import dot, scatterer_routes
 from sim_player.trace.snapshot import TraceContext
 

@@ -22,12 +22,12 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.diffraction import passed_edge_at, wedge_terms_at
 from msgs.values.array_table import ArrayTable
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import bounce
+from sim_player.scene.segments import crossing_factor, is_clear, is_screened, may_pass, series
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, join_routes, owners
-from sim_player.trace.segments import crossing_factor, is_clear, is_screened, may_pass, series
 from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).

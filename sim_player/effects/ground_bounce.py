@@ -13,10 +13,11 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.fresnel import half_space_at
 from models.physics.mirror import mirrored
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import below_top, bounce, coherent_field
+from sim_player.scene.segments import series
 from sim_player.scene.world import World
-from sim_player.trace.bounce import below_top, bounce, coherent_field
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import (
     ROUTE,
     Routes,
@@ -26,7 +27,6 @@ from sim_player.trace.routes import (
     join_routes,
     plane_bounces,
 )
-from sim_player.trace.segments import series
 from sim_player.trace.snapshot import TraceContext
 
 _GROUND = bit("ground_bounce")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, object_echoes
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import clear_ways
 from sim_player.trace.snapshot import TraceContext
 

@@ -22,13 +22,13 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.diffraction import FADES_TO, passed_edge_at, reflected_term_at, wedge_terms_at
 from sim_player.effects.edge_diffraction import turn_from_face
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import bounce
+from sim_player.scene.segments import VOLUME, series
 from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, join_routes, scatterer_routes
-from sim_player.trace.segments import VOLUME, series
 from sim_player.trace.snapshot import TraceContext
 
 #: Ends that send back less than this of a mirror as far away send nothing: such are joints of one facade.

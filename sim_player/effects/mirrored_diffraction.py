@@ -31,10 +31,11 @@ from sim_player.effects.edge_diffraction import (
     stands_beside,
     turn_from_face,
 )
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import below_top, bounce
+from sim_player.scene.segments import Blockers, is_clear, is_screened, may_pass, series
 from sim_player.scene.world import Snapshot, World, wall_lines
-from sim_player.trace.bounce import below_top, bounce
 from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import (
     ROUTE,
     Routes,
@@ -45,7 +46,6 @@ from sim_player.trace.routes import (
     join_routes,
     owners,
 )
-from sim_player.trace.segments import Blockers, is_clear, is_screened, may_pass, series
 from sim_player.trace.snapshot import TraceContext
 
 _BENT, _THROUGH = bit("mirrored_diffraction"), bit("wall_transmission")
@@ -241,7 +241,7 @@ def _mirror_first(antenna, ends, table, mirrors, scene, least, walls):  # type: 
             to_source = turn_from_face(ix - x, iy - y, face_rad, sense)
             if to_source >= n_half * np.pi:
                 continue
-            # which edges stand in a mirror is known of what nothing hides there (`sim_player.scene.reach`)
+            # which edges stand in a mirror is known of what nothing hides there (`sim_player.paths.reach`)
             if not may_pass((start, (at[0], at[1], top), (x, y, top)), pieces, False):
                 continue
             is_open = is_clear((start, (at[0], at[1], low), (x, y, low)), pieces)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, object_echoes, same_target
+from sim_player.trace.effect_names import bit
 from sim_player.trace.snapshot import TraceContext
 
 

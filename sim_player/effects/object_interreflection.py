@@ -11,11 +11,11 @@ import math
 import numpy as np
 
 from models.compiled import compiled
-from sim_player.effects.names import bit
+from sim_player.scene.segments import series
 from sim_player.scene.world import World
 from sim_player.trace.echoes import ECHO, Echoes, fill_echo, rate_of, rcs_towards
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import NEAREST_M, direction_of, grown
-from sim_player.trace.segments import series
 from sim_player.trace.snapshot import TraceContext
 
 _LIT = bit("object_interreflection")

@@ -20,10 +20,11 @@ from models.physics.diffraction import FADES_TO, passed_edge_at, passed_share_at
 from models.physics.mirror import mirrored
 from sim_player.effects.curved_wall import arc_routes
 from sim_player.effects.los_surfaces import END_SLACK_M, flash_weight
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import all_below_top, below_top, bounce
+from sim_player.scene.segments import STRAIGHT_SAGITTA, series
 from sim_player.scene.world import LIT_MARGIN, Snapshot, World
-from sim_player.trace.bounce import all_below_top, below_top, bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import (
     LIT_SHARE,
     NEAREST_M,
@@ -42,7 +43,6 @@ from sim_player.trace.routes import (
     owners,
     plane_bounces,
 )
-from sim_player.trace.segments import STRAIGHT_SAGITTA, series
 from sim_player.trace.snapshot import TraceContext
 
 #: What `_seconds` says of a view in which every wall may be seen in every other.

@@ -33,10 +33,10 @@ from sim_player.effects import (
     wall_transmission,
     weights,
 )
-from sim_player.effects.names import MAX_PATH_EFFECTS, PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.scene.world import World
 from sim_player.signal import absences
 from sim_player.trace.echoes import Echoes
+from sim_player.trace.effect_names import MAX_PATH_EFFECTS, PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.trace.snapshot import TraceContext
 
 _LOG = logging.getLogger(__name__)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_player.effects.names import bit
+from sim_player.scene.segments import Occlusion
 from sim_player.scene.world import World
 from sim_player.trace.echoes import LEAST_BOTH, Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import Routes, join_routes
-from sim_player.trace.segments import Occlusion
 from sim_player.trace.snapshot import TraceContext
 
 

@@ -12,11 +12,11 @@ from msgs.values.perception import SceneTruth
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, optical_paths, spad_histograms
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import scene_truth
 from sim_player.scene.clear_path import ego_meeting, meeting_text
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import scene_truth
 
 #: Azimuths for which a scene that moves is frozen together, at the start of the first: 0.24 s with Table 2.
 BLOCK = 8

@@ -40,8 +40,8 @@ from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, patches_of
+from sim_player.scene.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_segments
 from sim_player.scene.world import Snapshot, World, snapshot
-from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_segments
 
 #: Largest number of mirrors on a ray.
 MIRRORS = 2

@@ -12,22 +12,22 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from msgs.values.radar import RadarParams, RadarSetup
-from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, SIGNAL
+from sim_player.paths.conversion import as_paths
+from sim_player.paths.ray_tracing import trace_echoes
+from sim_player.paths.reach import reachable_snapshot
 from sim_player.planner.cells import cells_of
 from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, error, evaluate
 from sim_player.planner.purposes import LEAST, Purpose
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
-from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.clutter import profile_power_mw
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import iq_factors, leakage_profile, spur_profile
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.conversion import as_paths
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace_echoes
+from sim_player.trace.effect_names import bit
+from sim_player.trace.path_table import Paths
 
 #: Noise is taken off what surely stands in a cell at this many rms; it stands against it by more in 8 of 10^9 cells.
 SIGMAS = 4.0

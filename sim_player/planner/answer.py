@@ -21,7 +21,7 @@ from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.receiver import iq_factors
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 #: What terms along the sweep may leave out in a range bin, and the overlap of the weakest, of what errors may take.
 TERMS_SHARE = 0.4

@@ -1,6 +1,6 @@
 """The cells in which a plan's law holds: range bins of every steering angle, and of every azimuth of the map.
 
-Both are one linear step apart: the map is the co-array inversion of the beams (`models.perception.forming.coarray`).
+Both are one linear step apart: the map is the co-array inversion of the beams (`models.perception.form.coarray`).
 What is bounded in the beams is bounded on the map by the inversion's magnitudes.
 """
 
@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from models.compiled import compiled
-from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.form.coarray import AzimuthInterpolator
 from msgs.values.radar import ArrayParams, BeamGrid, ElementPattern, RadarParams, RadarSetup
 from sim_player.planner.purposes import LEAST, Purpose
 

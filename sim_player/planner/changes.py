@@ -17,6 +17,7 @@ from models.physics.waveform import window_noise_gain
 from msgs.values.radar import RadarParams
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, ArrayEffect, PathEffect, WeightEffect
+from sim_player.paths.conversion import as_paths, weights
 from sim_player.planner.ablation import FAR_SIGMAS, Change, EffectAblation
 from sim_player.planner.sweep_terms import SweepTerms
 from sim_player.signal.receiver import (
@@ -24,7 +25,6 @@ from sim_player.signal.receiver import (
     flicker_ratio,
     quantisation_power_mw,
 )
-from sim_player.trace.conversion import as_paths, weights
 from sim_player.trace.snapshot import TraceContext
 
 #: Field that stands for a change without bound.

@@ -29,25 +29,25 @@ import numpy as np
 
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
-from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, WEIGHTS, check_effects
+from sim_player.paths.conversion import as_paths, weights
+from sim_player.paths.path_tracks import scene_step_s
+from sim_player.paths.ray_tracing import trace_echoes
+from sim_player.paths.reach import reachable_snapshot
 from sim_player.planner.ablation import FAR_SIGMAS, EffectAblation, clutter_rms, signal_effects
 from sim_player.planner.answer import Law, evaluated
 from sim_player.planner.changes import change_of
 from sim_player.planner.purposes import Purpose
 from sim_player.planner.weakest import WEIGHT_SHARE, Choice, Weakest
-from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.clutter import clutter_profiles, profile_power_mw
 from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import dither_objection
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.conversion import as_paths, weights
 from sim_player.trace.echoes import Echoes
-from sim_player.trace.path_tracks import scene_step_s
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace_echoes
+from sim_player.trace.effect_names import bit
+from sim_player.trace.path_table import Paths
 
 BUDGET_DB = -20.0
 #: So many paths that lack squint or overlap have a signal of their own.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from models.perception.detection.ridges import RidgeParams
+from models.perception.find.ridges import RidgeParams
 
 
 class Purpose(StrEnum):

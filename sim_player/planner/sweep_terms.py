@@ -19,7 +19,7 @@ from msgs.values.radar import RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.switches import SignalEffects, column_weights, isotropic, overlap_samples, sweep_ratio
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 MAX_TERMS = 12
 

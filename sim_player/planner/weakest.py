@@ -1,6 +1,6 @@
 """What a scene can do without, by magnitudes alone: no phase is asked, so it holds while everything moves.
 
-From one instant of tracing to the next (`sim_player.trace.path_tracks`) the field of a path stays under the larger of
+From one instant of tracing to the next (`sim_player.paths.path_tracks`) the field of a path stays under the larger of
 its two ends, its direction and its range between them; one that comes or goes is carried on by its rate. A scene at
 rest has one instant, which is both ends. So the weakest paths go as long as their magnitudes, added up without phases,
 stay in every range bin of every beam under a share of
@@ -13,7 +13,7 @@ whichever instants its beams are from.
 
 A choice holds to the next instant of tracing, where paths are known that are not yet known here. What is not weak over
 a whole span is kept, so a path that comes into view is there from the instant before. Paths that make truth points
-(`sim_player.trace.truth`) are kept whatever their size: labels are those of everything.
+(`sim_player.paths.truth`) are kept whatever their size: labels are those of everything.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from models.physics.antenna import element_field
 from models.physics.waveform import beat_frequency_hz, window_noise_gain
 from msgs.values.radar import ArrayParams, ElementPattern, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
+from sim_player.paths.truth import VISIBLE_SNR_DB, labelled
 from sim_player.planner.cells import cells_of
 from sim_player.planner.evaluation import hann_skirt, head_area, head_height, skirt
 from sim_player.planner.purposes import LEAST, Purpose
@@ -36,8 +37,7 @@ from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.receiver import iq_factors
 from sim_player.signal.switches import SignalEffects, column_weights, isotropic
-from sim_player.trace.paths import Paths
-from sim_player.trace.truth import VISIBLE_SNR_DB, labelled
+from sim_player.trace.path_table import Paths
 
 #: Range bins to either side in which the skirts of the window count one by one; beyond, a path has the same in all, and
 #: all of these together this share of what is allowed.

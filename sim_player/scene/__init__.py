@@ -1,1 +1,1 @@
-"""A scene: its description, its objects and materials, and its frozen state at a time."""
+"""What stands there: descriptions, walls, objects, the air, and what is in whose way."""

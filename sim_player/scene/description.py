@@ -37,8 +37,8 @@ from msgs.values.radar import (
     orthogonal_beams,
 )
 from msgs.values.units import SPEED_OF_LIGHT_MPS, db_from_ratio
+from sim_player.bodies.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 from sim_player.scene.front_end import FrontEnd
-from sim_player.scene.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 
 #: Larger files are no scenes.
 MAX_BYTES = 1 << 20
@@ -183,12 +183,12 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     class_: ObjectClass | None = msgspec.field(name="class", default=None)
-    #: File, relative to the scene's; formats as in `sim_player.scene.meshes.load_mesh`.
+    #: File, relative to the scene's; formats as in `sim_player.bodies.meshes.load_mesh`.
     mesh: str | None = None
     unit: Unit = "m"
     #: None: as defined by the format, else z.
     up: UpAxis | None = None
-    #: Sizes that `sim_player.scene.meshes.PRIMITIVES` lists for it.
+    #: Sizes that `sim_player.bodies.meshes.PRIMITIVES` lists for it.
     primitive: Primitive | None = None
     size_m: tuple[float, ...] = ()
     material: str = "metal"

@@ -19,12 +19,12 @@ from msgs.values.frames import Pose2
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.vehicle import ego_motion
 from sim_player.bodies.centres import Bodies, Body, body_of, joined_bodies
+from sim_player.scene.bounce import Builds, Layers, all_bounces, builds_of
 from sim_player.scene.coincident import Stretches, WallPieces, cut_coincident
 from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
 from sim_player.scene.road_users import ScatteringCentres, scattering_centres
+from sim_player.scene.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers, as_bent
 from sim_player.scene.wall_ends import Corners, EndNodes, WallEnds, corners_of, end_nodes, share_an_end, wall_ends
-from sim_player.trace.bounce import Builds, Layers, all_bounces, builds_of
-from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers, as_bent
 
 T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
@@ -93,7 +93,7 @@ class World:
     centre_id: np.ndarray
     #: What the scene draws twice in one place and is left out (`sim_player.scene.coincident`), one line each.
     left_out: tuple[str, ...] = ()
-    #: Half round trip up to which a part of a world has all paths of the whole (`sim_player.scene.reach`).
+    #: Half round trip up to which a part of a world has all paths of the whole (`sim_player.paths.reach`).
     reach_m: float = math.inf
 
     @cached_property

@@ -17,7 +17,7 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.fmcw import SlowTimeTable
 from sim_player.signal.switches import SignalEffects, column_weights, isotropic, previous_length_m, sampled
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 #: Paths that the compiled loops work on at a time.
 BLOCK = 256

@@ -18,7 +18,7 @@ from scipy import fft
 from models.compiled import compiled
 from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 #: Gridding kernel: width in grid steps and oversampling. 12 at 2 is exact to about 1e-10 of the strongest tone.
 KERNEL_WIDTH, OVERSAMPLING = 12, 2

@@ -64,7 +64,7 @@ from sim_player.signal.swept_echoes import (
     swept_echoes,
 )
 from sim_player.signal.switches import PLAIN, SignalEffects, overlap_samples
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 RANGE_BINS = 512
 #: One beam as sum_r carrier[c] basis[r, c] beats[r]: beats [terms, samples], carrier [chirps], basis [terms, chirps].

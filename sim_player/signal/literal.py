@@ -17,7 +17,7 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import NO_FAULTS, FrontEnd
 from sim_player.signal.levels import hann_profiles
 from sim_player.signal.switches import PLAIN, SignalEffects, column_weights, isotropic, sampled, sweep_ratio
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 
 def literal_echoes(

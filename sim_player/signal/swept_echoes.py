@@ -28,7 +28,7 @@ from sim_player.signal.switches import (
     sampled,
     sweep_ratio,
 )
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 #: Largest error of the interpolation along the chirp, relative to the array's peak.
 TOLERANCE = {"float64": 1e-11, "float32": 1e-5}

@@ -1,1 +1,1 @@
-"""Ray tracing: paths of echoes, their segments and vertices, and the truth they give."""
+"""Ways of echoes as the effects make them: routes, echoes, the table of paths."""

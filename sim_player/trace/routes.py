@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from models.compiled import compiled
-from sim_player.effects.names import bit
+from sim_player.scene.bounce import all_below_top, below_top, bounce
+from sim_player.scene.segments import Blockers, Occlusion, all_faded, is_left, passage, without
 from sim_player.scene.world import LIT_MARGIN, Snapshot
-from sim_player.trace.bounce import all_below_top, below_top, bounce
+from sim_player.trace.effect_names import bit
 from sim_player.trace.row_table import Column, RowTable
-from sim_player.trace.segments import Blockers, Occlusion, all_faded, is_left, passage, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1

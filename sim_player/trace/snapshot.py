@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from sim_player.scene.segments import LEAST_LEFT, Occlusion
 from sim_player.scene.world import Snapshot
 from sim_player.trace.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
-from sim_player.trace.segments import LEAST_LEFT, Occlusion
 
 
 @dataclass

@@ -66,7 +66,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
     (r"--scans \d+", "--scans 2"),
     *WITHOUT_DDS,
-    # two machines in one folder; the nodes that link them run in tests/nodes/test_link.py
+    # two machines in one folder; the nodes that link them run in tests/contrib/two_machines/test_link.py
     (r"^scp keys/(\S+) \w+:(\S+)$", r"cp keys/\1 \2"),
     (r"^mirrorwave launch (launch/two_hosts_\S+).*$", r"mirrorwave graph \1"),
     (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 2\2"),
@@ -87,7 +87,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r" --full$| --full ", " "),
     (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
-    # likewise, tests/mirrorwave/studies/tradeoff/test_simulator.py
+    # likewise, tests/lab/tradeoff/test_simulator.py
     (r"^mirrorwave tradeoff --simulator.*$", "mirrorwave tradeoff --simulator --help"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here
     (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),

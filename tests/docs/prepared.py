@@ -10,14 +10,14 @@ from pathlib import Path
 
 import can
 
+from lab.tradeoff import latency_budget
 from mirrorwave.cli import main
-from mirrorwave.studies.tradeoff import latency_budget
 from msgs.recording.mcap import RecordingReader
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
+from tests.contrib.boards.test_import_dca1000 import CFG, point, two_lanes
 from tests.mirrorwave.commands.captures.test_can import write_drive
-from tests.mirrorwave.convert.test_dca1000 import CFG, point, two_lanes
 
 SMALL = ["-p", "player.chirps_per_beam=8"]
 #: How long a graph may run until it has said everything.

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from mirrorwave.api import Perception
-from models.perception.detection.onnx_model import DensePredictor
+from models.perception.find.onnx_model import DensePredictor
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap

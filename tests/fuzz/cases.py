@@ -19,12 +19,18 @@ import msgspec
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper, save
 
+from contrib.boards import dca1000_radar, detections_radar, radar_driver
+from contrib.boards import dca1000_socket as dca1000
+from contrib.boards.dca1000_packets import datagram
+from contrib.boards.target_list import TargetListReader
+from contrib.imports import recorded_sensors
+from contrib.ros2 import bridge as ros2
+from contrib.ros2.ros2_types import type_store
+from contrib.two_machines import link
 from fuzz.seeds import CFG
-from models.perception.detection.encoding import Encoding
-from models.perception.detection.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
-from models.perception.tracking.scan_state import MemoryParams
-from models.sensors.dca1000_packets import datagram
-from models.sensors.target_list import TargetListReader
+from models.perception.find.encoding import Encoding
+from models.perception.find.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
+from models.perception.track.scan_state import MemoryParams
 from models.vehicle.can_state import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
@@ -62,22 +68,16 @@ from nodes import (
     bev_viewer,
     can_out,
     car_sim,
-    dca1000_radar,
     dense_predictor,
     detection_peaks,
     geometry,
     lidar_former,
-    link,
     player,
     ra_former,
-    radar_driver,
     recorder,
     vehicle_can,
 )
-from nodes.bridges import ros2
-from nodes.bridges.ros2_types import type_store
 from nodes.can.bus import CanLink, load_dbc, load_mapping
-from nodes.drivers import dca1000, detections_radar, recorded_sensors
 from nodes.node import Node
 from nodes.recording import snapshot_recorder
 from nodes.recording.files import as_recorded
@@ -744,8 +744,8 @@ CASES: dict[str, Case] = {
     "player": Case(
         make_player, all_talk(), "nodes.player", lambda folder: {"capture": str(write_recording(folder, None))}
     ),
-    "dca1000_radar": Case(make_dca1000_radar, (), "nodes.dca1000_radar", card_params),
-    "radar_driver": Case(make_radar_driver, (), "nodes.radar_driver"),
+    "dca1000_radar": Case(make_dca1000_radar, (), "contrib.boards.dca1000_radar", card_params),
+    "radar_driver": Case(make_radar_driver, (), "contrib.boards.radar_driver"),
     "ra_former": Case(
         make_ra_former,
         [*radar_talk(), Said("radar/setup", DIGITAL), *radar_scan(9, 10**10, DIGITAL)],
@@ -766,13 +766,13 @@ CASES: dict[str, Case] = {
     ),
     "geometry": Case(make_geometry, peaks_talk(), "nodes.geometry", talk=peaks_talk, remembered=("tracks",)),
     "recorded_sensors": Case(
-        make_recorded_sensors, (), "nodes.drivers.recorded_sensors", lambda folder: {"sources": [str(rig(folder))]}
+        make_recorded_sensors, (), "contrib.imports.recorded_sensors", lambda folder: {"sources": [str(rig(folder))]}
     ),
     "detections_radar": Case(
-        make_detections_radar, (), "nodes.drivers.detections_radar", lambda folder: {"interface": "virtual"}
+        make_detections_radar, (), "contrib.boards.detections_radar", lambda folder: {"interface": "virtual"}
     ),
     "vehicle_can": Case(make_vehicle_can, (), "nodes.vehicle_can", lambda folder: {"interface": "virtual"}),
-    "link": Case(make_link, all_talk(), "nodes.link", lambda folder: dict(LINK)),
+    "link": Case(make_link, all_talk(), "contrib.two_machines.link", lambda folder: dict(LINK)),
     "can_out": Case(
         make_can_out,
         [Said("perception/hidden_objects", view(i, i * PERIOD_NS)) for i in range(3)],
@@ -780,7 +780,7 @@ CASES: dict[str, Case] = {
         lambda folder: {"interface": "virtual"},
     ),
     "car_sim": Case(make_car_sim, (), "nodes.car_sim", lambda folder: {"interface": "virtual"}),
-    "ros2": Case(make_ros2, all_talk(), "nodes.bridges.ros2"),
+    "ros2": Case(make_ros2, all_talk(), "contrib.ros2.bridge"),
     "bev_viewer": Case(make_viewer, all_talk(), "nodes.bev_viewer"),
     "recorder": Case(make_recorder, all_talk(), "nodes.recorder", lambda folder: {"path": str(folder / "out.mcap")}),
     "snapshot_recorder": Case(

@@ -8,14 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.peaks import PeakParams
-from models.perception.detection.ridges import RidgeParams
-from models.perception.forming.coarray import _solve_each, require_formable
-from models.perception.forming.photon_map import MAX_CELLS, MAX_TIMES
+from contrib.two_machines.peer_clock import ClockSample, PeerClock
+from contrib.two_machines.peer_messages import PeerMessages
+from models.perception.find.peaks import PeakParams
+from models.perception.find.ridges import RidgeParams
+from models.perception.form.coarray import _solve_each, require_formable
+from models.perception.form.photon_map import MAX_CELLS, MAX_TIMES
 from msgs.bus.codec import encode
 from msgs.bus.interface import Envelope, Received
-from msgs.link.peer_clock import ClockSample, PeerClock
-from msgs.link.peer_messages import PeerMessages
 from msgs.values.arrays import MAX_STAMP_NS
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import SpadParams

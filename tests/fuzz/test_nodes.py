@@ -24,14 +24,15 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from models.perception.forming import stage as forming_stage
-from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import FormingParams
+from contrib.boards import dca1000_radar, radar_driver
+from models.perception.form import beams_to_maps as forming_stage
+from models.perception.form.ra_former import RaFormer
+from models.perception.form.ra_forming import FormingParams
 from msgs.bus.codec import decode, encode
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
-from nodes import bev_viewer, dca1000_radar, radar_driver
+from nodes import bev_viewer
 from nodes.can import bus as can_link
 from nodes.node import Node, load_node
 from nodes.recording import snapshot_recorder

@@ -11,13 +11,13 @@ from random import Random
 import pytest
 from rich.console import Console
 
+from lab.compare import comparison_report as compare
+from lab.tradeoff import row_report as tradeoff
 from mirrorwave import console
 from mirrorwave.cli import main
 from mirrorwave.commands.graph import nodes, top
 from mirrorwave.console import console_table, print_table, progress_bar
 from mirrorwave.plots.scoreboard import Scoreboard
-from mirrorwave.studies.compare import report as compare
-from mirrorwave.studies.tradeoff import report as tradeoff
 from msgs.files.shipped import LAUNCH, SAMPLE
 from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
 from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObject

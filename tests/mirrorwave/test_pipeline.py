@@ -21,7 +21,7 @@ from msgs.values.radar import RadarBeam
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph, Node, load_node
 from nodes.player import Params, capture_events, scene_events, scene_player, with_walls
-from tests.models.perception.detections.street import detections, standing_speeds, street_points
+from tests.models.perception.target_lists.street import detections, standing_speeds, street_points
 
 DRIVE, SPAD = "launch/drives/side_street.yaml", "launch/scenes/hidden_car_spad.yaml"
 CFAR = ["dense_predictor.method=cfar"]

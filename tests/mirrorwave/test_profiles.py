@@ -15,13 +15,14 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 import mirrorwave.commands.graph.launch as launch_verb
+from lab.evaluate.labelled_beams import LabelledPlace
 from mirrorwave.cli import main
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.offline import launch_for
 from mirrorwave.profiles import over_default, profile_names, read_profile
-from models.perception.detection.detectors import CfarDetector, NetworkDetector
-from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.perception.geometry.confidence import FittedConfidences, load_confidence
+from models.perception.find.detectors import CfarDetector, NetworkDetector
+from models.perception.find.onnx_model import DEFAULT_MODEL
+from models.perception.mirrors.confidence import FittedConfidences, load_confidence
 from msgs.files.shipped import LAUNCH, WEIGHTS
 from msgs.values.perception import HiddenObject
 from msgs.values.radar import RadarBeam, RadarSetup
@@ -29,7 +30,6 @@ from nodes.geometry import Params, parts_of
 from nodes.player import Params as PlayerParams
 from nodes.player import scene_player
 from nodes.process.launch_file import LaunchFile, read_launch_file
-from sim_player.dataset.labelled_beams import LabelledPlace
 from tests.captures import DATA, needs
 
 ALLEY = DATA / "sigmf_alley"

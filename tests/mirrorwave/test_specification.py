@@ -10,25 +10,25 @@ import pytest
 import torch
 import yaml
 
-import mirrorwave.studies.evaluate.specification_table as table
+import lab.evaluate.specification_table as table
+from lab.evaluate.labelled_beams import LabelledPlace
+from lab.networks.residual_reflect_net import ResidualReflectNet
+from lab.networks.swin_unet import SwinUNetConfig
+from lab.tradeoff.rows import profile_setting, read_settings
+from lab.training.export.onnx import Exported, export_onnx, write_card
+from lab.training.export.residual import export_residual_onnx
+from lab.training.families import choice_of
 from mirrorwave.api import Perception
 from mirrorwave.cli import main
 from mirrorwave.profiles import PROFILES, profile_names, read_profile
-from mirrorwave.studies.tradeoff.settings import profile_setting, read_settings
-from models.networks.residual_reflect_net import ResidualReflectNet
-from models.networks.swin_unet import SwinUNetConfig
 from models.perception import cards
-from models.perception.detection.encoding import COMPLEX, Encoding, encode_map
-from models.perception.detection.onnx_model import DensePredictor, ModelCard
-from models.perception.detection.peaks import PeakParams, find_peaks
-from models.perception.geometry.published import PublishedParams, recover_published
-from models.perception.geometry.residual_model import LearnedResidual, ResidualCard
-from models.training.export.onnx import Exported, export_onnx, write_card
-from models.training.export.residual import export_residual_onnx
-from models.training.families import choice_of
+from models.perception.find.encoding import COMPLEX, Encoding, encode_map
+from models.perception.find.onnx_model import DensePredictor, ModelCard
+from models.perception.find.peaks import PeakParams, find_peaks
+from models.perception.mirrors.published import PublishedParams, recover_published
+from models.perception.mirrors.residual_model import LearnedResidual, ResidualCard
 from msgs.files.shipped import WEIGHTS
 from msgs.values.radar import RangeAzimuthGrid
-from sim_player.dataset.labelled_beams import LabelledPlace
 
 #: A network of the family that takes a second to write.
 SMALL = SwinUNetConfig(

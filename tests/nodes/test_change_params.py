@@ -7,13 +7,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from models.perception.geometry.stage import made_up_peaks
+from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam, RangeAzimuthMap
 from nodes import dense_predictor, geometry, ra_former
 from nodes.node import Node
-from tests.models.perception.forming.test_ra_forming import RADAR, SETUP, _scan
+from tests.models.perception.form.test_ra_forming import RADAR, SETUP, _scan
 from tests.nodes.test_detection_and_geometry import received
 
 

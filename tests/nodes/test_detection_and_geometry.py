@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.yaw_bias import limited
-from models.perception.detection.cfar import CfarParams
-from models.perception.detection.detectors import NetworkDetector, detector_name
-from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
-from models.perception.detection.peaks import PeakParams
-from models.perception.forming.ra_former import RaFormer
-from models.perception.geometry.stage import made_up_peaks
+from models.perception.find.cfar import CfarParams
+from models.perception.find.detectors import NetworkDetector, detector_name
+from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.find.peaks import PeakParams
+from models.perception.form.ra_former import RaFormer
+from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.environment import PriorWall, WallPriors
@@ -27,9 +27,9 @@ from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
 from tests.builders import example_map
-from tests.models.perception.evidence.networks_by_hand import echoes, empty_map, evidence_network
-from tests.models.perception.geometry.test_confidence import model, scan_of
-from tests.models.perception.tracking.test_yaw_rate_bias import drive, town, turns
+from tests.models.perception.mirrors.test_confidence import model, scan_of
+from tests.models.perception.see.networks_by_hand import echoes, empty_map, evidence_network
+from tests.models.perception.track.test_yaw_rate_bias import drive, town, turns
 
 
 def received(message: msgspec.Struct, topic: str) -> Received:

@@ -5,18 +5,12 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from models.perception.detections.sensor import DetectionSensor
+from models.perception.target_lists.sensor import DetectionSensor
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.vehicle import VehicleState
 from nodes import detection_peaks, geometry
-from tests.models.perception.detections.street import (
-    CAR_M,
-    SENSOR,
-    detections,
-    standing_speeds,
-    street_points,
-)
+from tests.models.perception.target_lists.street import CAR_M, SENSOR, detections, standing_speeds, street_points
 
 
 def received(topic: str, message: msgspec.Struct) -> Received:

@@ -14,13 +14,13 @@ MOVERS = (
     "nodes.player",
     "nodes.recorder",
     "nodes.recording.snapshot_recorder",
-    "nodes.link",
-    "nodes.radar_driver",
+    "contrib.two_machines.link",
+    "contrib.boards.radar_driver",
     "nodes.vehicle_can",
     "nodes.can_out",
     "nodes.car_sim",
     "nodes.bev_viewer",
-    "nodes.bridges.ros2",
+    "contrib.ros2.bridge",
     "nodes.process.supervisor",
 )
 #: Modules that one process imports in turn, and what must not have come along with them.

@@ -121,7 +121,7 @@ def test_a_source_rests_until_its_outputs_can_have_been_found(open_for_s: float 
     [
         ("nodes.player", SENSED_TOPICS),
         ("nodes.geometry", ()),
-        ("nodes.link", ()),
+        ("contrib.two_machines.link", ()),
         ("nodes.no_such_node", ()),
         ("plugin_without_dot", ()),
     ],

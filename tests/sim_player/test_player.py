@@ -13,13 +13,13 @@ from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.dataset.labelled_scan import clean_profiles
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import hidden_objects
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_weights
 from sim_player.signal.levels import beam_beats
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import hidden_objects
 
 FOLDER = CHECKOUT / "launch" / "scenes"
 HIDDEN_COUNT = {

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.annotation import pose_error
-from models.annotation.clouds import read_cloud
-from models.annotation.registration import import_open3d, looked_through, planar_cloud, plane_hold
-from models.annotation.slice_labels import in_sight
-from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
+from contrib.annotate.clouds import read_cloud
+from contrib.annotate.registration import import_open3d, looked_through, planar_cloud, plane_hold
+from contrib.annotate.simulated_clouds import LidarParams, Viewpoint, lidar_cloud, rigid
+from contrib.annotate.slice_labels import in_sight
 from sim_player.scene.description import scene_from_yaml
 from tests.stability.catalogue import Errors
 
@@ -25,7 +25,7 @@ surfaces:
 
 
 @pytest.mark.hard(
-    where="models.annotation.registration.plane_hold",
+    where="contrib.annotate.registration.plane_hold",
     naive="open3d's information matrix, which knows no normals",
     bound=0.01,
     unit="of a unit slide resisted",
@@ -60,7 +60,7 @@ def test_two_poses_that_are_nearly_one(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.annotation.slice_labels.in_sight",
+    where="contrib.annotate.slice_labels.in_sight",
     naive="own wall in the way like any other",
     bound=0.0,
     unit="of 400 points",
@@ -79,7 +79,7 @@ def test_a_wall_seen_edge_on(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.annotation.registration.Hold.unknown",
+    where="contrib.annotate.registration.Hold.unknown",
     naive="axis of the smallest eigenvalue",
     bound=0.0,
     unit="unknown motions not named",
@@ -96,7 +96,7 @@ def test_a_flat_cloud(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.annotation.clouds.read_cloud",
+    where="contrib.annotate.clouds.read_cloud",
     naive="zeros taken for points at the sensor",
     bound=0.003,
     unit="of the points in conflict",

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.cramer_rao import _TANGENTS, azimuth_response, windowed_bound
-from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
-from models.perception.geometry.observability import VisibilityParams, observability
+from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.perception.mirrors.observability import VisibilityParams, observability
 from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
 from models.physics.waveform import tone_profile, window_covariance
 from msgs.values.perception import BevGrid, Visibility, Wall
@@ -54,7 +54,7 @@ def _noise_gain(setup: RadarSetup, missing: tuple[int, ...] = ()) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.coarray",
+    where="models.perception.form.coarray",
     naive="least squares on the beams that came",
     bound=4.0,
     unit="dB",
@@ -67,7 +67,7 @@ def test_a_gap_of_three_beams(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.coarray",
+    where="models.perception.form.coarray",
     naive="least squares",
     bound=4.0,
     unit="dB",
@@ -127,7 +127,7 @@ def _largest_db(values: np.ndarray) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.coarray",
+    where="models.perception.form.coarray",
     naive="zeros in its place",
     bound=2e-4,
     unit="dB",
@@ -148,7 +148,7 @@ def test_a_missing_beam(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.coarray",
+    where="models.perception.form.coarray",
     naive="one coherent fit, untested",
     bound=0.2,
     unit="dB",
@@ -167,7 +167,7 @@ def test_a_mover(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.coarray",
+    where="models.perception.form.coarray",
     naive="exact phases assumed",
     bound=2e-5,
     unit="",
@@ -188,7 +188,7 @@ def test_quantised_phases(bits: int, errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.coarray",
+    where="models.perception.form.coarray",
     naive="energies summed in float32",
     bound=0.0,
     unit="of movers",
@@ -368,7 +368,7 @@ def test_what_no_sample_tells_has_no_finite_bound() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.observability",
+    where="models.perception.mirrors.observability",
     naive="both cross products on the wedge's side",
     bound=0.0,
     unit="of the cells in sight",

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.forming.background import background_of
-from models.perception.forming.front_end_faults import FaultMeter, FaultParams, sidebands_of
-from models.perception.forming.noise_floor import _median_mean
+from models.perception.form.background import background_of
+from models.perception.form.front_end_faults import FaultMeter, FaultParams, sidebands_of
+from models.perception.form.noise_floor import _median_mean
 from models.vehicle.mounting import Motion
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import ns_from_s
@@ -20,7 +20,7 @@ EPOCH_NS = 1_763_750_000_123_456_789
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.background.background_of",
+    where="models.perception.form.background.background_of",
     naive="plain mean over scans",
     bound=3.0,
     unit="rms of the background's noise",
@@ -42,7 +42,7 @@ def test_lorry_in_the_open_field(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.noise_floor._median_mean",
+    where="models.perception.form.noise_floor._median_mean",
     naive="mean power of the bins",
     bound=0.1,
     unit="dB",
@@ -82,7 +82,7 @@ def test_roundabout(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.front_end_faults.FaultMeter.imbalance",
+    where="models.perception.form.front_end_faults.FaultMeter.imbalance",
     naive="ratio of image to echo, however small the echo",
     bound=0.0,
     unit="of the echo's field",
@@ -102,7 +102,7 @@ def test_a_capture_of_noise_alone(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.front_end_faults.sidebands_of",
+    where="models.perception.form.front_end_faults.sidebands_of",
     naive="strongest line beside the echoes",
     bound=0.5,
     unit="dB",

@@ -9,12 +9,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.geometry.association import DirectReturns, RecoveryParams
-from models.perception.geometry.confidence import CLIP, FEATURES, LARGEST, PositionConfidence, position_features
-from models.perception.geometry.mirrors import NO_WALL
-from models.perception.geometry.recovery import Recovered
-from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
-from models.training.fit_confidence import FitConfig, fit_weights
+from lab.training.fit_confidence import FitConfig, fit_weights
+from models.perception.mirrors.confidence import CLIP, FEATURES, LARGEST, PositionConfidence, position_features
+from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
+from models.perception.mirrors.mirror_table import NO_WALL
+from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
+from models.perception.mirrors.recovery import Recovered
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, Wall
 

@@ -9,14 +9,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detections.defaults import DETECTION_GEOMETRY
-from models.perception.detections.ego_doppler import over_ground
-from models.perception.detections.sensor import DetectionSensor
-from models.perception.detections.stage import DetectionsStage
-from models.perception.geometry.stage import recover_bev
+from models.perception.mirrors.peaks_to_view import recover_bev
+from models.perception.target_lists.defaults import DETECTION_GEOMETRY
+from models.perception.target_lists.ego_doppler import over_ground
+from models.perception.target_lists.sensor import DetectionSensor
+from models.perception.target_lists.targets_to_peaks import DetectionsStage
 from msgs.values.detections import MAX_DETECTIONS, RadarDetections
 from msgs.values.perception import MAX_PEAKS, BevFrame, Peaks
-from tests.models.perception.detections.street import SENSOR, detections, standing_speeds, street_points
+from tests.models.perception.target_lists.street import SENSOR, detections, standing_speeds, street_points
 from tests.stability.catalogue import Errors
 
 RNG = np.random.default_rng(3)
@@ -78,7 +78,7 @@ def test_duplicates_count_once() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detections.ego_doppler",
+    where="models.perception.target_lists.ego_doppler",
     naive="least squares over all detections",
     bound=0.05,
     unit="m/s",

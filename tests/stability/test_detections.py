@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mirrorwave.convert.detection_tables import table_scans
-from models.sensors.detection_columns import DetectionMapping, detections_of, polar_covariance
-from models.sensors.target_list import TargetListParams, TargetListReader
+from contrib.boards.target_list import TargetListParams, TargetListReader
+from contrib.imports.detection_columns import DetectionMapping, detections_of, polar_covariance
+from contrib.imports.detection_tables import table_scans
 from nodes.can.bus import load_dbc
-from tests.nodes.drivers.target_radar_stand_in import measurement, random_targets
+from tests.contrib.boards.target_radar_stand_in import measurement, random_targets
 from tests.stability.catalogue import Errors
 
 MAPPING = {
@@ -23,7 +23,7 @@ MAPPING = {
 
 
 @pytest.mark.hard(
-    where="mirrorwave.convert.detection_tables",
+    where="contrib.imports.detection_tables",
     naive="seconds as a double",
     bound=0.0,
     unit="ns",
@@ -45,7 +45,7 @@ def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: 
 
 
 @pytest.mark.hard(
-    where="models.sensors.detection_columns",
+    where="contrib.imports.detection_columns",
     naive="longitudinal error as that of range, lateral as that of azimuth",
     bound=1e-9,
     unit="relative",
@@ -67,7 +67,7 @@ def test_covariances_turn_with_the_azimuth(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.sensors.detection_columns",
+    where="contrib.imports.detection_columns",
     naive="degrees to radians alone",
     bound=1e-12,
     unit="rad",
@@ -87,7 +87,7 @@ def test_azimuths_of_a_full_turn_come_out_around_the_front(errors: Errors) -> No
 
 
 @pytest.mark.hard(
-    where="models.sensors.target_list",
+    where="contrib.boards.target_list",
     naive="difference of counters as they are",
     bound=0.0,
     unit="scans",

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lab.evaluate.method_runs import checked_frames, run_methods, truth_of_labels
+from lab.evaluate.methods import build_method, parse_method
+from lab.measures.frame_scores import FrameScores, bootstrap_weights, estimates
+from lab.training.data.frames import DataSet
+from lab.training.data.xradarnlos import POINTS_FOLDER, SPECTRUM, import_folder
 from mirrorwave.cli import main
-from mirrorwave.studies.evaluate.methods import build_method, parse_method
-from mirrorwave.studies.evaluate.runner import checked_frames, run_methods, truth_of_labels
-from models.evaluation.frame_scores import FrameScores, bootstrap_weights, estimates
-from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.training.data.frames import DataSet
-from models.training.data.xradarnlos import POINTS_FOLDER, SPECTRUM, import_folder
+from models.perception.find.onnx_model import DEFAULT_MODEL
 from msgs.values.radar import RangeAzimuthGrid
 
 

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.detection.score_calibration import ScoreTable, calibrated, score_of
-from models.perception.evidence.answers import evidence_detections
-from models.perception.evidence.detections import ANSWERS, HEADING, LOG_STD, OBJECT
-from models.perception.evidence.gathering import BirdsEyeGrid
-from models.perception.geometry.mirrors import wall_arrays
+from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
+from models.perception.mirrors.mirror_table import wall_arrays
+from models.perception.see.detections import ANSWERS, HEADING, LOG_STD, OBJECT
+from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.gathering import BirdsEyeGrid
 from msgs.values.perception import Wall
 from tests.stability.catalogue import Errors
 
@@ -30,7 +30,7 @@ def report_of(log_std: float = 0.0, heading: tuple[float, float] = (1.0, 0.0)) -
 
 
 @pytest.mark.hard(
-    where="models.perception.evidence.answers", naive="exponential of the answer as it stands", bound=8.0, unit="m",
+    where="models.perception.see.evidence_answers", naive="exponential of the answer as it stands", bound=8.0, unit="m",
     source="limit of the logarithm: e^2 m = 7.39 m",
 )  # fmt: skip
 def test_a_network_may_say_any_error(errors: Errors) -> None:
@@ -43,7 +43,8 @@ def test_a_network_may_say_any_error(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.evidence.answers", naive="arccos of the doubled angle's cosine", bound=1e-15, unit="rad",
+    where="models.perception.see.evidence_answers", naive="arccos of the doubled angle's cosine", bound=1e-15,
+    unit="rad",
     source="rounding of the inverse tangent, of single precision in the answer",
 )  # fmt: skip
 def test_half_of_a_very_small_angle(errors: Errors) -> None:
@@ -56,7 +57,8 @@ def test_half_of_a_very_small_angle(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.evidence.answers", naive="half angle by a normalised bisector", bound=1e-12, unit="rad",
+    where="models.perception.see.evidence_answers", naive="half angle by a normalised bisector", bound=1e-12,
+    unit="rad",
     source="any axis is as good",
 )  # fmt: skip
 def test_a_heading_that_the_network_does_not_know(errors: Errors) -> None:

@@ -13,12 +13,12 @@ import pytest
 import torch
 from onnx import TensorProto, helper
 
-from models.networks.compact_unet import CompactUNet, CompactUNetConfig
-from models.perception.detection.encoding import Encoding
-from models.perception.detection.onnx_model import DensePredictor, ModelCard, card_path
+from lab.networks.compact_unet import CompactUNet, CompactUNetConfig
+from lab.training.export.onnx import Exported, export_onnx, parity, write_card
+from lab.training.export.quantize import quantize_int8
+from models.perception.find.encoding import Encoding
+from models.perception.find.onnx_model import DensePredictor, ModelCard, card_path
 from models.perception.onnx_session import session_of
-from models.training.export.onnx import Exported, export_onnx, parity, write_card
-from models.training.export.quantize import quantize_int8
 from msgs.files.shipped import CHECKOUT
 from msgs.values.radar import RangeAzimuthGrid
 from tests.stability.catalogue import Errors

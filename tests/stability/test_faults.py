@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from msgs.link.peer_clock import MAX_DRIFT, ClockSample, PeerClock, shift_stamps
+from contrib.two_machines.peer_clock import MAX_DRIFT, ClockSample, PeerClock, shift_stamps
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from nodes.process.liveness import LATE_S, Sample, Silence
@@ -20,7 +20,7 @@ from tests.stability.catalogue import Errors
 UP_NS, AHEAD_NS = 630_720_000_123_456_789, 1_131_719_876_543_211_235
 SECOND_NS = ns_from_s(1.0)
 AGAINST_THE_MEAN = pytest.mark.hard(
-    where="msgs.link.peer_clock.PeerClock",
+    where="contrib.two_machines.peer_clock.PeerClock",
     naive="mean of the last 64 answers",
     bound=2 * (0.5e-3 + 1.0 * MAX_DRIFT),
     unit="s",
@@ -51,7 +51,7 @@ def heard(samples: list[ClockSample]) -> PeerClock:
 
 
 @pytest.mark.hard(
-    where="msgs.link.peer_clock.ClockSample",
+    where="contrib.two_machines.peer_clock.ClockSample",
     naive="mean of the two times in float64",
     bound=0.5,
     unit="ns",
@@ -69,7 +69,7 @@ def test_clock_of_a_host_that_is_up_for_decades(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.link.peer_clock.PeerClock",
+    where="contrib.two_machines.peer_clock.PeerClock",
     naive="the answer of the shortest round trip ever",
     bound=2 * (2e-3 + 1.0 * MAX_DRIFT),
     unit="s",
@@ -113,7 +113,7 @@ def test_first_answer_after_a_restart(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.link.peer_clock.shift_stamps",
+    where="contrib.two_machines.peer_clock.shift_stamps",
     naive="seconds in float64",
     bound=0.0,
     unit="ns",
@@ -132,7 +132,7 @@ def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.link.peer_clock.shift_stamps",
+    where="contrib.two_machines.peer_clock.shift_stamps",
     naive="offset taken off every stamp",
     bound=0.0,
     unit="ns",

@@ -9,14 +9,14 @@ import mpmath
 import numpy as np
 import pytest
 
+from lab.full_wave import grid as grid_module
+from lab.full_wave import strip as strip_module
+from lab.full_wave.cpml import SPEED_OF_LIGHT_MPS, VACUUM_PERMITTIVITY_F_PER_M, CpmlParams, recursion
+from lab.full_wave.grid import Drive, GridParams, Media, YeeGrid
+from lab.full_wave.rough import RoughParams
+from lab.full_wave.scattering import reflect
+from lab.full_wave.strip import Strip, StripParams, build_strips, courant_limit_s, run_strip
 from models.physics.fresnel import half_space_reflection, slab_reflection
-from sim_player.fdtd import grid as grid_module
-from sim_player.fdtd import strip as strip_module
-from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, VACUUM_PERMITTIVITY_F_PER_M, CpmlParams, recursion
-from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
-from sim_player.fdtd.rough import RoughParams
-from sim_player.fdtd.scattering import reflect
-from sim_player.fdtd.strip import Strip, StripParams, build_strips, courant_limit_s, run_strip
 from tests.stability.catalogue import Errors
 
 FREQUENCY_HZ = 10e9
@@ -59,7 +59,7 @@ def test_just_above_the_limit_is_refused() -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.grid",
+    where="lab.full_wave.grid",
     naive="a step 1 % above the limit, let through",
     bound=1.0,
     unit="",
@@ -111,7 +111,7 @@ def off_fresnel(pair: tuple[Strip, Strip], angle_rad: float) -> float:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.strip",
+    where="lab.full_wave.strip",
     naive="c dt = h, the limit of a normal wave",
     bound=0.026,
     unit="",
@@ -156,7 +156,7 @@ def test_late_time_is_quiet(polarisation: str) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.grid",
+    where="lab.full_wave.grid",
     naive="pulse even about its middle",
     bound=1e-6,
     unit="",
@@ -169,7 +169,7 @@ def test_a_pulse_with_a_direct_part_leaves_a_tail(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.grid",
+    where="lab.full_wave.grid",
     naive="float32 product of phase and step",
     bound=4e-10,
     unit="",
@@ -211,7 +211,7 @@ def explicit_coefficients(eps_r: np.ndarray, sigma: np.ndarray, step_s: float) -
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.media",
+    where="lab.full_wave.media",
     naive="current from the old field alone",
     bound=4.1e-3,
     unit="",
@@ -241,7 +241,7 @@ def test_opaque_slab_is_a_half_space() -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd",
+    where="lab.full_wave",
     naive="exp(-x) - 1 in float32",
     bound=1e-7,
     unit="",
@@ -262,7 +262,7 @@ def test_recursion_in_single_precision_needs_expm1(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.cpml",
+    where="lab.full_wave.cpml",
     naive="sigma (b - 1) / (kappa (sigma + kappa alpha))",
     bound=1e-15,
     unit="",
@@ -286,7 +286,7 @@ def subnormal_cells(steps: int) -> int:
 
 
 @pytest.mark.hard(
-    where="sim_player.fdtd.grid",
+    where="lab.full_wave.grid",
     naive="no flush to zero",
     bound=0.0,
     unit="cells",

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.geometry.arcs import ArcParams
-from models.perception.geometry.association import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
-from models.perception.geometry.clustering import dbscan
-from models.perception.geometry.mirrors import NO_WALL, RADAR, hits, wall_arrays
-from models.perception.geometry.objects import ObjectParams, form_objects
-from models.perception.geometry.published import PublishedParams, recover_published
-from models.perception.geometry.recovery import Recovered, cartesian_covariance, folded
-from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
-from models.perception.geometry.walls import WallParams, find_walls
+from models.perception.mirrors.arcs import ArcParams
+from models.perception.mirrors.clustering import dbscan
+from models.perception.mirrors.image_walls import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
+from models.perception.mirrors.mirror_table import NO_WALL, RADAR, hits, wall_arrays
+from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
+from models.perception.mirrors.published import PublishedParams, recover_published
+from models.perception.mirrors.recovered_objects import ObjectParams, form_objects
+from models.perception.mirrors.recovery import Recovered, cartesian_covariance, folded
+from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points
 from models.physics.mirror import reflect, wall_from_ends
 from msgs.values.frames import polar_from_xy, xy_from_polar
@@ -234,7 +234,7 @@ def centre_hit_share(image_m: np.ndarray, one: Wall) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.mirrors",
+    where="models.perception.mirrors.mirror_table",
     naive="circle about its centre",
     bound=1e-12,
     unit="m",
@@ -252,7 +252,7 @@ def test_all_but_flat_arc_is_its_chord(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.association",
+    where="models.perception.mirrors.image_walls",
     naive="difference of two arctan2",
     bound=0.0,
     unit="rad",
@@ -281,7 +281,7 @@ def face_of(points_m: np.ndarray, variance_m2: float = 1e-6) -> Recovered:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.objects",
+    where="models.perception.mirrors.recovered_objects",
     naive="mean of the directions from point to point",
     bound=1e-12,
     unit="rad",
@@ -298,7 +298,7 @@ def test_yaw_of_a_face_across_the_view(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.objects",
+    where="models.perception.mirrors.recovered_objects",
     naive="E[p p'] - E[p] E[p]'",
     bound=0.0,
     unit="boxes",
@@ -328,7 +328,7 @@ def is_positive(covariance: np.ndarray) -> bool:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.recovery",
+    where="models.perception.mirrors.recovery",
     naive="(J C) J' in float32",
     bound=0.0,
     unit="peaks",
@@ -350,7 +350,7 @@ def test_covariance_of_far_peaks_with_fine_range(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.objects",
+    where="models.perception.mirrors.recovered_objects",
     naive="int64 sum over the number",
     bound=1.0,
     unit="ns",

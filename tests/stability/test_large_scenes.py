@@ -12,12 +12,12 @@ import pytest
 
 from msgs.values.frames import Pose2
 from sim_player.effects.table import ALL_EFFECTS
+from sim_player.paths.ray_tracing import trace_echoes
+from sim_player.paths.reach import WHOLE_WALLS, reachable_snapshot
 from sim_player.planner.plan import clean_profiles, plan_world
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Scene, SceneObject, Surface
-from sim_player.scene.reach import WHOLE_WALLS, reachable_snapshot
 from sim_player.scene.world import RadarState, World, prepare
-from sim_player.trace.ray_tracing import trace_echoes
 from tests.sim_player.scene.same_paths import assert_same_paths, of_part, of_whole
 
 COUNT = WHOLE_WALLS + 6

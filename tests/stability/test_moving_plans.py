@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from sim_player import player as player_module
+from sim_player.paths.path_tracks import Span
+from sim_player.paths.ray_tracing import trace
 from sim_player.planner.plan import Plan, plan_world
 from sim_player.planner.purposes import Purpose
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface
 from sim_player.scene.world import World
-from sim_player.trace.path_tracks import Span
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
-from tests.sim_player.effects.point_scenes import points_world, wall
+from sim_player.trace.path_table import Paths
 from tests.sim_player.planner.moving import doppler_bins, reference
+from tests.sim_player.trace.point_scenes import points_world, wall
 from tests.stability.catalogue import Errors
 
 BUDGET = 0.1

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from models.networks.swin_unet import SwinBlock, SwinUNet, SwinUNetConfig
+from lab.networks.swin_unet import SwinBlock, SwinUNet, SwinUNetConfig
 
 #: Features of 16 x 8, 8 x 4, 4 x 2 and 2 x 1 cells under windows of 4: two stages clamp, one of them to one column.
 SMALL = SwinUNetConfig(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.forming.coarray import AzimuthInterpolator, ideal_beams
-from models.sensors.phaser import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
+from contrib.boards.phaser import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
+from models.perception.form.coarray import AzimuthInterpolator, ideal_beams
 from msgs.values.radar import BeamGrid
 from tests.stability.catalogue import Errors
 
@@ -31,7 +31,7 @@ def _map_error(weights: np.ndarray | None, real: np.ndarray, azimuth_deg: float)
 
 
 @pytest.mark.hard(
-    where="models.sensors.phaser",
+    where="contrib.boards.phaser",
     naive="weights of the phases that were asked for",
     bound=2e-5,
     unit="of the peak",

@@ -23,27 +23,27 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.special import gamma
 
-from models.evaluation.frame_scores import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
-from models.evaluation.metrics import chamfer, match_objects, match_points
-from models.networks.compact_unet import CompactUNet, CompactUNetConfig
-from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.detection.cfar import CfarParams, detect, ordered_statistic_alpha, ordered_statistic_mask
-from models.perception.detection.encoding import Encoding, encode_columns
-from models.perception.detection.onnx_model import DensePredictor, ModelCard
-from models.perception.detection.peaks import PeakParams, peaks_at
-from models.perception.geometry.clustering import dbscan
-from models.perception.geometry.confidence import FEATURES, PositionConfidence
-from models.perception.geometry.lines import fit_line
-from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.geometry.walls import WallParams, find_walls
+from lab.measures.frame_scores import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
+from lab.networks.compact_unet import CompactUNet, CompactUNetConfig
+from lab.networks.residual_reflect_net import ResidualReflectNet
+from lab.training.export.onnx import Exported, export_onnx, write_card
+from lab.training.export.quantize import quantize_int8
+from models.perception.find.cfar import CfarParams, detect, ordered_statistic_alpha, ordered_statistic_mask
+from models.perception.find.encoding import Encoding, encode_columns
+from models.perception.find.onnx_model import DensePredictor, ModelCard
+from models.perception.find.peaks import PeakParams, peaks_at
+from models.perception.mirrors.clustering import dbscan
+from models.perception.mirrors.confidence import FEATURES, PositionConfidence
+from models.perception.mirrors.lines import fit_line
+from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
+from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
-from models.training.export.onnx import Exported, export_onnx, write_card
-from models.training.export.quantize import quantize_int8
+from models.scores.point_metrics import chamfer, match_objects, match_points
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, SceneTruth, TruthObject
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from tests.builders import example_map
-from tests.models.perception.detection.test_cfar import echo_map
+from tests.models.perception.find.test_cfar import echo_map
 from tests.stability.catalogue import Errors
 
 RADAR = np.zeros(2)
@@ -273,7 +273,7 @@ def slope_line(points_m: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.lines",
+    where="models.perception.mirrors.lines",
     naive="regression of y on x",
     bound=1e-12,
     unit="m",
@@ -288,7 +288,7 @@ def test_vertical_wall(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.lines",
+    where="models.perception.mirrors.lines",
     naive="second moments about the origin in float32",
     bound=1e-11,
     unit="rad",
@@ -307,7 +307,7 @@ def test_wall_far_from_the_origin(errors: Errors) -> None:
 
 @pytest.mark.slow
 @pytest.mark.hard(
-    where="models.perception.geometry.lines",
+    where="models.perception.mirrors.lines",
     naive="running sums in float32",
     bound=1e-10,
     unit="m",
@@ -324,7 +324,7 @@ def test_wall_of_1e5_points(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.lines",
+    where="models.perception.mirrors.lines",
     naive="residual variance over n - 2",
     bound=1e-15,
     unit="m",
@@ -351,7 +351,7 @@ def test_few_points_are_no_wall(count: int) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.walls",
+    where="models.perception.mirrors.walls",
     naive="least squares through all points",
     bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 20.0),
     unit="m",
@@ -373,7 +373,7 @@ def test_wall_among_80_percent_outliers(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.walls",
+    where="models.perception.mirrors.walls",
     naive="one principal axis a cluster",
     bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 15.0),
     unit="m",
@@ -413,7 +413,7 @@ def flooded(points_m: np.ndarray, eps_m: float) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.clustering",
+    where="models.perception.mirrors.clustering",
     naive="regions grown by recursion",
     bound=0.0,
     unit="points",
@@ -461,7 +461,7 @@ def parabola_bin(power: np.ndarray, row: int) -> float:
 
 @pytest.mark.parametrize("edge", ["first", "last"])
 @pytest.mark.hard(
-    where="models.perception.detection.peaks",
+    where="models.perception.find.peaks",
     naive="parabola over neighbours modulo the map",
     bound=1e-6,
     unit="bins",
@@ -476,7 +476,7 @@ def test_peak_on_the_edge_of_the_map(errors: Errors, edge: str) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.peaks",
+    where="models.perception.find.peaks",
     naive="square of a complex64 magnitude",
     bound=1e-6,
     unit="bins",
@@ -496,7 +496,7 @@ def naive_power(values: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.cfar",
+    where="models.perception.find.cfar",
     naive="square of a complex64 magnitude",
     bound=0.0,
     unit="peaks",
@@ -518,7 +518,7 @@ def test_detections_of_an_enormous_map(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.cfar",
+    where="models.perception.find.cfar",
     naive="n! (n - k + a)! / ((n - k)! (n + a)!)",
     bound=1e-11,
     unit="",
@@ -539,7 +539,7 @@ def test_ordered_statistic_rate_without_factorials(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.evaluation.metrics",
+    where="models.scores.point_metrics",
     naive="assign first, drop what is too far",
     bound=0.0,
     unit="pairs",
@@ -555,7 +555,7 @@ def test_gate_belongs_into_the_assignment(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.evaluation.metrics",
+    where="models.scores.point_metrics",
     naive="infinite cost beyond the gate",
     bound=0.0,
     unit="pairs",
@@ -573,7 +573,7 @@ def test_a_prediction_out_of_everyones_reach(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.evaluation.frame_scores",
+    where="lab.measures.frame_scores",
     naive="mean of the least distances",
     bound=0.0,
     unit="m",
@@ -591,7 +591,7 @@ def test_chamfer_of_an_empty_set(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.evaluation.metrics",
+    where="models.scores.point_metrics",
     naive="a.a - 2 a.b + b.b in float32",
     bound=1e-13,
     unit="m",
@@ -610,7 +610,7 @@ def test_chamfer_of_close_points_far_away(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.evaluation.frame_scores",
+    where="lab.measures.frame_scores",
     naive="mean +- 1.96 s / sqrt(n)",
     bound=0.0,
     unit="m",
@@ -628,7 +628,7 @@ def test_interval_of_one_frame(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.geometry.confidence",
+    where="models.perception.mirrors.confidence",
     naive="e^z / (1 + e^z)",
     bound=1e-15,
     unit="",
@@ -712,7 +712,7 @@ STEP = {"fp32": 2.0**-17, "fp16": 2.0**-8, "int8": 2.0**-6}
         pytest.param(
             name,
             marks=pytest.mark.hard(
-                where="models.perception.detection.encoding",
+                where="models.perception.find.encoding",
                 naive="10 log10(abs(z)^2 / noise) in float32",
                 bound=step,
                 unit="",
@@ -746,7 +746,7 @@ def test_network_on_zero_constant_and_enormous_maps(
 
 
 @pytest.mark.hard(
-    where="models.networks.residual_reflect_net",
+    where="lab.networks.residual_reflect_net",
     naive="exp(s) / sum(exp(s))",
     bound=1e-5,
     unit="",
@@ -769,7 +769,7 @@ def test_attention_with_points_far_away(errors: Errors) -> None:
     errors(naive=naive.item() if torch.isfinite(naive) else math.inf, ours=ours.item())
 
 
-@pytest.mark.hard(where="models.perception.detection.ridges", naive="the strongest azimuth of the map", bound=0.5,
+@pytest.mark.hard(where="models.perception.find.ridges", naive="the strongest azimuth of the map", bound=0.5,
                   unit="deg", source="a cell of the map")  # fmt: skip
 def test_echoes_beyond_the_azimuths_of_a_map(errors: Errors) -> None:
     """From 60 to 89 degrees an echo's lobe, and from 70 on its lobe at the other end, rises to the map's border."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from models.perception.forming.ra_forming import BeamFolder, FormingParams, ego_correction
+from models.perception.form.ra_forming import BeamFolder, FormingParams, ego_correction
 from models.physics.waveform import beat_phase_rad, beat_samples, tone_profile
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -17,7 +17,7 @@ from sim_player.signal.compiled_beats import ToneSums
 from sim_player.signal.fmcw import slow_time_table
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.switches import PLAIN
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.references import literal_beats
 from tests.stability.catalogue import Errors
 
@@ -237,7 +237,7 @@ def test_slow_time_of_a_frame(errors: Errors) -> None:
 
 
 @both_bands(
-    where="models.perception.forming.ra_forming",
+    where="models.perception.form.ra_forming",
     naive="4 pi v t cos(azimuth) / lambda in float32",
     bounds=(4.3e-8, 4.3e-8),
     source="both parts rounded to complex64, half a step of 6e-8 each; the turns in float64 add 1e-11",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.forming.photon_map import photon_map, project_counts
+from models.perception.form.photon_map import photon_map, project_counts
 from models.physics.photons.counting import draw_histogram
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.radar import RangeAzimuthGrid
@@ -25,7 +25,7 @@ def counts() -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.photon_map",
+    where="models.perception.form.photon_map",
     naive="counts less the mean count of the period, over its root",
     bound=0.14,
     unit="",

@@ -19,15 +19,15 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from models.evaluation.metrics import chamfer, dense_counts, match_points, recovered_counts
-from models.perception.detection.cfar import CfarParams, cfar_peaks
-from models.perception.detection.detectors import NetworkDetector
-from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_former import RaFormer
-from models.perception.geometry.clustering import dbscan
-from models.perception.geometry.lines import fit_line
-from models.perception.geometry.stage import FoldedScan, GeometryParams, fold_scan
-from models.perception.geometry.walls import WallParams, find_walls
+from lab.evaluate.labelled_beams import LabelledPlace
+from models.perception.find.cfar import CfarParams, cfar_peaks
+from models.perception.find.detectors import NetworkDetector
+from models.perception.form.coarray import AzimuthInterpolator
+from models.perception.form.ra_former import RaFormer
+from models.perception.mirrors.clustering import dbscan
+from models.perception.mirrors.lines import fit_line
+from models.perception.mirrors.peaks_to_view import FoldedScan, GeometryParams, fold_scan
+from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.fresnel import (
     Polarisation,
@@ -38,19 +38,19 @@ from models.physics.fresnel import (
     stack_transmission,
 )
 from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
+from models.scores.point_metrics import chamfer, dense_counts, match_points, recovered_counts
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
-from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import draw_place
+from sim_player.paths.conversion import as_paths
+from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.scene.description import Scene, SceneObject, Surface
+from sim_player.scene.segments import Blockers
 from sim_player.scene.world import Snapshot, prepare, snapshot, wall_lines
-from sim_player.trace.conversion import as_paths
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace_echoes
+from sim_player.trace.path_table import Paths
 from sim_player.trace.routes import mirror_routes, straight_routes
-from sim_player.trace.segments import Blockers
 
 #: Lengths [m] agree to some hundred spacings of a coordinate.
 ROUNDING_M = 1e-11

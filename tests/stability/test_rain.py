@@ -14,7 +14,7 @@ from sim_player.scene.world import prepare, snapshot
 from sim_player.signal.clutter import clutter_profiles, profile_power_mw
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.switches import SignalEffects
-from tests.sim_player.effects.point_scenes import wall
+from tests.sim_player.trace.point_scenes import wall
 
 RAINS = SignalEffects(rain_clutter=True)
 LAYOUTS: tuple[tuple[Surface, ...], ...] = (

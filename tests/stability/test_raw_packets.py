@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.forming.digital_array import DigitalArrayParams, range_doppler, slots_aligned
-from models.sensors.dca1000 import frame_samples, parse_cfg
-from models.sensors.dca1000_packets import PAYLOAD_BYTES, FrameAssembler, datagram
-from tests.mirrorwave.convert.test_dca1000 import CFG, LOOPS, SAMPLES, two_lanes
+from contrib.boards.dca1000_capture import frame_samples, parse_cfg
+from contrib.boards.dca1000_packets import PAYLOAD_BYTES, FrameAssembler, datagram
+from models.perception.form.digital_array import DigitalArrayParams, range_doppler, slots_aligned
+from tests.contrib.boards.test_import_dca1000 import CFG, LOOPS, SAMPLES, two_lanes
 from tests.stability.catalogue import Errors
 
 FRAME_BYTES = 6144
@@ -26,7 +26,7 @@ def wrong_bytes(frames: dict[int, bytes], content: bytes) -> float:
 
 
 @pytest.mark.hard(
-    where="models.sensors.dca1000_packets", naive="places taken as the counter has them", bound=0.0, unit="bytes",
+    where="contrib.boards.dca1000_packets", naive="places taken as the counter has them", bound=0.0, unit="bytes",
     source="every datagram arrives",
 )  # fmt: skip
 def test_a_byte_counter_of_48_bits_wraps(errors: Errors) -> None:
@@ -51,7 +51,8 @@ def test_a_byte_counter_of_48_bits_wraps(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.sensors.dca1000", naive="stored samples taken for successive ones", bound=0.5, unit="range bins",
+    where="contrib.boards.dca1000_capture", naive="stored samples taken for successive ones", bound=0.5,
+    unit="range bins",
     source="a maximum on a bin",
 )  # fmt: skip
 def test_a_chirp_of_which_two_of_four_lanes_are_stored(errors: Errors) -> None:
@@ -66,7 +67,7 @@ def test_a_chirp_of_which_two_of_four_lanes_are_stored(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.digital_array", naive="channels added as they were sent", bound=0.6, unit="deg",
+    where="models.perception.form.digital_array", naive="channels added as they were sent", bound=0.6, unit="deg",
     source="a step of 256 azimuths, and the loops' ends",
 )  # fmt: skip
 def test_transmitters_half_a_turn_apart(errors: Errors) -> None:

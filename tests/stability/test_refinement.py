@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.detectors import NetworkDetector
-from models.perception.detection.refinement import EchoRefiner, RefinementParams, _sinc_slope
-from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.find.detectors import NetworkDetector
+from models.perception.find.refinement import EchoRefiner, RefinementParams, _sinc_slope
+from models.perception.form.coarray import AzimuthInterpolator
 from msgs.values.radar import BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from tests.builders import example_map
 from tests.stability.catalogue import Errors
@@ -61,7 +61,7 @@ def test_no_noise_stated() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.refinement",
+    where="models.perception.find.refinement",
     naive="inverse of the Fisher information alone",
     bound=0.0,
     unit="echoes",
@@ -83,7 +83,7 @@ def test_covariance_of_echoes_in_one_place(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.refinement",
+    where="models.perception.find.refinement",
     naive="(cos(pi x) - sinc(x)) / x",
     bound=1e-11,
     unit="1/bin",

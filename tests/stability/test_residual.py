@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 import torch
 
-from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.geometry.published import PublishedParams, recover_published
-from models.perception.geometry.recovery import ReflectionState
-from models.perception.geometry.residual_model import (
+from lab.networks.residual_reflect_net import ResidualReflectNet
+from lab.training.export.onnx import write_card
+from lab.training.export.residual import export_residual_onnx
+from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
+from models.perception.mirrors.published import PublishedParams, recover_published
+from models.perception.mirrors.recovery import ReflectionState
+from models.perception.mirrors.residual_model import (
     MAX_SHIFT_M,
     LearnedResidual,
     ResidualCard,
     image_frames,
     in_frames,
 )
-from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.training.export.onnx import write_card
-from models.training.export.residual import export_residual_onnx
 from msgs.bus.interface import Envelope, Received
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks

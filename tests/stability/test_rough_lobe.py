@@ -11,7 +11,7 @@ from models.physics.rough_lobe import RoughLobe, mean_over_orders
 from sim_player.effects.diffuse_scattering import absent
 from sim_player.scene.description import Scene, Surface
 from sim_player.scene.world import prepare
-from tests.sim_player.effects.point_scenes import points_world, traced, wall
+from tests.sim_player.trace.point_scenes import points_world, traced, wall
 from tests.stability.catalogue import Errors
 
 WAVELENGTH_M = 299_792_458.0 / 10e9

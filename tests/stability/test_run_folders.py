@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.detection.score_calibration import check_table
-from models.training.calibration import fit_table
-from models.training.data.frames import DataSet, Splits, fixed_splits
-from models.training.export.onnx import require_onnx
-from models.training.run_folder import BEST, CONFIG, load_config, load_state
+from lab.training.calibration import fit_table
+from lab.training.data.frames import DataSet, Splits, fixed_splits
+from lab.training.export.onnx import require_onnx
+from lab.training.run_folder import BEST, CONFIG, load_config, load_state
+from models.perception.find.score_calibration import check_table
 from msgs.files.whole_files import whole
 
 SHARD = {

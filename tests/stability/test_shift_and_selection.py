@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_peaks
+from models.perception.find.cfar_nlos import CfarNlosParams, privileged_peaks
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from sim_player.dataset.domain_shift import ShiftParams, domain_shifted_scene, draw_faults, faulty_profiles
 from sim_player.dataset.labelled_scan import profile_noise
-from sim_player.generate.domain_shift import ShiftParams, domain_shifted_scene, draw_faults, faulty_profiles
 from sim_player.scene.description import Scene, SceneObject
 from tests.builders import example_map
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.perception.detection.encoding import Encoding, encode_columns
-from models.perception.detection.peaks import PeakParams, peaks_at
-from models.perception.forming.digital_array import DigitalArrayParams, range_doppler
-from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import FormingParams
-from models.perception.forming.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
+from models.perception.find.encoding import Encoding, encode_columns
+from models.perception.find.peaks import PeakParams, peaks_at
+from models.perception.form.digital_array import DigitalArrayParams, range_doppler
+from models.perception.form.ra_former import RaFormer
+from models.perception.form.ra_forming import FormingParams
+from models.perception.form.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
 from models.physics.waveform import (
     beat_frequency_hz,
     beat_phase_rad,
@@ -30,7 +30,7 @@ from sim_player.signal.levels import beam_beats, echo_terms, kernel_profiles, re
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import PLAIN, SignalEffects
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 from tests.builders import example_beam, example_map
 from tests.sim_player.signal.references import ALL, beat_terms, converted
 from tests.sim_player.signal.test_levels import some_paths
@@ -90,7 +90,7 @@ def test_rails(code: int) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.ra_forming",
+    where="models.perception.form.ra_forming",
     naive="no window",
     bound=0.015,
     unit="of the echo",
@@ -133,7 +133,7 @@ def _bin_noise_mw(setup: RadarSetup, codes_rms: float, averaged: int = 1) -> flo
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.ra_forming",
+    where="models.perception.form.ra_forming",
     naive="mean square less squared mean, float32",
     bound=0.1,
     unit="",
@@ -152,7 +152,7 @@ def test_noise_under_a_huge_offset(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.ra_forming",
+    where="models.perception.form.ra_forming",
     naive="spread between chirps",
     bound=0.41,
     unit="",
@@ -173,7 +173,7 @@ def test_welch_with_zero_variance(chirps: int, errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.ra_forming",
+    where="models.perception.form.ra_forming",
     naive="median over ln 2",
     bound=0.02,
     unit="",
@@ -191,7 +191,7 @@ def test_welch_of_many_chirps(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.slow_time_sums",
+    where="models.perception.form.slow_time_sums",
     naive="sum of int16",
     bound=0.0,
     unit="codes",
@@ -207,7 +207,7 @@ def test_sums_of_128_chirps_at_full_scale(code: int, errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.slow_time_sums",
+    where="models.perception.form.slow_time_sums",
     naive="sum of int32",
     bound=0.0,
     unit="codes",
@@ -226,7 +226,7 @@ def test_sums_beyond_32_bits(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.slow_time_sums",
+    where="models.perception.form.slow_time_sums",
     naive="|code| >= 32767 in int16",
     bound=0.0,
     unit="of the samples",
@@ -257,7 +257,7 @@ def test_converter_past_full_scale(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.digital_array",
+    where="models.perception.form.digital_array",
     naive="transformed as it is",
     bound=0.0,
     unit="of the cells",
@@ -276,7 +276,7 @@ def test_a_float_capture_that_is_not_finite(value: float, errors: Errors) -> Non
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.digital_array",
+    where="models.perception.form.digital_array",
     naive="mean of complex64",
     bound=0.06,
     unit="",
@@ -332,7 +332,7 @@ def _peak_at(ra_map: RangeAzimuthMap, cell: tuple[int, int]) -> Peaks:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.peaks",
+    where="models.perception.find.peaks",
     naive="10 log10(power / noise)",
     bound=1e-12,
     unit="dB",
@@ -349,7 +349,7 @@ def test_level_of_nothing_over_nothing(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.peaks",
+    where="models.perception.find.peaks",
     naive="parabola through the logarithms",
     bound=1e-12,
     unit="bins",
@@ -367,7 +367,7 @@ def test_peak_of_a_single_cell(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.encoding",
+    where="models.perception.find.encoding",
     naive="less the mean, over the spread",
     bound=1e-6,
     unit="",

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from sim_player.effects.table import ALL_EFFECTS
+from sim_player.paths.ray_tracing import trace
 from sim_player.planner.plan import noisy_profiles
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.world import prepare
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
+from sim_player.trace.path_table import Paths
 from tests.sim_player.planner.plans import plan_effects
 
 GROUND = Surface(role="ground", material="asphalt")

@@ -8,10 +8,10 @@ import mpmath
 import numpy as np
 import pytest
 
-from models.evaluation.metrics import match_objects
-from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_forming import ScanProfiles, form_map
+from models.perception.form.coarray import AzimuthInterpolator
+from models.perception.form.ra_forming import ScanProfiles, form_map
 from models.perception.state_history import StateHistory
+from models.scores.point_metrics import match_objects
 from models.vehicle.can_state import StampMapper
 from msgs.values.frames import Pose2
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
@@ -127,7 +127,7 @@ def test_turn_across_the_heading_wrap(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.evaluation.metrics",
+    where="models.scores.point_metrics",
     naive="difference of unsigned stamps",
     bound=1e-14,
     unit="m",
@@ -171,7 +171,7 @@ def test_vehicle_state_held_up_on_its_way(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.forming.ra_forming",
+    where="models.perception.form.ra_forming",
     naive="interpolation between float64 epochs",
     bound=0.5,
     unit="ns",

@@ -8,18 +8,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.tracking.association import (
+from models.perception.track.bernoulli import Bernoulli, updated
+from models.perception.track.estimate import MEASURED, Estimate, motion_noise
+from models.perception.track.joint_association import (
     MAX_LOG_ODDS,
     exact,
     log_likelihoods,
     marginal_probabilities,
     propagated,
 )
-from models.perception.tracking.bernoulli import Bernoulli, updated
-from models.perception.tracking.estimate import MEASURED, Estimate, motion_noise
-from models.perception.tracking.measurements import Sighting
-from models.perception.tracking.odometry import Odometry, stationary_pose
-from models.perception.tracking.tracker import MAX_TRACKS, Tracker
+from models.perception.track.measurements import Sighting
+from models.perception.track.odometry import Odometry, stationary_pose
+from models.perception.track.tracker import MAX_TRACKS, Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
 from msgs.values.vehicle import VehicleState, ego_motion
@@ -60,7 +60,7 @@ def vague(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.estimate.Estimate.updated",
+    where="models.perception.track.estimate.Estimate.updated",
     naive="(I - K H) P",
     bound=0.0,
     unit="of 2,000 updates",
@@ -81,7 +81,7 @@ def test_sharp_place_of_a_vague_object(errors: Errors) -> None:
 
 @pytest.mark.slow
 @pytest.mark.hard(
-    where="models.perception.tracking.estimate.Estimate",
+    where="models.perception.track.estimate.Estimate",
     naive="(I - K H) P",
     bound=0.0,
     unit="smallest eigenvalue below zero",
@@ -105,7 +105,7 @@ def test_twenty_thousand_scans_of_a_standing_object(errors: Errors) -> None:
 
 @pytest.mark.parametrize("elapsed_s", [-1e-6, -0.3, -30.0])
 @pytest.mark.hard(
-    where="models.perception.tracking.estimate.Estimate.at",
+    where="models.perception.track.estimate.Estimate.at",
     naive="noise of a negative time",
     bound=0.0,
     unit="m^2 below zero",
@@ -122,7 +122,7 @@ def test_back_in_time(errors: Errors, elapsed_s: float) -> None:
 
 @pytest.mark.parametrize("elapsed_ns", [0, 1], ids=["no time", "a nanosecond"])
 @pytest.mark.hard(
-    where="models.perception.tracking.estimate.Estimate",
+    where="models.perception.track.estimate.Estimate",
     naive="velocity as way over time",
     bound=8.0,
     unit="m/s",
@@ -146,7 +146,7 @@ def last_track(stamps_ns: list[int]) -> tuple[Track, ...]:
 
 @pytest.mark.parametrize("jump_ns", [YEAR_NS, -YEAR_NS, 10_000_000_000, -10_000_000_000], ids=str)
 @pytest.mark.hard(
-    where="models.perception.tracking.tracker.Tracker",
+    where="models.perception.track.tracker.Tracker",
     naive="tracks go on over the jump",
     bound=1.0,
     unit="m",
@@ -200,7 +200,7 @@ def test_two_tracks_on_one_object_become_one() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.association.log_likelihoods",
+    where="models.perception.track.joint_association.log_likelihoods",
     naive="xx yy - xy^2 and its inverse",
     bound=1e-6,
     unit="of the squared distance",
@@ -243,7 +243,7 @@ def test_odds_without_bound_are_still_probabilities() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.bernoulli.updated",
+    where="models.perception.track.bernoulli.updated",
     naive="E[x x'] - m m'",
     bound=0.0,
     unit="m^2 below zero",
@@ -288,7 +288,7 @@ def test_a_scan_that_comes_twice_or_late_changes_nothing() -> None:
 
 @pytest.mark.slow
 @pytest.mark.hard(
-    where="models.perception.tracking.odometry.Odometry",
+    where="models.perception.track.odometry.Odometry",
     naive="steps along the heading",
     bound=1e6 * 2.0**-52 * (60.0 + 30.0 * math.pi),
     unit="m",
@@ -308,7 +308,7 @@ def test_a_million_states_round_and_round(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.odometry.Odometry.at",
+    where="models.perception.track.odometry.Odometry.at",
     naive="place and heading in the middle between two poses",
     bound=1e-12,
     unit="rad",
@@ -336,7 +336,7 @@ def test_heading_between_two_states_across_the_seam(errors: Errors) -> None:
 
 @pytest.mark.parametrize("jump_ns", [YEAR_NS, -YEAR_NS, 5_000_000_000, -5_000_000_000], ids=str)
 @pytest.mark.hard(
-    where="models.perception.tracking.odometry.Odometry",
+    where="models.perception.track.odometry.Odometry",
     naive="motion goes on over the jump",
     bound=1e-9,
     unit="m",

@@ -10,15 +10,15 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from models.perception.detection.encoding import Encoding, encode_columns
-from models.training.data.samples import PointLabels
-from models.training.exported_weights import settle_norms
-from models.training.fit_confidence import FitConfig, _Loss
-from models.training.objectives.anchors import anchor_loss, anchor_targets
-from models.training.objectives.focal import binary_focal_loss
-from models.training.objectives.heatmaps import gaussian_heatmap
-from models.training.objectives.losses import heatmap_focal_loss
-from models.training.objectives.objectives import Heatmaps, ObjectiveConfig
+from lab.training.data.samples import PointLabels
+from lab.training.exported_weights import settle_norms
+from lab.training.fit_confidence import FitConfig, _Loss
+from lab.training.objectives.anchors import anchor_loss, anchor_targets
+from lab.training.objectives.focal import binary_focal_loss
+from lab.training.objectives.heatmaps import gaussian_heatmap
+from lab.training.objectives.losses import heatmap_focal_loss
+from lab.training.objectives.objectives import Heatmaps, ObjectiveConfig
+from models.perception.find.encoding import Encoding, encode_columns
 from tests.stability.catalogue import Errors
 
 ENCODING = Encoding(range_bins=8, columns=8)
@@ -43,7 +43,7 @@ def number(value: float) -> float:
 
 @pytest.mark.parametrize("logit", [-1e4, 1e4])
 @pytest.mark.hard(
-    where="models.training.objectives.losses",
+    where="lab.training.objectives.losses",
     naive="log of the sigmoid",
     bound=1e-6,
     unit="",
@@ -60,7 +60,7 @@ def test_focal_loss_of_sure_and_wrong(errors: Errors, logit: float) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.objectives.losses",
+    where="lab.training.objectives.losses",
     naive="sigmoid clamped to 1e-6 .. 1 - 1e-6",
     bound=1e-6,
     unit="",
@@ -81,7 +81,7 @@ def test_gradient_of_sure_and_wrong(errors: Errors) -> None:
 
 @pytest.mark.parametrize("logit", [-1e4, 1e4])
 @pytest.mark.hard(
-    where="models.training.objectives.focal",
+    where="lab.training.objectives.focal",
     naive="log of the sigmoid",
     bound=1e-6,
     unit="",
@@ -105,7 +105,7 @@ def labels_of(row: list[float], column: list[float], path_class: int = 0) -> Poi
 
 
 @pytest.mark.hard(
-    where="models.training.objectives.objectives",
+    where="lab.training.objectives.objectives",
     naive="cross-entropy of the sigmoid",
     bound=1e-6,
     unit="",
@@ -120,7 +120,7 @@ def test_plain_segmentation_of_sure_and_wrong(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.objectives.losses",
+    where="lab.training.objectives.losses",
     naive="mean over the peaks",
     bound=1e-6,
     unit="",
@@ -136,7 +136,7 @@ def test_focal_loss_without_a_peak(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.objectives.anchors",
+    where="lab.training.objectives.anchors",
     naive="mean over the anchors of points",
     bound=1e-6,
     unit="",
@@ -155,7 +155,7 @@ def test_anchors_of_an_empty_batch(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.objectives.anchors",
+    where="lab.training.objectives.anchors",
     naive="log of exp(z) / sum(exp(z))",
     bound=1e-6,
     unit="",
@@ -184,7 +184,7 @@ def exact_focal(logits: torch.Tensor, heatmap: torch.Tensor) -> float:
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=["float16", "bfloat16"])
 @pytest.mark.hard(
-    where="models.training.objectives.losses",
+    where="lab.training.objectives.losses",
     naive="the loss in the answer's own type",
     bound=1e-5,
     unit="",
@@ -205,7 +205,7 @@ def test_focal_loss_of_half_precision_answers(errors: Errors, dtype: torch.dtype
 
 
 @pytest.mark.hard(
-    where="models.training.objectives.focal",
+    where="lab.training.objectives.focal",
     naive="the loss in the answer's own type",
     bound=2e-6,
     unit="",
@@ -231,7 +231,7 @@ def sliced_heatmap(shape: tuple[int, int], row: int, column: int) -> np.ndarray:
 
 @pytest.mark.parametrize("cell", [(0, 0), (31, 15)], ids=["first", "last"])
 @pytest.mark.hard(
-    where="models.training.objectives.heatmaps",
+    where="lab.training.objectives.heatmaps",
     naive="kernel on heatmap[i - r : i + r + 1]",
     bound=math.exp(-0.5 * 5.4**2) + 1e-7,
     unit="",
@@ -250,7 +250,7 @@ def test_target_at_the_border(errors: Errors, cell: tuple[int, int]) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.fit_confidence",
+    where="lab.training.fit_confidence",
     naive="-t log(p) - (1 - t) log(1 - p)",
     bound=1e-12,
     unit="",
@@ -292,7 +292,7 @@ def test_encoding_is_finite_and_bounded(name: str, noise_power_mw: float) -> Non
 
 
 @pytest.mark.hard(
-    where="models.perception.detection.encoding",
+    where="models.perception.find.encoding",
     naive="abs(z)^2 in float32",
     bound=1e-5,
     unit="",
@@ -322,7 +322,7 @@ def test_without_noise_levels_count_from_the_strongest_cell() -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.exported_weights",
+    where="lab.training.exported_weights",
     naive="mean of squares less square of the mean, in the network's own type",
     bound=1e-3,
     unit="",

@@ -10,12 +10,12 @@ from mpmath import mp, mpf
 from scipy.special import ndtr
 
 from benchmarks.simulator.photon_target import Observed, Response, Window, fit_at, plane_patches
-from models.perception.transients.light_cone import LightCone, reconstruct
-from models.perception.transients.scan import ConfocalTransients
-from models.perception.transients.shape import hidden_shape
+from lab.transients.light_cone import LightCone, reconstruct
+from lab.transients.scan import ConfocalTransients
+from lab.transients.shape import hidden_shape
 from models.physics.photons.flux import counts_between, pulses_of
 from msgs.values.lidar import SpadParams
-from tests.models.perception.transients.scans import scan_of
+from tests.lab.transients.scans import scan_of
 from tests.stability.catalogue import Errors
 
 mp.dps = 60

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.tracking.odometry import OdometryPose
-from models.perception.tracking.wall_map import WallMap
+from models.perception.track.odometry import OdometryPose
+from models.perception.track.wall_map import WallMap
 from msgs.values.frames import Pose2
 from msgs.values.perception import Wall
 from tests.stability.catalogue import Errors
@@ -40,7 +40,7 @@ def gathered(seen: list[Wall], poses: list[Pose2]) -> Wall:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_map.WallMap",
+    where="models.perception.track.wall_map.WallMap",
     naive="means of normals and of offsets from the frame's origin",
     bound=3.0 * OFFSET_STD_M,
     unit="m",
@@ -60,7 +60,7 @@ def test_a_wall_a_thousand_kilometres_from_the_origin(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_map.WallMap",
+    where="models.perception.track.wall_map.WallMap",
     naive="mean of the normals' angles",
     bound=3.0 * ANGLE_STD_RAD,
     unit="rad",
@@ -79,7 +79,7 @@ def test_a_wall_that_is_faced(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_map.WallMap",
+    where="models.perception.track.wall_map.WallMap",
     naive="standard deviation of the mean of independent scans",
     bound=4.0,
     unit="standard deviations told",
@@ -93,7 +93,7 @@ def test_three_minutes_before_a_wall_whose_error_is_always_the_same(errors: Erro
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_map.WallMap",
+    where="models.perception.track.wall_map.WallMap",
     naive="normal kept as first seen",
     bound=1e-9,
     unit="m",

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.tracking.wall_fusion import MAX_WALLS, PlacedPrior, ScanReturns, fused
-from models.perception.tracking.wall_lines import WallLine
-from models.perception.tracking.wall_priors import WallPriorStore
+from models.perception.track.wall_fusion import MAX_WALLS, PlacedPrior, ScanReturns, fused
+from models.perception.track.wall_lines import WallLine
+from models.perception.track.wall_priors import WallPriorStore
 from msgs.values.environment import MAX_PRIOR_WALLS, PriorWall, WallPriors
 from msgs.values.frames import Pose2
 from msgs.values.perception import Wall
@@ -29,7 +29,7 @@ def walls_of(priors: list[PlacedPrior], walls: list[Wall]) -> list[Wall]:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_fusion.fused",
+    where="models.perception.track.wall_fusion.fused",
     naive="the prior beside the measured wall",
     bound=0.0,
     unit="walls",
@@ -41,7 +41,7 @@ def test_a_prior_a_millimetre_from_a_measured_wall(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_fusion.fused",
+    where="models.perception.track.wall_fusion.fused",
     naive="every wall of a message as a measurement of its own",
     bound=1e-12,
     unit="m",
@@ -55,7 +55,7 @@ def test_one_wall_repeated_by_its_source(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.wall_lines.WallLine.corrected",
+    where="models.perception.track.wall_lines.WallLine.corrected",
     naive="inverse of the sum of inverse covariances",
     bound=1e-9,
     unit="",

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.float64_chain import Answer, Comparison, DoubleChain, compare, double, single, view_bytes
-from models.perception.detection.onnx_model import DensePredictor
-from models.perception.forming.ra_former import RaFormer
+from lab.evaluate.labelled_beams import LabelledPlace
+from lab.full_wave.cpml import CpmlParams
+from lab.full_wave.grid import Drive, GridParams, Media, YeeGrid
+from models.perception.find.onnx_model import DensePredictor
+from models.perception.form.ra_former import RaFormer
 from msgs.values.radar import RadarBeam, RadarSetup
-from sim_player.dataset.labelled_beams import LabelledPlace
-from sim_player.fdtd.cpml import CpmlParams
-from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
 
 SEED, PLACES = 11, 3
 

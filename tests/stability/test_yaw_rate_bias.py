@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.perception.tracking.odometry import Odometry
-from models.perception.tracking.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
+from models.perception.track.odometry import Odometry
+from models.perception.track.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
 from msgs.values.arrays import MAX_SPEED_MPS
 from msgs.values.vehicle import MAX_YAW_RATE_RPS, VehicleState
-from tests.models.perception.tracking.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
+from tests.models.perception.track.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
 from tests.stability.catalogue import Errors
 
 EPOCH_NS = 1_763_750_000_123_456_789
@@ -29,7 +29,7 @@ def bias_after(states: list[VehicleState]) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.yaw_rate_bias",
+    where="models.perception.track.yaw_rate_bias",
     naive="stamps of the epoch as seconds in float32",
     bound=1e-12,
     unit="rad/s",

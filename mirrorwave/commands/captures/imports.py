@@ -13,7 +13,7 @@ from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_t
 from msgs.values.wording import counted
 
 app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")
-app.command()(loaded("mirrorwave.commands.captures.import_sensors:sensors"))
+app.command()(loaded("contrib.imports.verb:sensors"))
 
 
 class KindOption(StrEnum):
@@ -57,7 +57,7 @@ def xradarnlos(
     as_json: AsJson = False,
 ) -> int:
     """The published simulated maps or real captures as a data set of maps, for `train` and `eval`."""
-    from models.training.data.xradarnlos import SimKeys, import_folder
+    from lab.training.data.xradarnlos import SimKeys, import_folder
 
     wanted_keys = [name.strip() for name in keys.split(",")]
     if len(wanted_keys) != 3 or not all(wanted_keys) or len(set(wanted_keys)) != 3:
@@ -109,9 +109,9 @@ def dca1000(
     as_json: AsJson = False,
 ) -> int:
     """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
-    from mirrorwave.convert.dca1000 import ImportParams, capture_files, import_capture, write_recording
-    from models.sensors.config_file import read_config
-    from models.sensors.dca1000 import frames_of
+    from contrib.boards.config_file import read_config
+    from contrib.boards.dca1000_capture import frames_of
+    from contrib.boards.import_dca1000 import ImportParams, capture_files, import_capture, write_recording
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
     chirps = read_config(config, device.value if device else None)
@@ -198,7 +198,7 @@ def detections(
     as_json: AsJson = False,
 ) -> int:
     """Detections of a radar that gives no beats; exit code 3 if any are left out."""
-    from mirrorwave.convert.detections import import_detections
+    from contrib.imports.detections import import_detections
 
     require_new_file(out)
     counts = import_detections(source, out, mapping, topic, progress_bar)
@@ -250,7 +250,7 @@ def transients(
     as_json: AsJson = False,
 ) -> int:
     """Real photons of a hidden object as its shape, by the light-cone transform."""
-    from mirrorwave.convert.transients import import_transients
+    from lab.transients.import_transients import import_transients
 
     with progress_bar(f"reading {capture.name}"):
         summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff.value, snr)

@@ -107,7 +107,7 @@ def launch(
 
 def _profile_within(budget_ms: float, remeasure: bool) -> str:
     """The profile that a budget picks here; says which and why."""
-    from mirrorwave.studies.tradeoff.latency_budget import pick, reason
+    from lab.tradeoff.latency_budget import pick, reason
 
     timed = pick(budget_ms, remeasure, print_line)
     print_line(reason(budget_ms, timed))

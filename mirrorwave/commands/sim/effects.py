@@ -52,12 +52,12 @@ def effects(
 
     from sim_player.effects.table import ALL_EFFECTS
     from sim_player.lidar.spad import plan_optics
+    from sim_player.paths.ray_tracing import BASIC_EFFECTS
     from sim_player.planner.levels import levels_of
     from sim_player.planner.plan import manual_plan, plan_world, resolve_plan
     from sim_player.planner.purposes import purpose_of
     from sim_player.scene.description import load_scene
     from sim_player.scene.world import prepare
-    from sim_player.trace.ray_tracing import BASIC_EFFECTS
 
     loaded = load_scene(scene)
     world = prepare(loaded, seed)

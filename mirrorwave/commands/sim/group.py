@@ -25,9 +25,9 @@ app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, la
 _CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
 #: Verbs in order; those from beside the floors by name.
 _VERBS = (
-    *(effects, paths, "mirrorwave.commands.sim.material:material"),
-    *("mirrorwave.commands.sim.fdtd:reflectance", "mirrorwave.commands.sim.fdtd:wall"),
-    *(dataset, statistics, "mirrorwave.commands.sim.lidar:lidar"),
+    *(effects, paths, "lab.commands.material:material"),
+    *("lab.commands.fdtd:reflectance", "lab.commands.fdtd:wall"),
+    *(dataset, statistics, "contrib.annotate.lidar_verb:lidar"),
 )
 for verb in _VERBS:
     app.command()(loaded(verb) if isinstance(verb, str) else verb)

@@ -421,7 +421,7 @@ function objectName(one) {
 function showObjects() {
   const { view } = state;
   const rows = view.objects.map((one) => {
-    // the viewer says which hidden true object is nearest, and both errors (models/evaluation/object_error.py)
+    // the viewer says which hidden true object is nearest, and both errors (models/scores/object_error.py)
     const truth = one.nearest;
     return row(
       cell(objectName(one)), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),

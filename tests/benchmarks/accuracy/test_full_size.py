@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy import full_size
-from models.perception.detection.onnx_model import DensePredictor
-from models.training.data.map_arrays import ArrayMaker
-from models.training.data.samples import DataConfig
-from models.training.train_dense import load_best, load_summary
+from lab.training.data.map_arrays import ArrayMaker
+from lab.training.data.samples import DataConfig
+from lab.training.train_dense import load_best, load_summary
+from models.perception.find.onnx_model import DensePredictor
 from msgs.values.radar import RadarSetup
 
 PLACES = 40

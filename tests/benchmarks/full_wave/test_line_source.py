@@ -17,9 +17,9 @@ from benchmarks.full_wave.line_source import (
     line_source_echo,
     thread_amplitude,
 )
+from lab.full_wave.grid import Drive, Media, YeeGrid
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
-from sim_player.fdtd.grid import Drive, Media, YeeGrid
 
 FREQUENCY_HZ = 10e9
 CELL_M = 1.5e-3

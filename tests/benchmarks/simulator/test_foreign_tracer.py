@@ -20,12 +20,12 @@ from benchmarks.simulator.path_comparison import (
     our_routes,
     route_vertices,
 )
-from sim_player.foreign.export import SurfaceKind, clear_of_bodies, exported_surfaces
-from sim_player.foreign.one_way import OneWayPaths
+from lab.foreign.export import SurfaceKind, clear_of_bodies, exported_surfaces
+from lab.foreign.one_way import OneWayPaths
 from sim_player.generate.places import random_place
 from sim_player.scene.description import Scene, SceneObject, Surface
 from sim_player.scene.world import prepare, snapshot
-from tests.sim_player.foreign.requirements import require_sionna
+from tests.lab.foreign.requirements import require_sionna
 
 SCENE = Scene(
     name="reasons",

@@ -19,8 +19,8 @@ from benchmarks.simulator.photon_target import (
     matt_share,
     plane_patches,
 )
-from models.perception.transients.scan import ConfocalTransients
-from models.perception.transients.shape import HiddenShape
+from lab.transients.scan import ConfocalTransients
+from lab.transients.shape import HiddenShape
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 TRUE = Response(rms_s=40e-12, tail_share=0.4, tail_s=250e-12, entrance_exponent=1.0, depth_m=0.40)

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from benchmarks.simulator.real_burst import FAULTS, SCENE, compare, draw, measured, played, setup
-from mirrorwave.calibrate.radar import scene_with_receiver
+from contrib.calibrate.radar_alone import scene_with_receiver
 from sim_player.scene.description import load_scene, scene_from_yaml, scene_to_yaml
 from sim_player.scene.front_end import FrontEnd, Spur
 from tests.captures import DATA, needs

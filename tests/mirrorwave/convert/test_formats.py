@@ -37,7 +37,7 @@ from msgs.values.perception import (
 )
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
-from nodes.bridges.shapes import Odometry, wall_line_m
+from nodes.recording.shapes import Odometry, wall_line_m
 
 GRID = BevGrid(x_min_m=0.0, y_min_m=-2.0, cell_m=1.0, rows=4, columns=6)
 SETUP = RadarSetup(

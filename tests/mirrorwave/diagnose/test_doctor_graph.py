@@ -265,7 +265,7 @@ def test_what_a_peer_s_nodes_read_and_publish_is_not_this_graph_s() -> None:
         "geometry": _beats("geometry", {"perception/hidden_objects": 0}, ("radar/ra_map",)),
     }
     publishers = {"radar/ra_map": ["link"], "perception/hidden_objects": ["geometry"]}
-    entries = {"link": {"module": "nodes.link"}}
+    entries = {"link": {"module": "contrib.two_machines.link"}}
     graph = _Graph({}, publishers, heard, ViewWatch(0, 3.0).figures(0), [], entries)
     said = {one.check.removeprefix("topic "): one for one in _check_topics(graph)}
     assert set(said) == set(publishers)

@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from benchmarks.accuracy import severity
 from benchmarks.live import soak
+from lab.evaluate.method_figures import draw_curves as draw_precision
+from lab.evaluate.method_figures import draw_groups
+from lab.tradeoff.row_figures import draw_front, draw_stages
+from lab.tradeoff.row_report import Report
+from lab.training.training_curves import draw_curves as draw_training
 from mirrorwave.plots.style import legend_below, legend_beside, legend_of_figure, new_figure, save
-from mirrorwave.plots.training_curves import draw_curves as draw_training
-from mirrorwave.studies.evaluate.figures import draw_curves as draw_precision
-from mirrorwave.studies.evaluate.figures import draw_groups
-from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
-from mirrorwave.studies.tradeoff.report import Report
 from tests.mirrorwave.figures import assert_legends_off_data, assert_readable_at_page_width, legends_of
 
 

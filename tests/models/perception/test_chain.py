@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.perception.forming.ra_forming import FormingParams
+from models.perception.form.ra_forming import FormingParams
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from tests.builders import cfar_chain, example_beam
 

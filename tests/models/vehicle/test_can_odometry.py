@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.yaw_bias import read_states
-from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stationary_pose
-from models.perception.tracking.tracker import Tracker
+from models.perception.track.odometry import OdometryPose, ScanOdometry, stationary_pose
+from models.perception.track.tracker import Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
 from msgs.values.vehicle import VehicleState

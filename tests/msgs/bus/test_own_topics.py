@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from contrib.foxglove.foxglove_messages import FoxgloveStream
+from contrib.foxglove.foxglove_schemas import channels
 from mirrorwave.cli import main
 from mirrorwave.control import launch_params
 from msgs.bus.codec import encode_inline
@@ -24,8 +26,6 @@ from msgs.bus.topics import SHIPPED, TOPICS, Declaration, Topic, topic_facts
 from msgs.files.plugins import TOPICS as GROUP
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.arrays import Array, Checked
-from nodes.bridges.foxglove_messages import FoxgloveStream
-from nodes.bridges.foxglove_schemas import channels
 from nodes.process.launch_file import launch_from_mapping
 from tests.plugins import write_package
 

@@ -7,21 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from models.annotation.clouds import read_cloud
+from contrib.annotate.clouds import read_cloud
+from contrib.boards.config_file import read_config
 from models.perception.cards import read_card
-from models.perception.detection.onnx_model import ModelCard
-from models.sensors.config_file import read_config
+from models.perception.find.onnx_model import ModelCard
 from msgs.files.shipped import WEIGHTS
 from msgs.files.text_files import AS_CP1252, decode_text, read_text, without_mark
 from msgs.recording.sigmf import _load_metadata
 from nodes.can.bus import load_dbc
 from nodes.process.launch_file import read_yaml_mapping
+from sim_player.bodies.meshes import load_mesh
 from sim_player.maps.geojson import read_geojson
 from sim_player.maps.wall_rules import read_rules
 from sim_player.scene.description import load_scene
-from sim_player.scene.meshes import load_mesh
 from tests.captures import DATA
-from tests.mirrorwave.convert.test_dca1000 import CFG
+from tests.contrib.boards.test_import_dca1000 import CFG
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-32")
 CUBE = "\n".join(

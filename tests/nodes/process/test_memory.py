@@ -45,7 +45,7 @@ def test_own_mappings_are_whole() -> None:
 
 _COMPILER = """
 import numpy as np
-from models.perception.forming.slow_time_sums import fold_chirps
+from models.perception.form.slow_time_sums import fold_chirps
 from nodes.process.memory import mappings, release_unused
 
 def resident():

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from models.evaluation.object_error import object_distances
+from models.scores.object_error import object_distances
 from msgs.values.camera import CameraImage
 from msgs.values.frames import Pose2
 from msgs.values.lidar import LidarSetup
@@ -137,11 +137,11 @@ def server(board: Board) -> Iterator[ViewerServer]:
 @pytest.fixture(scope="module")
 def corner() -> list[Any]:
     """One scan of the demo scene through the real chain: map, peaks, truth, view, vehicle's state."""
-    from models.perception.detection.detectors import NetworkDetector
-    from models.perception.detection.onnx_model import DEFAULT_MODEL
-    from models.perception.forming.ra_former import RaFormer
-    from models.perception.forming.ra_forming import FormingParams
-    from models.perception.geometry.stage import GeometryParams, recover_bev
+    from models.perception.find.detectors import NetworkDetector
+    from models.perception.find.onnx_model import DEFAULT_MODEL
+    from models.perception.form.ra_former import RaFormer
+    from models.perception.form.ra_forming import FormingParams
+    from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
     from nodes.player import Params, scene_player
 
     player = scene_player(Params(scene=SCENE, chirps_per_beam=8, effects="basic"))

@@ -10,15 +10,15 @@ import pytest
 
 from msgs.values.perception import PathClass
 from sim_player.bodies.centres import CELL_M, MAX_CENTRES, MAX_SEQUENCES, body_of, joined_bodies
+from sim_player.bodies.mesh_rcs import cut_triangles, mesh_field, triangle_areas
+from sim_player.bodies.meshes import Mesh, box, cylinder, mesh_from_arrays, plate, sphere, trihedral
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import visible_paths
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface
-from sim_player.scene.meshes import Mesh, box, cylinder, mesh_from_arrays, plate, sphere, trihedral
 from sim_player.scene.world import World, prepare, snapshot
 from sim_player.trace.echoes import cofocal, echo_amplitude, object_echoes
-from sim_player.trace.mesh_rcs import cut_triangles, mesh_field, triangle_areas
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
+from sim_player.trace.path_table import Paths
 from sim_player.trace.routes import NONE, Routes
-from sim_player.trace.truth import visible_paths
 
 WAVELENGTH_M = 299_792_458.0 / 10e9
 WAVENUMBER = 2.0 * math.pi / WAVELENGTH_M

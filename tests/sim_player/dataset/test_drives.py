@@ -10,9 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import (
+from lab.training.data.frames import DataSet, fixed_splits
+from models.perception.form.coarray import AzimuthInterpolator
+from models.perception.form.ra_former import RaFormer
+from models.perception.form.ra_forming import (
     BeamFolder,
     FormingParams,
     ScanProfiles,
@@ -21,7 +22,6 @@ from models.perception.forming.ra_forming import (
     form_map,
     look_azimuths,
 )
-from models.training.data.frames import DataSet, fixed_splits
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
 from msgs.values.radar import RangeAzimuthGrid
@@ -33,10 +33,10 @@ from sim_player.dataset.statistics import dataset_statistics
 from sim_player.dataset.writer import Recipe, write_dataset
 from sim_player.generate.drives import draw_drive
 from sim_player.generate.places import random_place
+from sim_player.paths.ray_tracing import trace
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, scene_from_yaml
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
 
 #: Two scans a drive, one drive a shard; few effects are quickest.
 DRIVES = Recipe(scans=2, scenes_per_shard=3, effects=("los_objects", "specular_relay", "motion", "thermal_noise"))

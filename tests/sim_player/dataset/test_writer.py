@@ -19,12 +19,12 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import sim_player.dataset.shards as shards
+from lab.evaluate.labelled_beams import LabelledPlace
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.executors import Executor, map_jobs
-from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.dataset.labelled_scan import (
     clean_profiles,
     label_points,
@@ -35,18 +35,18 @@ from sim_player.dataset.labelled_scan import (
 from sim_player.dataset.shards import Recipe, ShardDone, read_shard
 from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
 from sim_player.dataset.writer import write_dataset
-from sim_player.effects.names import bit
 from sim_player.generate.places import draw_place, random_place
 from sim_player.generate.streets import random_street
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import labelled, scene_truth
 from sim_player.planner.cells import cells_of
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, scene_from_yaml
+from sim_player.scene.wall_priors import POOR
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import noise_rms
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import labelled, scene_truth
-from sim_player.wall_priors import POOR
+from sim_player.trace.effect_names import bit
+from sim_player.trace.path_table import Paths
 
 ROOT = CHECKOUT
 #: Cheap scenes in small shards.

@@ -13,7 +13,7 @@ from sim_player.scene.world import snapshot
 from sim_player.trace.snapshot import TraceContext
 from tests.models.physics.curved_reference import focusing
 from tests.models.physics.surface_integral import wall_field
-from tests.sim_player.effects.point_scenes import RADAR, one_way_field, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, one_way_field, points_world, traced, unit_weight, wall
 
 NAME = "curved_wall"
 

@@ -13,7 +13,7 @@ from models.physics.rough_lobe import RoughLobe
 from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.routes import dot, scatterer_routes, straight_routes
-from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, points_world, traced, unit_weight, wall
 
 NAME = "diffuse_scattering"
 

@@ -14,10 +14,10 @@ from sim_player.effects import edge_diffraction
 from sim_player.effects.edge_diffraction import edge_routes, edges_of, open_edges
 from sim_player.effects.table import PATHS
 from sim_player.scene.description import Ego
+from sim_player.scene.segments import crossing_factor
 from sim_player.scene.world import World, snapshot
-from sim_player.trace.segments import crossing_factor
 from sim_player.trace.snapshot import TraceContext
-from tests.sim_player.effects.point_scenes import (
+from tests.sim_player.trace.point_scenes import (
     RADAR,
     WAVENUMBER,
     Point,

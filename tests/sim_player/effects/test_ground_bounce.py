@@ -10,7 +10,7 @@ import pytest
 
 from models.physics.materials import permittivity
 from sim_player.scene.description import Surface
-from tests.sim_player.effects.point_scenes import RADAR, WAVENUMBER, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, WAVENUMBER, points_world, traced, unit_weight, wall
 
 NAME = "ground_bounce"
 

@@ -10,7 +10,7 @@ import pytest
 from msgs.values.perception import PathClass
 from sim_player.scene.description import Scene, SceneObject
 from sim_player.scene.world import prepare
-from tests.sim_player.effects.point_scenes import points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import points_world, traced, unit_weight, wall
 
 NAME = "los_objects"
 

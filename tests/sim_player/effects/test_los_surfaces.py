@@ -16,11 +16,11 @@ from models.physics.curved_mirror import arc_normals, arc_points
 from models.physics.fresnel import coherent_power, slab_reflection
 from models.physics.materials import permittivity
 from sim_player.effects.los_surfaces import flash_weight
+from sim_player.paths.conversion import weights
 from sim_player.scene.description import Ego, Surface
 from sim_player.scene.world import World, snapshot
-from sim_player.trace.conversion import weights
 from sim_player.trace.echoes import Echoes
-from tests.sim_player.effects.point_scenes import RADAR, WAVENUMBER, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, WAVENUMBER, points_world, traced, unit_weight, wall
 
 NAME = "los_surfaces"
 

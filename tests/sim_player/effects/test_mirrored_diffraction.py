@@ -18,7 +18,7 @@ from sim_player.scene.description import Surface
 from sim_player.scene.world import RadarState, snapshot
 from sim_player.trace.routes import Routes
 from sim_player.trace.snapshot import TraceContext
-from tests.sim_player.effects.point_scenes import (
+from tests.sim_player.trace.point_scenes import (
     RADAR,
     WAVENUMBER,
     Point,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from msgs.values.perception import PathClass
+from sim_player.paths.conversion import as_paths
 from sim_player.scene.description import Ego, SceneRadar
-from sim_player.trace.conversion import as_paths
-from sim_player.trace.paths import Paths
-from tests.sim_player.effects.point_scenes import WAVENUMBER, Traced, points_world, traced, unit_weight, wall
+from sim_player.trace.path_table import Paths
+from tests.sim_player.trace.point_scenes import WAVENUMBER, Traced, points_world, traced, unit_weight, wall
 
 NAME = "non_cofocal"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msgs.values.perception import PathClass
-from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, wall
+from tests.sim_player.trace.point_scenes import RADAR, points_world, traced, wall
 
 NAME = "object_interreflection"
 

@@ -6,9 +6,9 @@ import pytest
 
 from msgs.files.shipped import CHECKOUT
 from sim_player.effects import weights
-from sim_player.effects.names import PATH_EFFECTS, bit
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, SIGNAL, WEIGHTS, check_effects
 from sim_player.signal.switches import SignalEffects
+from sim_player.trace.effect_names import PATH_EFFECTS, bit
 
 FOLDER = CHECKOUT / "sim_player" / "effects"
 #: Files that are no path effect.

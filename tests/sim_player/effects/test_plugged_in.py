@@ -21,7 +21,7 @@ def factor(echoes, world, used):
     return 0.5 if used else 1.0
 """
 GHOSTS = """
-from sim_player.effects.names import bit
+from sim_player.trace.effect_names import bit
 from sim_player.trace.echoes import cofocal, object_echoes
 
 ABOUT = "ghosts of objects"
@@ -60,10 +60,10 @@ def test_effects_of_other_packages_are_planned_like_ours(tmp_path: Path) -> None
     write_package(tmp_path, "acme", EFFECTS, {name: name for name in sources}, **sources)
     script = f"""{SCENE}
 import numpy as np
-from sim_player.effects.names import bit
+from sim_player.trace.effect_names import bit
 from sim_player.effects.table import ALL_EFFECTS, PATHS, SHIPPED, WEIGHTS
 from sim_player.planner.plan import manual_plan, plan_world
-from sim_player.trace.truth import labelled
+from sim_player.paths.truth import labelled
 every = manual_plan(world, scene.setup)
 whole = manual_plan(world, scene.setup, ALL_EFFECTS - {{"half", "tiny"}})
 plan = plan_world(world, scene.setup, thorough=True)

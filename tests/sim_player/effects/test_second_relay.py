@@ -13,7 +13,7 @@ from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
 from models.physics.mirror import blocked, crossing_parameters, reflect, wall_from_ends
 from sim_player.trace.echoes import Echoes
-from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, points_world, traced, unit_weight, wall
 
 NAME = "second_relay"
 

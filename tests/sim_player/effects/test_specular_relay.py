@@ -9,7 +9,7 @@ import pytest
 
 from models.physics.fresnel import coherent_power, slab_reflection
 from models.physics.materials import permittivity
-from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, points_world, traced, unit_weight, wall
 
 NAME = "specular_relay"
 

@@ -13,7 +13,7 @@ from models.physics.materials import permittivity
 from sim_player.effects.table import PATHS
 from sim_player.scene.description import Scene, SceneObject
 from sim_player.scene.world import prepare
-from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+from tests.sim_player.trace.point_scenes import RADAR, points_world, traced, unit_weight, wall
 
 NAME = "wall_transmission"
 

@@ -12,7 +12,7 @@ from models.physics.attenuation import gas_db_per_m, rain_db_per_m
 from sim_player.effects import weights
 from sim_player.scene.air import air_db_per_m
 from sim_player.scene.description import Surface, Weather
-from tests.sim_player.effects.point_scenes import RADAR, points_world, wall
+from tests.sim_player.trace.point_scenes import RADAR, points_world, wall
 
 ECHOES: Any = SimpleNamespace(
     rough=np.array([0.9]), whole=np.array([0.7]), front=np.array([0.6]), foliage=np.array([0.3]),

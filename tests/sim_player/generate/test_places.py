@@ -23,12 +23,12 @@ from sim_player.generate.places import (
     random_place,
 )
 from sim_player.generate.wall_kinds import FINISHES, Line, build, kinds_at
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import hidden_objects, labelled
 from sim_player.scene.description import OBJECT_KINDS, Scene, Surface, check_scene, scene_from_yaml, scene_to_yaml
 from sim_player.scene.front_end import FrontEnd
 from sim_player.scene.road_users import scattering_centres, seen_rcs_m2
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import hidden_objects, labelled
 
 COUNT = 200
 FIRST = (12.0, -3.0)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sim_player.generate.streets import ROUGHNESS_MM, THICKNESS_MM, random_street
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import hidden_objects
 from sim_player.scene.description import scene_from_yaml, scene_to_yaml
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import hidden_objects
 
 STREETS = [random_street(11, index) for index in range(60)]
 

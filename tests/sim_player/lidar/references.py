@@ -10,9 +10,9 @@ from msgs.values.lidar import LidarSetup
 from msgs.values.perception import PathClass
 from sim_player.lidar.optical_surfaces import Surfaces, object_albedo
 from sim_player.lidar.spad import DEFAULT, LightRoute, OpticalPaths, SpadOptions, _delay_s, _measured, _within
+from sim_player.paths.truth import visible_paths
 from sim_player.scene.world import World, radar_pose, wall_lines
-from sim_player.trace.paths import Paths
-from sim_player.trace.truth import visible_paths
+from sim_player.trace.path_table import Paths
 
 
 def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions = DEFAULT) -> np.ndarray:

@@ -12,10 +12,10 @@ from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from sim_player.lidar.player import BLOCK, LidarPlayer
 from sim_player.lidar.spad import LightRoute, SpadOptions
+from sim_player.paths.ray_tracing import trace
+from sim_player.paths.truth import scene_truth
 from sim_player.scene.description import Scene, load_scene
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
-from sim_player.trace.truth import scene_truth
 from tests.sim_player.lidar.references import expected_histograms
 
 FOLDER = CHECKOUT / "launch" / "scenes"

@@ -23,9 +23,9 @@ from sim_player.lidar.spad import (
     plan_optics,
     spad_histograms,
 )
+from sim_player.paths.ray_tracing import trace
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
 from tests.sim_player.lidar.references import expected_histograms, label_paths
 
 #: Azimuths -60, 0, 60 deg: the middle one looks straight ahead.

@@ -18,9 +18,9 @@ from sim_player.maps.footprints import Footprint, FootprintFile
 from sim_player.maps.local_frame import MapPose
 from sim_player.maps.map_scene import MapScene, map_scene, read_map
 from sim_player.maps.wall_rules import DEFAULT_RULES, read_rules
+from sim_player.paths.ray_tracing import trace
 from sim_player.scene.description import scene_from_yaml
 from sim_player.scene.world import prepare
-from sim_player.trace.ray_tracing import trace
 
 EXAMPLE = LAUNCH / "maps" / "invented_street.geojson"
 Ring = list[tuple[float, float]]

@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 
 from sim_player.effects.table import ALL_EFFECTS
+from sim_player.paths.conversion import as_paths
 from sim_player.planner.ablation import signal_effects
 from sim_player.planner.cells import cells_of
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.levels import kernel_profiles, noise_rms
-from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes
 
 

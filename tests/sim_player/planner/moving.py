@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.perception.forming.slow_time_sums import group_edges
+from models.perception.form.slow_time_sums import group_edges
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan
 from sim_player.signal.levels import RANGE_BINS, echo_terms, noise_rms
 from sim_player.signal.slow_time_profiles import group_profiles
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 
 def reference(plan: Plan) -> np.ndarray:

@@ -17,7 +17,7 @@ from sim_player.scene.description import Scene, SceneObject, SceneRadar, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import noise_profiles
-from tests.sim_player.effects.point_scenes import wall
+from tests.sim_player.trace.point_scenes import wall
 
 FRONT_END = FrontEnd(
     coupling_db=-20.0,

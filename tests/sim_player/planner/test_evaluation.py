@@ -11,13 +11,13 @@ import pytest
 from msgs.values.radar import RadarSetup
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
+from sim_player.paths.ray_tracing import trace
 from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, error, evaluate
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import kernel_profiles, noise_rms
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
+from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.references import ALL
 
 SETUP = RadarSetup()

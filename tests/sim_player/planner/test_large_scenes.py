@@ -8,15 +8,15 @@ import pytest
 
 from benchmarks.simulator.city import CityKind, made_city
 from sim_player.effects.table import ALL_EFFECTS
+from sim_player.paths.conversion import as_paths
+from sim_player.paths.ray_tracing import trace_echoes
+from sim_player.paths.reach import reachable_snapshot
 from sim_player.planner.ablation import signal_effects
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, plan_world, planned_profiles
 from sim_player.planner.purposes import Purpose
-from sim_player.scene.reach import reachable_snapshot
 from sim_player.scene.world import World, prepare, snapshot
 from sim_player.signal.levels import kernel_profiles, noise_profiles, noise_rms
-from sim_player.trace.conversion import as_paths
-from sim_player.trace.ray_tracing import trace_echoes
 
 FLAGS = msgspec.structs.replace(signal_effects(ALL_EFFECTS), motion=False)
 

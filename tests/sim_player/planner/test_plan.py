@@ -11,9 +11,9 @@ import pytest
 
 from models.physics.waveform import window_noise_gain
 from sim_player.dataset.labelled_scan import LABELS, label_points
-from sim_player.effects.names import PATH_EFFECTS
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL, WEIGHTS
 from sim_player.generate.places import random_place
+from sim_player.paths.truth import hidden_objects
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import (
     Plan,
@@ -29,7 +29,7 @@ from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Su
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import kernel_objections, noise_density_mw, noise_profiles
-from sim_player.trace.truth import hidden_objects
+from sim_player.trace.effect_names import PATH_EFFECTS
 from tests.sim_player.planner.plans import plan_effects
 
 WALL = Surface(

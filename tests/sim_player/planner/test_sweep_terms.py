@@ -11,12 +11,12 @@ from msgs.values.radar import ArrayParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
+from sim_player.paths.ray_tracing import trace
 from sim_player.planner.sweep_terms import MAX_TERMS, _needed, _reach_m, sweep_terms
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import departure
 from sim_player.signal.switches import column_weights, sweep_ratio
-from sim_player.trace.ray_tracing import trace
 from tests.sim_player.planner.test_evaluation import NO_OVERLAP, NO_SWEEP
 
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from sim_player.generate.places import random_place
+from sim_player.paths.path_tracks import PathTrack, Span, scene_step_s
+from sim_player.paths.ray_tracing import trace
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import MOVES, ROUNDS, WEAKEST, Plan, plan_world
 from sim_player.planner.purposes import Purpose
@@ -20,8 +22,6 @@ from sim_player.scene.front_end import FrontEnd
 from sim_player.scene.world import World, prepare
 from sim_player.signal.levels import RANGE_BINS
 from sim_player.signal.swept_echoes import swept_echoes
-from sim_player.trace.path_tracks import PathTrack, Span, scene_step_s
-from sim_player.trace.ray_tracing import trace
 from tests.sim_player.planner.moving import doppler_bins, reference
 
 WALL = Surface(

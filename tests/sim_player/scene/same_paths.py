@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.scene.reach import reach_m, reachable_snapshot
+from sim_player.paths.ray_tracing import trace_echoes
+from sim_player.paths.reach import reach_m, reachable_snapshot
 from sim_player.scene.world import RadarState, World, snapshot
 from sim_player.trace.echoes import Echoes
-from sim_player.trace.ray_tracing import trace_echoes
+from sim_player.trace.effect_names import bit
 
 
 def of_whole(world: World, time_s: float, radar: RadarState) -> Echoes:

@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 
 import sim_player.player
-from models.perception.forming.ra_former import RaFormer
-from models.perception.forming.ra_forming import FormingParams
+from models.perception.form.ra_former import RaFormer
+from models.perception.form.ra_forming import FormingParams
 from models.physics.antenna import element_field
 from models.physics.waveform import window_noise_gain
 from msgs.values.radar import PRESETS, RangeAzimuthMap
+from sim_player.paths.ray_tracing import trace
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar
 from sim_player.scene.world import prepare
 from sim_player.trace.echoes import echo_amplitude
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
+from sim_player.trace.path_table import Paths
 
 FULL = PRESETS["77ghz"]
 RADAR = msgspec.structs.replace(FULL.radar, chirps_per_beam=8, samples_per_chirp=2048, sample_rate_hz=375e6)

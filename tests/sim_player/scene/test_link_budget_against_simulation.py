@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.photon_map import photon_map
+from models.perception.form.coarray import AzimuthInterpolator
+from models.perception.form.photon_map import photon_map
 from models.physics.fresnel import half_space_reflection
 from models.physics.link_budget import map_noise_gain, photon_snr, radar_snr
 from models.physics.materials import permittivity
@@ -18,10 +18,10 @@ from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
+from sim_player.paths.ray_tracing import trace
 from sim_player.scene.description import PRESETS, Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.world import prepare
-from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import trace
+from sim_player.trace.path_table import Paths
 
 EDGE_M = 0.05
 GRID = RangeAzimuthGrid()

@@ -10,14 +10,14 @@ import pytest
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from sim_player.dataset.labelled_scan import labelled_scan
+from sim_player.paths.ray_tracing import trace
 from sim_player.planner.plan import manual_plan, plan_world
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene, SceneArray, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import kernel_profiles
 from sim_player.signal.switches import IDEAL
-from sim_player.trace.ray_tracing import trace
-from tests.sim_player.effects.point_scenes import points_world, wall
+from tests.sim_player.trace.point_scenes import points_world, wall
 
 #: The prototype's boards: 2 x 8 patches each, one sends and one receives.
 BOARDS = SceneRadar(array=SceneArray(columns=8, rows=2), separation_m=0.25)

@@ -14,7 +14,7 @@ from sim_player.signal.levels import Terms, echo_terms, with_electronics
 from sim_player.signal.literal import chirp_turns
 from sim_player.signal.receiver import flicker_noise, iq_imbalance
 from sim_player.signal.switches import PLAIN, SignalEffects
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 
 ALL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, True))
 

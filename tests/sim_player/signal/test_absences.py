@@ -15,7 +15,7 @@ from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import World, prepare
 from sim_player.signal.absences import no_coupling, no_flicker, no_iq_imbalance, no_leakage, no_phase_steps, no_spurs
 from sim_player.signal.switches import IDEAL, SignalEffects, column_weights
-from tests.sim_player.effects.point_scenes import wall
+from tests.sim_player.trace.point_scenes import wall
 
 STEPPED = RadarSetup()
 EXACT = RadarSetup(array=ArrayParams(phase_bits=0))

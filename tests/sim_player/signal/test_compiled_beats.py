@@ -15,7 +15,7 @@ from sim_player.signal.levels import Terms, echo_terms, group_beats, group_terms
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.swept_echoes import TOLERANCE
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.references import ALL
 from tests.sim_player.signal.test_levels import (
     FAULTS,

@@ -9,7 +9,7 @@ from sim_player.scene.front_end import NO_FAULTS
 from sim_player.signal.compiled_weights import EchoWeights
 from sim_player.signal.fmcw import beam_weights, slow_time_table
 from sim_player.signal.switches import PLAIN
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.test_levels import one_path, some_paths
 
 SETUP, BEAM = RadarSetup(), 12

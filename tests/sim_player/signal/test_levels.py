@@ -27,7 +27,7 @@ from sim_player.signal.levels import (
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_instants, squint_swing_rad, swept_echoes
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects, sweep_ratio
-from sim_player.trace.paths import Paths
+from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.references import ALL, beat_terms, received_samples
 
 FAULTS = FrontEnd(coupling_db=-18.0, coupling_phase_deg=40.0, iq_gain_db=0.5, iq_phase_deg=3.0)

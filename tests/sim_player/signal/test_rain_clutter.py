@@ -32,7 +32,7 @@ from sim_player.signal.clutter import (
 from sim_player.signal.levels import hann_profiles
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.switches import PLAIN
-from tests.sim_player.effects.point_scenes import wall
+from tests.sim_player.trace.point_scenes import wall
 
 RAINS = msgspec.structs.replace(PLAIN, rain_clutter=True)
 BOX = SceneObject(class_="car", x_m=-30.0, y_m=0.0)

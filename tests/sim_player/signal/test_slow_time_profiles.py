@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.forming.ra_forming import BeamFolder, FormingParams, ego_correction
-from models.perception.forming.slow_time_sums import group_edges
+from models.perception.form.ra_forming import BeamFolder, FormingParams, ego_correction
+from models.perception.form.slow_time_sums import group_edges
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState

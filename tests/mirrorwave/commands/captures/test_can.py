@@ -19,7 +19,7 @@ from msgs.values.vehicle import VehicleState
 from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
 from tests.captures import DATA, needs
-from tests.models.perception.tracking.test_yaw_rate_bias import drive, town, turns
+from tests.models.perception.track.test_yaw_rate_bias import drive, town, turns
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
 RAW_DBC, RAW_MAPPING = Path("launch/can/raw_ranges.dbc"), Path("launch/can/raw_ranges.yaml")

@@ -23,7 +23,7 @@ from msgs.values.radar import BeamGrid
 from msgs.values.vehicle import VehicleState
 from nodes.player import Params, scene_player, truth_beside
 from tests.builders import cfar_chain
-from tests.models.perception.detections.street import detections, street_points
+from tests.models.perception.target_lists.street import detections, street_points
 
 SCENE = "launch/scenes/corner.yaml"
 CHIRPS = 4

@@ -56,9 +56,9 @@ def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 def test_options_are_those_of_the_simulator() -> None:
     from msgs.values.radar import PRESETS
+    from sim_player.dataset.domain_shift import SHIFTS
     from sim_player.dataset.executors import EXECUTORS
     from sim_player.dataset.shards import PLACES
-    from sim_player.generate.domain_shift import SHIFTS
 
     assert tuple(option.value for option in PlacesOption) == PLACES
     assert tuple(option.value for option in ExecutorOption) == EXECUTORS

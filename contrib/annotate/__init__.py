@@ -1,0 +1,1 @@
+"""LiDAR clouds as labels of radar captures."""

@@ -1,0 +1,1 @@
+"""Radar boards: drivers, nodes and captures of each."""

@@ -1,0 +1,1 @@
+"""Calibration of radar, array and mounting from captures."""

@@ -1,0 +1,1 @@
+"""Detections and side sensors out of recordings that others made."""

@@ -1,0 +1,1 @@
+"""The bridge to ROS 2 and its recordings."""

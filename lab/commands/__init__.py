@@ -1,0 +1,1 @@
+"""The verbs of the laboratory: thin modules, named in `mirrorwave.cli`."""

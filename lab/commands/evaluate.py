@@ -1,0 +1,279 @@
+"""`mirrorwave eval`: methods on the same frames, profiles on random places, lists of anybody, systems as published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lab.commands.complete_sets import complete_object_sets
+from mirrorwave.completion import complete_profiles
+from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from lab.evaluate.method_report import Context
+    from lab.evaluate.method_runs import Run, SweepPoint
+    from lab.evaluate.methods import Method
+    from lab.measures.frame_scores import FrameTruth
+    from lab.training.data.frames import DataSet, Frame, Splits
+    from msgs.values.radar import RadarSetup
+
+
+class SplitOption(StrEnum):
+    """Scenes of the fixed splits."""
+
+    TEST = "test"
+    VALIDATION = "validation"
+    TRAIN = "train"
+    ALL = "all"
+
+
+class TruthOption(StrEnum):
+    """Truth points that a map can tell apart, every labelled echo over the noise, or both."""
+
+    THINNED = "thinned"
+    ALL = "all"
+    BOTH = "both"
+
+
+def evaluate(
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Data set of `sim dataset` or `import xradarnlos`.")
+    ] = None,
+    objects: Annotated[
+        bool, typer.Option("--objects", help="Profiles on random places, object by object, in place of --data.")
+    ] = False,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="List of objects or tracks, one a drive: .jsonl, .mcap, nuScenes .json, KITTI .txt."
+        ),
+    ] = None,
+    truth_file: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Truth of each --against: a recording, or a list of those kinds."),
+    ] = None,
+    published_table: Annotated[
+        int | None,
+        typer.Option(
+            "--table",
+            metavar="5",
+            min=5,
+            max=5,
+            help="The specification's systems, shipped, and ours.",
+            show_default=False,
+        ),
+    ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="With --objects; default `default`. May be given again.",
+            autocompletion=complete_profiles,
+            show_default=False,
+        ),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME",
+            help="With --objects: a committed set of places. May be given again.",
+            autocompletion=complete_object_sets,
+            show_default=False,
+        ),
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option(min=1, help="With --table, or --objects and no --set: places of --seed [100].")
+    ] = None,
+    places: Annotated[int | None, former_name("places")] = None,
+    moving: Annotated[
+        bool, typer.Option("--moving", help="With --objects and no --set: radar and road users move.")
+    ] = False,
+    effects: Annotated[
+        str, typer.Option(metavar="all|auto|basic|LIST", help="With --table, or --objects and no --set: effects.")
+    ] = "all",
+    workers: Annotated[int, typer.Option(min=1, help="With --objects, --table: places measured at a time.")] = 1,
+    false_cost: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="With --objects: missed objects that a false report costs [that of the sets].",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]SPEC",
+            help="cfar, cfar-nlos, truth or FILE.onnx, then with commas: refine[=WAY], residual=FILE, "
+            "geometry=ours|specification, threshold=T, GROUP.KEY=VALUE. May be given again.",
+            show_default=False,
+        ),
+    ] = None,
+    split: Annotated[SplitOption, typer.Option(help="Scenes to evaluate.")] = SplitOption.TEST,
+    truth: Annotated[TruthOption, typer.Option(help="Truth before thinning traces each scene again.")] = (
+        TruthOption.THINNED
+    ),
+    threshold: Annotated[
+        float | None,
+        typer.Option(min=0.001, max=0.999, help="For networks whose method names none; else their card's."),
+    ] = None,
+    reference: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Method the others are compared with; default the last.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="results.json, results.md, pr.png, scenes.png, qualitative.png; with --objects and --table "
+            "[runs/table5-SEED] also a file a place: the same command goes on where it stopped.",
+        ),
+    ] = None,
+    sweep: Annotated[int, typer.Option(min=0, help="Thresholds of the precision-recall curves; 0: none.")] = 8,
+    draws: Annotated[int, typer.Option(min=1, help="Bootstrap draws of the intervals.")] = 1000,
+    limit: Annotated[int | None, typer.Option(min=1, help="Only the first N frames of the split.")] = None,
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads of each network.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap, and of the places drawn for --objects.")] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
+    given: dict[str, object] = {"--data": data, "--profile": profile, "--set": sets, "--moving": moving or None}
+    given |= {"--method": method, "--limit": limit, "--reference": reference}
+    if against or truth_file:
+        _refuse("--against", given | {"--objects": objects or None, "--table": published_table, "--count": count})
+        from lab.commands.evaluate_objects import evaluate_lists
+
+        evaluate_lists(against or [], truth_file or [], draws, seed, false_cost, out, as_json)
+        return
+    if published_table is not None:
+        _refuse("--table", given | {"--objects": objects or None})
+        from lab.commands.evaluate_table import evaluate_table
+
+        evaluate_table(count or places or 100, seed, effects, workers, out, as_json)
+        return
+    if objects:
+        _refuse("--objects", {"--data": data, "--method": method, "--limit": limit, "--reference": reference})
+        from lab.commands.evaluate_objects import evaluate_objects
+        from lab.evaluate.place_report import ObjectRequest
+
+        evaluate_objects(
+            ObjectRequest(
+                sets=sets or [], profiles=profile or ["default"], places=count or places, moving=moving,
+                effects=effects, seed=seed, draws=draws, workers=workers, false_cost=false_cost, out=out,
+            ),
+            as_json,
+        )  # fmt: skip
+        return
+    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count or places, "--moving": moving or None})
+    if data is None:
+        raise ValueError("--data must name a data set, or --objects ask for random places")
+    from lab.evaluate.method_report import Context, make_report, write_report
+    from lab.training.data.frames import DataSet, fixed_splits
+
+    dataset, splits = DataSet(data), fixed_splits(data)
+    methods = _methods(method or _default_methods(), threshold, threads, dataset.setup)
+    reference_method = _reference(reference, methods)
+    run, sweeps = _run(dataset, splits, methods, split, truth, sweep if out is not None else 0, limit)
+    context = Context(
+        data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=draws, threads=threads,
+        reference=reference_method,
+    )  # fmt: skip
+    report = make_report(run, sweeps, context)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        write_report(report, out)
+        _draw(report, run, dataset, context, out)
+    _show(report, out, as_json)
+
+
+def _refuse(word: str, options: dict[str, object]) -> None:
+    """Raise `ValueError` where options were given that say nothing beside `word`."""
+    if given := [name for name, value in options.items() if value is not None]:
+        raise ValueError(f"{given[0]} must not be given with {word}")
+
+
+def _default_methods() -> list[str]:
+    """Both classical ways, and the network in use as the vehicle runs it."""
+    from models.perception.find.onnx_model import DEFAULT_MODEL
+
+    return ["cfar", "cfar-nlos", f"ours={DEFAULT_MODEL},refine"]
+
+
+def _methods(texts: list[str], threshold: float | None, threads: int, setup: RadarSetup) -> list[Method]:
+    from lab.evaluate.methods import build_method, parse_method
+
+    specs = [parse_method(text) for text in texts]
+    names = [spec.name for spec in specs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"--method names must differ, got {name!r} twice: put NAME= before one")
+    return [build_method(spec, threshold, threads, setup) for spec in specs]
+
+
+def _reference(name: str | None, methods: list[Method]) -> str:
+    names = [method.name for method in methods]
+    if name is not None and name not in names:
+        raise ValueError(f"--reference must be one of {', '.join(names)}, got {name!r}")
+    return name or names[-1]
+
+
+def _run(
+    dataset: DataSet,
+    splits: Splits,
+    methods: list[Method],
+    split: SplitOption,
+    truth: TruthOption,
+    sweep_count: int,
+    limit: int | None,
+) -> tuple[Run, dict[str, list[SweepPoint]]]:
+    """All frames, then the curves."""
+    from lab.evaluate.method_runs import checked_frames, retraced_truth, run_methods, sweep, truth_of_labels
+
+    indices = splits.of(split.value)[:limit]
+    truth_of: dict[str, Callable[[Frame], FrameTruth]] = {}
+    if truth is not TruthOption.ALL:
+        truth_of["thinned"] = truth_of_labels
+    if truth is not TruthOption.THINNED:
+        truth_of["all"] = retraced_truth(dataset)
+    with progress_bar("frames", len(indices)) as tick:
+        run = run_methods(methods, checked_frames(dataset, indices, methods), truth_of, sweep_count > 0, tick)
+    sweeps: dict[str, list[SweepPoint]] = {}
+    if sweep_count:
+        with progress_bar("curves", len(methods)) as tick:
+            for method_run in run.runs:
+                sweeps[method_run.method.name] = sweep(method_run, run.truth, sweep_count)
+                tick()
+    return run, sweeps
+
+
+def _draw(report: dict[str, Any], run: Run, dataset: DataSet, context: Context, out: Path) -> None:
+    from lab.evaluate.method_figures import draw_curves, draw_groups, draw_scenes, shown_frames
+
+    if report["methods"][0]["sweep"]:
+        draw_curves(report, out / "pr.png")
+    if report["methods"][0]["groups"]:
+        draw_groups(report, out / "scenes.png")
+    if positions := shown_frames(run):
+        frames = [dataset.frame(run.facts[position].index) for position in positions]
+        draw_scenes(run, frames, positions, context.reference, out / "qualitative.png")
+
+
+def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
+    from lab.evaluate.method_report import headline_columns, headline_rows
+
+    if as_json:
+        print_json({key: value for key, value in report.items() if key != "per_frame"})
+        return
+    print_line(f"{counted(report['frames'], 'frame')} of {report['split']}; test set {report['test_sha256']}")
+    for truth in report["methods"][0]["measures"]:
+        print_line(f"against {truth} truth:")
+        columns = headline_columns()
+        least = [name for name in reversed(columns[1:]) if name not in ("dense Macro-F1", "recovered F1 1 m")]
+        print_table(columns, headline_rows(report, truth), least)
+    if out is not None:
+        print_line(f"{out}: results.json, results.md and figures")

@@ -1,0 +1,143 @@
+"""`mirrorwave train`: networks from data sets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+import typer
+
+from lab.commands.train_confidence import confidence
+from lab.commands.train_objects import objects
+from lab.commands.train_probabilities import probabilities
+from lab.commands.train_residual import residual
+from mirrorwave.console import print_json, print_line, progress_bar
+
+if TYPE_CHECKING:
+    from lab.training.objectives.objectives import ObjectiveConfig
+    from lab.training.schedules import ScheduleConfig
+    from lab.training.train_dense import DenseTraining, EpochReport
+    from msgs.values.radar import RangeAzimuthGrid
+
+app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
+app.command()(residual)
+app.command()(confidence)
+app.command()(objects)
+app.command()(probabilities)
+
+
+@app.command()
+def dense(
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Data set; its fixed splits train, choose and test.")],
+    out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
+    network: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[:SIZE]", help="compact_unet, unet, swin_unet, ...; compact, fine (77 GHz), native, full."
+        ),
+    ] = "compact_unet:compact",
+    inputs: Annotated[
+        str | None, typer.Option("--input", metavar="NAME", help="complex, log, both, levels, levels+phase, ...")
+    ] = None,
+    objective: Annotated[
+        str | None, typer.Option(metavar="KIND", help="heatmap, binary, binary_focal, anchors; default the network's.")
+    ] = None,
+    schedule: Annotated[str, typer.Option(help="one_cycle; published (section 3.3); fine_tuning.")] = "one_cycle",
+    epochs: Annotated[int | None, typer.Option(min=1, help="Default: the schedule's.")] = None,
+    batch_size: Annotated[int | None, typer.Option(min=1, help="Default: the schedule's.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Default: the schedule's.")] = None,
+    more: Annotated[list[Path] | None, typer.Option(metavar="DIR", help="A further data set, to train on.")] = None,
+    limit: Annotated[int, typer.Option(min=0, help="At most this many training scenes; 0: all.")] = 0,
+    without: Annotated[
+        list[str] | None, typer.Option(metavar="relay=KIND|object=CLASS", help="Leave scenes with it out.")
+    ] = None,
+    init: Annotated[Path | None, typer.Option(metavar="FILE", help="Checkpoint or ONNX file to start from.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Augmentation and first weights.")] = 0,
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Train a network that tells direct from mirrored returns, on this CPU, a GPU, or several by torchrun."""
+    import msgspec
+
+    from lab.training.data.samples import DataConfig, load_training_data
+    from lab.training.data.selection import parse_selection
+    from lab.training.families import FAMILIES, preset_network
+    from lab.training.ranks import joined_ranks, leave
+    from lab.training.schedules import SCHEDULES
+    from lab.training.train_dense import DenseTraining, TrainDenseConfig
+    from lab.training.training_curves import draw_curves
+
+    family, _, size = network.partition(":")
+    choice, encoding = preset_network(family, size or "compact", inputs)
+    if schedule not in SCHEDULES:
+        raise ValueError(f"--schedule must be one of {', '.join(SCHEDULES)}, got {schedule!r}")
+    given = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
+    config = TrainDenseConfig(
+        network=choice,
+        objective=_objective(FAMILIES[family].objective, objective, schedule),
+        schedule=_replaced(SCHEDULES[schedule], given),
+        seed=seed,
+        threads=threads,
+        init=str(init or ""),
+    )
+    folders = tuple(str(folder) for folder in more or ())
+    data_config = DataConfig(
+        directory=str(data), more=folders, limit=limit, selection=parse_selection(without or []), seed=seed,
+        encoding=encoding, grid=_grid(data),
+    )  # fmt: skip
+    with joined_ranks() as ranks:
+        training = DenseTraining(config, load_training_data(data_config), out, ranks)
+        if ranks.leads:
+            _run(training)
+        else:
+            training.run()
+    if not ranks.leads:
+        leave()
+    summary = training.summary()
+    draw_curves(training.reports, out / "curves.png")
+    if json:
+        print_json(msgspec.to_builtins(summary))
+        return
+    print_line(
+        f"{out}: best Macro-F1 {summary.best.best_macro_f1:.3f} at {summary.best.best_threshold} in epoch "
+        f"{summary.best.epoch}{', not converged' if summary.unconverged else ''}"
+    )
+
+
+def _run(training: DenseTraining) -> None:
+    """Train with a bar for all batches and a line an epoch."""
+    epochs, steps = training.config.schedule.epochs, training.steps_per_epoch
+    with progress_bar("batches", epochs * steps, len(training.reports) * steps) as progress:
+
+        def show(report: EpochReport) -> None:
+            progress.print(
+                f"epoch {report.epoch}: loss {report.train_loss:.3f}, validation {report.validation_loss:.3f}, "
+                f"Macro-F1 {report.macro_f1:.3f} (LOS {report.los_f1:.3f}, mirrored {report.mirrored_f1:.3f}), "
+                f"best {report.best_macro_f1:.3f} at {report.best_threshold}"
+            )
+
+        training.run(show, lambda done, of: progress())
+
+
+def _objective(default: ObjectiveConfig, kind: str | None, schedule: str) -> ObjectiveConfig:
+    """The network's objective unless another is asked for; fine-tuning has the released class weights."""
+    import msgspec
+
+    from lab.training.objectives.objectives import ObjectiveKind
+
+    weights = (1.5, 1.0) if schedule == "fine_tuning" else default.class_weights
+    fields = msgspec.to_builtins(default) | {"class_weights": weights} | ({"kind": kind} if kind else {})
+    if kind is not None and kind not in get_args(ObjectiveKind):
+        raise ValueError(f"--objective must be one of {', '.join(get_args(ObjectiveKind))}, got {kind!r}")
+    return msgspec.convert(fields, type(default))
+
+
+def _replaced(schedule: ScheduleConfig, given: dict[str, Any]) -> ScheduleConfig:
+    return replace(schedule, **{name: value for name, value in given.items() if value is not None})
+
+
+def _grid(data: Path) -> RangeAzimuthGrid:
+    from lab.training.data.frames import DataSet
+
+    return DataSet(data).grid

@@ -1,0 +1,1 @@
+"""One scene through several sensors, beside closed forms."""

@@ -1,0 +1,547 @@
+"""Report of a comparison: each sensor over each sweep beside its closed form, where it ends, why; JSON and Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from lab.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
+from lab.compare.sweeps import SWEEPS, Plan, SceneResult, Seen, Value
+from lab.measures.frame_scores import INTERVAL, bootstrap_weights
+from lab.studies.report import DRAWS, Interval, Provenance, machine, versions
+from mirrorwave.plots.markdown import table
+from models.physics.fresnel import coherent_power
+from models.physics.link_budget import half_range, map_noise_gain, radar_threshold, spad_threshold, two_way_field
+from msgs.values.units import db_from_ratio
+from msgs.values.wording import counted
+
+#: Measures of a row over which a sensor's reach is asked for.
+MEASURES = {"f1_1m": "F1 within 1 m", "f1_2m": "F1 within 2 m", "found": "objects found"}
+#: Reach of a sensor is compared with that of the first of these that ran.
+REFERENCE = ("xband", "77ghz")
+#: Sweeps of range, and the one of roughness.
+RANGE_SWEEPS, ROUGHNESS = ("range", "range_glass", "range_metal"), "roughness"
+#: Values farther apart than this factor leave a reach between them open.
+WIDE = 1.5
+#: Two levels agree with their closed form where noise adds little: this far over the threshold.
+CLEAR_DB = 6.0
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One sensor at one value of a sweep, over all viewpoints; where none could be looked at, the reason alone."""
+
+    sweep: str
+    value: Value
+    sensor: str
+    #: Viewpoints that were looked at, and why the first of the others was not.
+    scans: int
+    failed: str | None = None
+    f1_1m: Interval | None = None
+    f1_2m: Interval | None = None
+    #: Share of hidden objects with a recovered point within 2 m of their box.
+    found: Interval | None = None
+    #: A scan: recovered points with no truth within 2 m, and groups of points near no object.
+    false_points: float | None = None
+    false_objects: float | None = None
+    #: Medians over viewpoints: strongest cell at the images over the mean noise, and its closed form.
+    snr_db: float | None = None
+    predicted_snr_db: float | None = None
+    #: What roughness took off that level against a smooth wall (same viewpoints), and (1/rho)^2 of Eq. (15) where the
+    #: points shown meet the wall nearest to grazing, and farthest from it.
+    loss_db: float | None = None
+    least_loss_db: float | None = None
+    most_loss_db: float | None = None
+    seconds: float | None = None
+
+
+class Reach(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Value at which one sensor's measure last falls below half of its best over a sweep."""
+
+    sweep: str
+    sensor: str
+    measure: str
+    best: float
+    #: Interpolated; 0 where the best is chance: 0 lies in its interval. Where the measure holds to the sweep's last
+    #: value that value, and `at_least` is true.
+    half: float
+    at_least: bool
+    #: The values between which it was interpolated; None where it was not.
+    between: tuple[float, float] | None = None
+    #: The reach of the sensor that `reference` names over this one; None where either has none.
+    reference: str | None = None
+    ratio: float | None = None
+    ratio_at_least: bool = False
+
+
+class Report(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run: what it was made with, rows, reaches, and what they say."""
+
+    viewpoints: int
+    equal: Equal
+    sensors: dict[str, str]
+    #: Of one scan.
+    energy_j: dict[str, float]
+    #: Level of a cell, over the mean noise, that noise alone passes with `FALSE_ALARM`.
+    threshold_db: dict[str, float]
+    rows: list[Row]
+    reaches: list[Reach]
+    findings: list[str]
+
+    def of(self, sweep: str, sensor: str | None = None) -> list[Row]:
+        """Rows of a sweep that hold numbers, in order; of one sensor where it is named."""
+        mine = (row for row in self.rows if row.sweep == sweep and row.scans)
+        return [row for row in mine if sensor is None or row.sensor == sensor]
+
+
+def make_report(plan: Plan, results: Sequence[SceneResult], command: str) -> Report:
+    """All rows of a run."""
+    rows = [
+        _row(plan, results, sweep, index, sensor)
+        for sweep, values in plan.values.items()
+        for index in range(len(values))
+        for sensor in plan.sensors
+    ]
+    report = Report(
+        command=command,
+        machine=machine(),
+        versions=versions(),
+        seed=plan.seed,
+        viewpoints=plan.viewpoints,
+        equal=plan.equal,
+        sensors={name: SENSORS[name].title for name in plan.sensors},
+        energy_j={name: SENSORS[name].energy_j(plan.equal) for name in plan.sensors},
+        threshold_db={name: threshold_db(SENSORS[name]) for name in plan.sensors},
+        rows=rows,
+        reaches=_reaches(plan, rows),
+        findings=[],
+    )
+    return msgspec.structs.replace(report, findings=findings(report))
+
+
+def threshold_db(sensor: Sensor) -> float:
+    """Return the power that a cell must exceed to count, dB over the mean noise."""
+    law = spad_threshold if isinstance(sensor, SpadSensor) else radar_threshold
+    return db_from_ratio(float(law(FALSE_ALARM)))
+
+
+def _row(plan: Plan, results: Sequence[SceneResult], sweep: str, index: int, sensor: str) -> Row:
+    """All viewpoints of one value."""
+    value = plan.values[sweep][index]
+    mine = [item for item in results if (item.sweep, item.index) == (sweep, index)]
+    looks = [item.seen[sensor] for item in mine]
+    reason = next((item.failed for item in looks if item.failed is not None), None)
+    scores = [item.score for item in looks if item.score is not None]
+    row = Row(sweep=sweep, value=value, sensor=sensor, scans=len(scores), failed=reason)
+    if not scores:
+        return row
+    loss = _loss(plan, results, mine, sensor) if sweep == ROUGHNESS else (None, None, None)
+    return msgspec.structs.replace(
+        row,
+        f1_1m=_f1([item.within_1m for item in scores]),
+        f1_2m=_f1([item.within_2m for item in scores]),
+        found=_share([item.found for item in scores], [item.hidden for item in scores]),
+        false_points=float(np.mean([item.within_2m[1] for item in scores])),
+        false_objects=float(np.mean([item.false_objects for item in scores])),
+        snr_db=_median([item.snr_db for item in scores]),
+        predicted_snr_db=_median([item.predicted_snr_db for item in looks]),
+        loss_db=loss[0],
+        least_loss_db=loss[1],
+        most_loss_db=loss[2],
+        seconds=_median([item.seconds for item in looks]),
+    )
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    present = [value for value in values if value is not None]
+    return float(np.median(present)) if present else None
+
+
+def _f1(counts: Sequence[tuple[int, int, int]]) -> Interval:
+    """F1 of counts summed over scans, with its interval over draws of the scans; one where there was nothing at all."""
+    true, false, missed = np.array(counts, np.float64).T
+    return _ratio(2.0 * true, 2.0 * true + false + missed, empty=1.0)
+
+
+def _share(part: Sequence[int], whole: Sequence[int]) -> Interval:
+    """A share of sums over scans; none where there is nothing to share."""
+    return _ratio(np.array(part, np.float64), np.array(whole, np.float64), empty=math.nan)
+
+
+def _ratio(above: np.ndarray, below: np.ndarray, empty: float) -> Interval:
+    weights = np.concatenate([np.ones((1, len(above))), bootstrap_weights(len(above), DRAWS, seed=0)])
+    total = weights @ below
+    values = np.divide(weights @ above, total, out=np.full(len(total), empty), where=total > 0.0)
+    if not math.isfinite(values[0]):
+        return Interval(value=None, low=None, high=None)
+    if len(above) == 1:
+        # one viewpoint does not say how viewpoints differ
+        return Interval(value=float(values[0]), low=None, high=None)
+    low, high = np.nanpercentile(values[1:], INTERVAL)
+    return Interval(value=float(values[0]), low=float(low), high=float(high))
+
+
+def _loss(
+    plan: Plan, results: Sequence[SceneResult], mine: Sequence[SceneResult], sensor: str
+) -> tuple[float | None, float | None, float | None]:
+    """Medians over viewpoints of what roughness took [dB]: against the smooth wall; least and most by Eq. (15)."""
+    values = plan.values[ROUGHNESS]
+    smooth = {
+        result.viewpoint: _level(result.seen[sensor])
+        for result in results
+        if result.sweep == ROUGHNESS and values[result.index] == 0.0
+    }
+    measured, lower, upper = [], [], []
+    for result in mine:
+        before_db, after_db = smooth.get(result.viewpoint), _level(result.seen[sensor])
+        if before_db is not None and after_db is not None:
+            measured.append(before_db - after_db)
+        if result.cos_incidence is not None:
+            roughness_m = 1e-3 * float(values[result.index])
+            lower.append(roughness_loss_db(SENSORS[sensor], roughness_m, result.cos_incidence[0]))
+            upper.append(roughness_loss_db(SENSORS[sensor], roughness_m, result.cos_incidence[1]))
+    return _median(measured), _median(lower), _median(upper)
+
+
+def _level(look: Seen) -> float | None:
+    return None if look.score is None else look.score.snr_db
+
+
+def roughness_loss_db(sensor: Sensor, roughness_m: float, cos_incidence: float) -> float:
+    """exp(-(4 pi s cos / lambda)^2) at each of two bounces, in the level of a map: for photons that is squared."""
+    share = float(coherent_power(np.array(roughness_m), np.array(cos_incidence), sensor.wavelength_m))
+    bounces = 4.0 if isinstance(sensor, SpadSensor) else 2.0
+    return -bounces * db_from_ratio(max(share, 1e-300))
+
+
+def _reaches(plan: Plan, rows: Sequence[Row]) -> list[Reach]:
+    """Half ranges of all sensors over the sweeps of numbers that a sensor loses with, and ratios to the reference's."""
+    reaches = []
+    for sweep in (*RANGE_SWEEPS, ROUGHNESS):
+        for measure in MEASURES if sweep in plan.values else ():
+            mine = [_reach(rows, sweep, sensor, measure) for sensor in plan.sensors]
+            by_sensor = {reach.sensor: reach for reach in mine if reach is not None}
+            reference = next((by_sensor[name] for name in REFERENCE if name in by_sensor), None)
+            reaches += [_against(reach, reference) for reach in by_sensor.values()]
+    return reaches
+
+
+def _reach(rows: Sequence[Row], sweep: str, sensor: str, measure: str) -> Reach | None:
+    points: list[tuple[float, Interval]] = []
+    for row in rows:
+        interval = getattr(row, measure) if (row.sweep, row.sensor) == (sweep, sensor) else None
+        if interval is not None and interval.value is not None:
+            points.append((float(row.value), interval))
+    if len(points) < 2:
+        return None
+    points.sort(key=lambda point: point[0])
+    at, value = np.array([position for position, _ in points]), np.array([interval.value for _, interval in points])
+    best = int(value.argmax())
+    half = half_range(at, value) if points[best][1].low != 0.0 else 0.0
+    after = int(np.searchsorted(at, half)) if 0.0 < half < at[-1] else 0
+    return Reach(
+        sweep=sweep,
+        sensor=sensor,
+        measure=measure,
+        best=float(value[best]),
+        half=float(min(half, at[-1])),
+        at_least=math.isinf(half),
+        between=(float(at[after - 1]), float(at[after])) if after else None,
+    )
+
+
+def _against(reach: Reach, reference: Reach | None) -> Reach:
+    if reference is None or reference is reach or not reference.half or not reach.half or reach.at_least:
+        return reach
+    ratio = reference.half / reach.half
+    return msgspec.structs.replace(reach, reference=reference.sensor, ratio=ratio, ratio_at_least=reference.at_least)
+
+
+# --- what it says
+
+
+def findings(report: Report) -> list[str]:
+    """Return the findings, in sentences made of the rows: where each sensor is best and why."""
+    said = [_reach_sentence(report, sweep) for sweep in RANGE_SWEEPS]
+    said += [*_radar_sentences(report), *_roughness_sentences(report), *_window_sentences(report)]
+    said += [_walls_sentence(report, name) for name in ("xband", "77ghz")]
+    said += [_best_sentence(report, sweep) for sweep in ("material", "incidence", "places")]
+    said += [_failed_sentence(report, row) for row in report.rows if row.failed is not None]
+    return [sentence for sentence in said if sentence]
+
+
+def _reach_sentence(report: Report, sweep: str) -> str:
+    """Describe the reach of each sensor."""
+    mine = [reach for reach in report.reaches if (reach.sweep, reach.measure) == (sweep, "f1_1m")]
+    if not mine:
+        return ""
+    parts = []
+    for reach in mine:
+        name = report.sensors[reach.sensor]
+        if reach.half == 0.0:
+            parts.append(f"{name} recovers nothing{' beyond chance' if reach.best else ''}")
+            continue
+        ratio = ""
+        if reach.ratio is not None and reach.reference is not None and not _open(reach):
+            bound = "at least " if reach.ratio_at_least else ""
+            ratio = f" ({report.sensors[reach.reference]} {bound}{reach.ratio:.1f} times as far)"
+        parts.append(f"{name} {_where(reach, 'm')}{ratio}")
+    title = SWEEPS[sweep].title.removesuffix(" [m]")
+    return f"Reach over {title}, where F1 within 1 m falls below half of its best: {'; '.join(parts)}."
+
+
+def _where(reach: Reach, unit: str) -> str:
+    """A reach that is one; as a bracket where values lie too far apart to interpolate."""
+    if reach.at_least:
+        return f"beyond {reach.half:g} {unit}, where the sweep ends"
+    if reach.between is not None and _open(reach):
+        return f"between {reach.between[0]:g} and {reach.between[1]:g} {unit}"
+    return f"at {reach.half:.3g} {unit}"
+
+
+def _open(reach: Reach) -> bool:
+    return reach.between is not None and reach.between[1] > WIDE * reach.between[0]
+
+
+def _radar_sentences(report: Report) -> list[str]:
+    """Describe why X-band leads 77 GHz: the terms of the radar equation against what was measured."""
+    if not {"xband", "77ghz"} <= set(report.sensors):
+        return []
+    near, far = RADARS["xband"], RADARS["77ghz"]
+    near_setup, far_setup = near.setup(1.0, report.equal), far.setup(1.0, report.equal)
+    wavelength_db = 2.0 * db_from_ratio(near.wavelength_m / far.wavelength_m)
+    array_db = 2.0 * db_from_ratio(
+        float(two_way_field(near_setup, np.zeros(())) / two_way_field(far_setup, np.zeros(())))
+    )
+    chirps = (
+        near_setup.radar.chirps_per_beam
+        * map_noise_gain(far_setup)
+        / (far_setup.radar.chirps_per_beam * map_noise_gain(near_setup))
+    )
+    time_db = db_from_ratio(chirps)
+    said = [
+        f"But for the wall the radar equation gives X-band {wavelength_db + array_db + time_db:+.1f} dB over 77 GHz: "
+        f"{wavelength_db:+.1f} dB of effective aperture (wavelength squared), {array_db:+.1f} dB of arrays "
+        f"(4 x 8 both ways against 1 x 57 one way), {time_db:+.1f} dB of time and noise of a cell."
+    ]
+    for sweep in RANGE_SWEEPS:
+        gaps = _gaps_db(report, sweep)
+        if gaps:
+            said.append(
+                f"Measured over {SWEEPS[sweep].title.removesuffix(' [m]')} where both stand clear of noise: "
+                f"{np.median(gaps):+.1f} dB (median; values: {len(gaps)}), the wall's material and roughness included."
+            )
+    return said
+
+
+def _gaps_db(report: Report, sweep: str) -> list[float]:
+    """Level of X-band over 77 GHz at the values where both are clear of noise."""
+    levels = [
+        {row.value: row.snr_db for row in report.of(sweep, name) if clear(report, row)} for name in ("xband", "77ghz")
+    ]
+    return [levels[0][value] - levels[1][value] for value in levels[0] if value in levels[1]]  # type: ignore[operator]
+
+
+def clear(report: Report, row: Row) -> bool:
+    """Return whether a level stands so far over its threshold that noise adds little to it."""
+    return row.snr_db is not None and row.snr_db >= report.threshold_db[row.sensor] + CLEAR_DB
+
+
+def _times(longer: Reach, shorter: Reach) -> str:
+    """Return the ratio of two reaches, in words, where both are known well enough."""
+    if shorter.at_least or _open(shorter) or _open(longer):
+        return ""
+    return f": {'at least ' if longer.at_least else ''}{longer.half / shorter.half:.1f} times as far"
+
+
+def _roughness_sentences(report: Report) -> list[str]:
+    """Loss by roughness against the closed form, and where each sensor loses the mirror."""
+    said = []
+    for sensor, title in report.sensors.items():
+        off = {
+            float(row.value): _outside(row)
+            for row in report.of(ROUGHNESS, sensor)
+            if row.loss_db is not None and row.value and clear(report, row)
+        }
+        reach = next((candidate for candidate in report.reaches if _is(candidate, ROUGHNESS, sensor, "f1_1m")), None)
+        if reach is None or reach.half == 0.0:
+            continue
+        law = ""
+        if off:
+            worst = max(off, key=lambda value: off[value])
+            far = f"at most {off[worst]:.1f} dB (at {worst:g} mm) from" if off[worst] >= 0.05 else "within"
+            law = (
+                f"; its loss, clear of noise to {max(off):g} mm, lies {far} the band of exp(-(4 pi s cos / lambda)^2) "
+                "a bounce over the object's points"
+            )
+        said.append(f"Roughness: F1 of {title} falls below half of its best {_where(reach, 'mm')}{law}.")
+    return said
+
+
+def _outside(row: Row) -> float:
+    """Return how far a loss lies outside its closed form's band [dB]."""
+    return max((row.least_loss_db or 0.0) - (row.loss_db or 0.0), (row.loss_db or 0.0) - (row.most_loss_db or 0.0), 0.0)
+
+
+def _is(reach: Reach, sweep: str, sensor: str, measure: str) -> bool:
+    return (reach.sweep, reach.sensor, reach.measure) == (sweep, sensor, measure)
+
+
+def _window_sentences(report: Report) -> list[str]:
+    """Describe the share of a LiDAR's reach that its period sets, and the effect of the wall's own light."""
+    said = []
+    gated, free = ({row.value: row for row in report.of(ROUGHNESS, name)} for name in ("spad_gated", "spad"))
+    f1 = [row.f1_1m.value or 0.0 for row in (gated.get(0.0), free.get(0.0)) if row is not None and row.f1_1m]
+    if len(f1) == 2 and f1[0] > f1[1]:
+        said.append(
+            f"At a perfectly smooth concrete wall the LiDAR gated after the wall has F1 {f1[0]:.2f}, "
+            f"Table 2's, always armed, {f1[1]:.2f}: matt light of the wall takes the first photon."
+        )
+    for sweep in RANGE_SWEEPS:
+        reach = {
+            short_gate.sensor: short_gate
+            for short_gate in report.reaches
+            if (short_gate.sweep, short_gate.measure) == (sweep, "f1_1m")
+        }
+        short_gate, longer = reach.get("spad_gated"), reach.get("spad_long")
+        if short_gate is None or longer is None or not short_gate.half or not longer.half:
+            continue
+        said.append(
+            f"Window: over {SWEEPS[sweep].title.removesuffix(' [m]')} the LiDAR gated within Table 2's period of 10 m "
+            f"ends {_where(short_gate, 'm')}; with the period lengthened at equal average power {_where(longer, 'm')}"
+            f"{_times(longer, short_gate)}."
+        )
+    return said
+
+
+def _walls_sentence(report: Report, sensor: str) -> str:
+    """Describe the loss of a radar's level at walls of other materials, against metal."""
+    level_db = {row.value: row.snr_db for row in report.of("material", sensor) if row.snr_db is not None}
+    metal_db = level_db.pop("metal", None)
+    if metal_db is None or not level_db:
+        return ""
+    lost = ", ".join(f"{str(wall).replace('_', ' ')} {value - metal_db:+.1f} dB" for wall, value in level_db.items())
+    return f"Level of {report.sensors[sensor]} by wall, against metal (thin panes act by both faces): {lost}."
+
+
+def _best_sentence(report: Report, sweep: str) -> str:
+    """Name the sensor with the best F1 at each value."""
+    values = list(dict.fromkeys(row.value for row in report.of(sweep)))
+    parts = []
+    for value in values:
+        rows = [row for row in report.of(sweep) if row.value == value and row.f1_1m is not None]
+        f1 = {row.sensor: round(row.f1_1m.value or 0.0, 2) for row in rows if row.f1_1m is not None}
+        best = max(f1.values(), default=0.0)
+        name = value.replace("_", " ") if isinstance(value, str) else f"{value:g}"
+        # whoever is as good to the digits shown has won as well
+        winners = " and ".join(report.sensors[sensor] for sensor in f1 if f1[sensor] == best)
+        parts.append(f"{name}: {winners} {best:.2f}" if best else f"{name}: none")
+    return f"Best F1 within 1 m by {SWEEPS[sweep].title}: {'; '.join(parts)}." if parts else ""
+
+
+def _failed_sentence(report: Report, row: Row) -> str:
+    """Describe why scans of a row are missing."""
+    missing = report.viewpoints - row.scans
+    return f"{report.sensors[row.sensor]} failed at {missing} of {report.viewpoints} ({row.value}): {row.failed}."
+
+
+COLUMNS = (
+    "sensor", "F1 1 m", "F1 2 m", "found", "false points", "false objects", "SNR [dB]", "closed form",
+    "loss [dB]", "closed form", "time [s]",
+)  # fmt: skip
+
+
+#: What a narrow terminal leaves out, the first of them first.
+LEAST = ("time [s]", "closed form", "loss [dB]", "false objects", "SNR [dB]", "F1 2 m", "found", "false points")
+
+
+def cells(row: Row) -> list[str]:
+    """A row as its value and `COLUMNS`."""
+    if not row.scans:
+        return [str(row.value), row.sensor, "failed", *[""] * (len(COLUMNS) - 2)]
+    return [
+        f"{row.value:g}" if isinstance(row.value, float) else row.value,
+        row.sensor if row.failed is None else f"{row.sensor} ({counted(row.scans, 'scan')})",
+        *(_with_interval(interval) for interval in (row.f1_1m, row.f1_2m, row.found)),
+        *(_one_digit(value) for value in (row.false_points, row.false_objects, row.snr_db, row.predicted_snr_db)),
+        _one_digit(row.loss_db),
+        _span(row.least_loss_db, row.most_loss_db),
+        "-" if row.seconds is None else f"{row.seconds:.2f}",
+    ]
+
+
+def _one_digit(value: float | None) -> str:
+    """A number for people; a level no receiver knows is not spelled out."""
+    return "-" if value is None else "below -100" if value < -100.0 else f"{value + 0.0:.1f}".replace("-0.0", "0.0")
+
+
+def _span(min_db: float | None, max_db: float | None) -> str:
+    """A closed form's band; a loss that no sensor could measure is not spelled out."""
+    if min_db is None or max_db is None:
+        return "-"
+    return "over 200" if min_db > 200.0 else f"{min_db:.1f} to {max_db:.1f}"
+
+
+def _with_interval(interval: Interval | None) -> str:
+    if interval is None or interval.value is None:
+        return "-"
+    if interval.low is None or interval.high is None:
+        return f"{interval.value:.2f}"
+    return f"{interval.value:.2f} [{interval.low:.2f}, {interval.high:.2f}]"
+
+
+ABOUT = (
+    "Every sensor looks at the same scenes from the same viewpoints and sends 1.6 mW. Each map lies on the same grid "
+    "and goes through the same detector (false alarms of noise alone: {false_alarm:g} a cell), the same known walls "
+    "and folding; the truth is what the mirror shows of the hidden object, whatever the sensor's power. F1: points "
+    "recovered within 1 m or 2 m of truth points, all viewpoints together, with the 95 % interval over draws of "
+    "viewpoints; the smaller gate asks for a place, the larger for the object's side. Found: objects with a recovered "
+    "point within 2 m of their box. False points lie 2 m or more from any truth point; false objects are groups of "
+    "points within 2 m of each other and of no object. SNR: strongest cell at the images over the map's mean noise, "
+    "median; of photon counts the squared excess over ambient light in standard deviations, -30 dB where there is none "
+    "(beyond the period). Its closed form takes the object for one point of its class's mean echo. Time: from the "
+    "scene to the map, one process."
+)
+EQUAL_ABOUT = {
+    "power": "Equal power: each sensor measures for its own time",
+    "energy": "Equal energy: each sensor may send as much in a scan as X-band does",
+}
+
+
+def markdown(report: Report) -> str:
+    """The report as a page: how it was made, what it says, then a table a sweep."""
+    energies = ", ".join(f"{report.sensors[name]} {1e3 * value:.3g} mJ" for name, value in report.energy_j.items())
+    lines = [
+        f"`{report.command}`; viewpoints of a value: {report.viewpoints}, series {report.seed}; {report.machine}; "
+        f"{report.packages}.",
+        "",
+        ABOUT.format(false_alarm=FALSE_ALARM),
+        "",
+        f"{EQUAL_ABOUT[report.equal]}; energy of a scan: {energies}.",
+        "",
+        *(f"- {finding}" for finding in report.findings),
+    ]
+    lines += _reach_table(report)
+    for sweep in dict.fromkeys(row.sweep for row in report.rows):
+        rows = [row for row in report.rows if row.sweep == sweep]
+        lines += ["", f"## {SWEEPS[sweep].title}", "", *table(("value", *COLUMNS), map(cells, rows))]
+    return "\n".join(lines) + "\n"
+
+
+def _reach_table(report: Report) -> list[str]:
+    """Half ranges by measure, with ratios."""
+    if not report.reaches:
+        return []
+    rows = []
+    for reach in report.reaches:
+        half = f"> {reach.half:g}" if reach.at_least else f"{reach.half:.3g}" if reach.half else "none"
+        between = "-" if reach.between is None else f"{reach.between[0]:g} and {reach.between[1]:g}"
+        ratio = "-"
+        if reach.ratio is not None and reach.reference is not None:
+            ratio = f"{report.sensors[reach.reference]} {'> ' if reach.ratio_at_least else ''}{reach.ratio:.3g} x"
+        words = (SWEEPS[reach.sweep].title, report.sensors[reach.sensor], MEASURES[reach.measure])
+        rows.append((*words, f"{reach.best:.2f}", half, between, ratio))
+    columns = ("sweep", "sensor", "measure", "best", "half at", "between", "against it")
+    return ["", "## Where each falls below half of its best", "", *table(columns, rows)]

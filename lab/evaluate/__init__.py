@@ -1,0 +1,1 @@
+"""Methods and profiles over the same frames and places, with intervals."""

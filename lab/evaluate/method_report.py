@@ -1,0 +1,282 @@
+"""From a run to its report: measures with intervals, groups of scenes, curves, differences; as JSON and as Markdown."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from lab.evaluate.method_runs import FrameFacts, MethodRun, Run, SweepPoint
+from lab.measures.frame_scores import (
+    CAP_M,
+    COUNTED,
+    MEASURED,
+    Estimate,
+    FrameScores,
+    bootstrap_weights,
+    differences,
+    estimates,
+    measures,
+)
+from mirrorwave.plots.markdown import table
+from msgs.files.whole_files import write_whole
+from msgs.values.wording import counted
+
+#: Measures of the table: heading and name.
+HEADLINES = (
+    ("dense Macro-F1", "dense_macro_f1"),
+    ("dense CD [m]", "dense_macro_chamfer_m"),
+    ("dense CD [m^2]", "dense_macro_chamfer_m2"),
+    ("recovered F1 1 m", "recovered_1m_f1"),
+    ("F1 2 m", "recovered_2m_f1"),
+    ("F1 1 m one-to-one", "recovered_1m_one_to_one_f1"),
+    ("recovered CD [m]", "recovered_chamfer_m"),
+    ("CD [m^2]", "recovered_chamfer_m2"),
+    (f"CD {CAP_M:g} m cap [m]", "recovered_chamfer_capped_m"),
+    ("infinite share", "recovered_infinite_share"),
+    ("hidden F1 1 m", "hidden_1m_f1"),
+)
+#: Measures of each group of scenes.
+GROUPED = ("dense_macro_f1", "recovered_1m_f1", "hidden_1m_f1", "recovered_chamfer_capped_m")
+#: Counts whose precision and recall a curve shows.
+CURVES = ("los", "mirrored", "recovered_1m", "hidden_1m")
+RATES = ("precision", "recall", "f1")
+#: What the words of the report mean.
+DEFINITIONS = {
+    "dense": "peaks against truth points of their class, Hungarian one-to-one within 2 m, counts summed over frames; "
+    "macro is the mean of LOS and mirrored",
+    "recovered": "places against the true places of all images, of objects in plain sight and of two mirrors too; "
+    "released definition, not one-to-one: a truth with a place nearer than the gate is found, a place with no truth "
+    "that near is false; counts summed over frames",
+    "hidden": "places that the back end holds for hidden (the published one rejects none) against the true places of "
+    "those objects alone that only mirrors show",
+    "milliseconds": "detection: map to peaks; geometry: peaks to places, without objects and visibility mask",
+    "one_to_one": "the same gate, each truth found once and each place finding one",
+    "chamfer": "mean(place -> truth) + mean(truth -> place) of a frame, mean over the frames where both sides hold "
+    "points; m unsquared, m2 of squared distances",
+    "infinite_share": "share of frames with one side empty, where the released Chamfer distance is infinite",
+    "nothing_share": "share of frames with both sides empty",
+    "chamfer_capped": f"over all frames, distances cut at {CAP_M:g} m; one side empty costs the most there is, the cap "
+    "each way; both empty costs nothing",
+    "interval": "95 % percentile interval over frames drawn with replacement; all methods share the draws",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """Context of a report beside its numbers."""
+
+    data: str
+    split: str
+    test_sha256: str
+    seed: int
+    draws: int
+    threads: int
+    reference: str
+
+
+def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context) -> dict[str, Any]:
+    """All that was found, in plain values."""
+    weights = bootstrap_weights(len(run.facts), context.draws, context.seed)
+    scores = {
+        method_run.method.name: {truth: run.scores(method_run, truth) for truth in run.truths}
+        for method_run in run.runs
+    }
+    first = next(iter(run.truths))
+    against = scores[context.reference][first]
+    return {
+        **{name: getattr(context, name) for name in Context.__dataclass_fields__},
+        "frames": len(run.facts),
+        "cpu_count": os.cpu_count(),
+        "definitions": DEFINITIONS,
+        "methods": [
+            _method(method_run, scores[method_run.method.name], sweeps.get(method_run.method.name, []), run, weights)
+            for method_run in run.runs
+        ],
+        "differences": {
+            name: {key: _triple(value) for key, value in differences(own[first], against, weights).items()}
+            for name, own in scores.items()
+            if name != context.reference
+        },
+        "per_frame": _per_frame(run, scores),
+    }
+
+
+def _method(
+    method_run: MethodRun, scores: dict[str, FrameScores], points: list[SweepPoint], run: Run, weights: np.ndarray
+) -> dict[str, Any]:
+    """One method's part of the report."""
+    method = method_run.method
+    times_ms = np.array(method_run.milliseconds)
+    return {
+        "name": method.name,
+        "spec": method.text,
+        "threshold": method.threshold,
+        "parameters": method.parameters,
+        "privileged": method.privileged,
+        "milliseconds": {
+            stage: {"median": float(np.median(column)), "p90": float(np.percentile(column, 90.0))}
+            for stage, column in zip(("detect", "geometry"), times_ms.T, strict=True)
+        },
+        "measures": {
+            truth: {name: _triple(value) for name, value in estimates(own, weights).items()}
+            for truth, own in scores.items()
+        },
+        "groups": _groups(run.facts, next(iter(scores.values())), weights),
+        "sweep": [_sweep_point(point) for point in points],
+    }
+
+
+def _triple(value: Estimate) -> list[float]:
+    return [value.value, value.low, value.high]
+
+
+def _sweep_point(point: SweepPoint) -> dict[str, Any]:
+    values_by_name = {name: float(values[0]) for name, values in measures(point.scores).items()}
+    curves = {
+        name: {
+            rate: values_by_name[f"{'dense_' if name in ('los', 'mirrored') else ''}{name}_{rate}"] for rate in RATES
+        }
+        for name in CURVES
+    }
+    return {"threshold": point.threshold, "dense_macro_f1": values_by_name["dense_macro_f1"], **curves}
+
+
+def group_masks(facts: Sequence[FrameFacts]) -> Iterator[tuple[str, str, np.ndarray]]:
+    """Groups of frames: kind of group, value, mask [F]; a frame may be in several of one kind.
+
+    Unknown facts make no group, nor do sequences of one frame.
+    """
+    kinds: dict[str, list[tuple[str, ...]]] = {
+        "place": [(fact.place,) for fact in facts],
+        "relay": [fact.relays for fact in facts],
+        "hidden objects": [(_count(len(fact.hidden)),) if fact.place else () for fact in facts],
+        "hidden class": [fact.hidden for fact in facts],
+        "sequence": [(fact.sequence,) for fact in facts],
+    }
+    for kind, values in kinds.items():
+        for value in sorted({value for row in values for value in row if value}):
+            mask = np.array([value in row for row in values])
+            if kind != "sequence" or mask.sum() > 1:
+                yield kind, value, mask
+
+
+def _count(number: int) -> str:
+    return str(number) if number < 3 else "3+"
+
+
+def _groups(facts: Sequence[FrameFacts], scores: FrameScores, weights: np.ndarray) -> list[dict[str, Any]]:
+    groups = []
+    for kind, value, mask in group_masks(facts):
+        own = estimates(scores, weights, mask)
+        groups.append({"group": kind, "value": value, "frames": int(mask.sum())})
+        groups[-1] |= {name: _triple(own[name]) for name in GROUPED}
+    return groups
+
+
+def _per_frame(run: Run, scores: dict[str, dict[str, FrameScores]]) -> dict[str, Any]:
+    """Rows from which every table can be made again; a distance is "inf" with one side empty, null with both."""
+    return {
+        "counted": COUNTED,
+        "measured": MEASURED,
+        "facts": [vars(item) for item in run.facts],
+        "milliseconds": {item.method.name: item.milliseconds for item in run.runs},
+        "methods": {
+            name: {
+                truth: {"counts": own.counts.tolist(), "distances": _spelled(own.distances)}
+                for truth, own in kinds.items()
+            }
+            for name, kinds in scores.items()
+        },
+    }
+
+
+def _spelled(distances: np.ndarray) -> list[Any]:
+    rows: list[Any] = distances.tolist()
+    return [[["inf" if math.isinf(x) else x for x in of] for of in row] for row in rows]
+
+
+def headline_rows(report: dict[str, Any], truth: str = "thinned") -> list[list[object]]:
+    """Lines of the table, a method each."""
+    rows: list[list[object]] = []
+    for method in report["methods"]:
+        cells = [interval_text(method["measures"][truth][name]) for _, name in HEADLINES]
+        times = method["milliseconds"]
+        spent = [f"{times[stage]['median']:.3g} ({times[stage]['p90']:.3g})" for stage in ("detect", "geometry")]
+        name = method["name"] + (" (told truth)" if method["privileged"] else "")
+        rows.append([name, *cells, method["parameters"], *spent])
+    return rows
+
+
+def headline_columns() -> list[str]:
+    """Headings of the table."""
+    return ["method", *(heading for heading, _ in HEADLINES), "parameters", "detect ms (p90)", "geometry ms (p90)"]
+
+
+def interval_text(triple: Sequence[float]) -> str:
+    """A value with its interval; "-" where it has none."""
+    return "-" if math.isnan(triple[0]) else f"{triple[0]:.3g} [{triple[1]:.3g}, {triple[2]:.3g}]"
+
+
+def write_report(report: dict[str, Any], out: Path) -> None:
+    """results.json and results.md in a folder."""
+    write_whole(out / "results.json", msgspec.json.encode(report))
+    write_whole(out / "results.md", markdown(report).encode())
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """The report for people."""
+    lines = [
+        f"# {counted(report['frames'], 'frame')}, split {report['split']} of {report['data']}",
+        "",
+        f"Test set {report['test_sha256']}; {report['draws']} bootstrap draws, seed {report['seed']}; "
+        f"{counted(report['threads'], 'thread')} a network on {counted(report['cpu_count'], 'core')}; "
+        "times are medians (90th percentile) "
+        "of the same run, methods interleaved frame by frame.",
+    ]
+    for truth in report["methods"][0]["measures"]:
+        lines += ["", f"## Against {truth} truth", ""]
+        lines += table(headline_columns(), headline_rows(report, truth))
+    lines += ["", "## Methods", ""]
+    lines += table(
+        ["method", "asked for", "threshold"], [[m["name"], f"`{m['spec']}`", m["threshold"]] for m in report["methods"]]
+    )
+    lines += [
+        *_difference_lines(report),
+        "",
+        "## By scene",
+        "",
+        *_group_lines(report),
+        "",
+        "## What the words mean",
+        "",
+    ]
+    lines += [f"- {name}: {meaning}." for name, meaning in report["definitions"].items()]
+    return "\n".join(lines) + "\n"
+
+
+def _difference_lines(report: dict[str, Any]) -> list[str]:
+    if not report["differences"]:
+        return []
+    rows = [
+        [name, *(interval_text(difference[key]) for _, key in HEADLINES)]
+        for name, difference in report["differences"].items()
+    ]
+    columns = ["method", *(heading for heading, _ in HEADLINES)]
+    return ["", f"## Minus {report['reference']}, paired draws", "", *table(columns, rows)]
+
+
+def _group_lines(report: dict[str, Any]) -> list[str]:
+    names = [method["name"] for method in report["methods"]]
+    rows = []
+    for groups in zip(*(method["groups"] for method in report["methods"]), strict=True):
+        for key in GROUPED:
+            of_each = [interval_text(group[key]) for group in groups]
+            rows.append([groups[0]["group"], groups[0]["value"], groups[0]["frames"], key, *of_each])
+    return table(["group", "value", "frames", "measure", *names], rows)

@@ -1,0 +1,242 @@
+"""Running methods over the same frames, interleaved frame by frame, and what is kept of it: answers, times, truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lab.evaluate.methods import Method, peaks_above
+from lab.measures.frame_scores import FrameAnswer, FrameScores, FrameTruth, score_frames, sweep_thresholds
+from lab.training.data.frames import DataSet, Frame, FrameLabels
+from msgs.files.array_files import load_arrays
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.units import s_from_ns
+
+if TYPE_CHECKING:
+    from sim_player.dataset.labelled_scan import Labels
+
+#: Called after each step of a long loop.
+Tick = Callable[[], None]
+MS_PER_S = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFacts:
+    """Facts of a frame's scene."""
+
+    index: int
+    place: str
+    relays: tuple[str, ...]
+    #: Classes of the objects that mirrors alone show.
+    hidden: tuple[str, ...]
+    sequence: str
+
+
+@dataclass
+class MethodRun:
+    """Answers of one method for every frame, in order."""
+
+    method: Method
+    answers: list[FrameAnswer] = field(default_factory=list)
+    #: Peaks down to the floor, where a sweep is to follow.
+    peaks: list[Peaks] = field(default_factory=list)
+    #: Milliseconds of detection and of geometry.
+    milliseconds: list[tuple[float, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepPoint:
+    """All frames scored at one threshold."""
+
+    threshold: float
+    scores: FrameScores
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Methods over frames: facts and truths by kind (`thinned`, `all`) of each frame, then each method's answers.
+
+    The first kind of truth is the one that groups, curves, differences and figures are made with.
+    """
+
+    facts: list[FrameFacts]
+    truths: dict[str, list[FrameTruth]]
+    runs: list[MethodRun]
+
+    @property
+    def truth(self) -> list[FrameTruth]:
+        """Truths of the first kind."""
+        return next(iter(self.truths.values()))
+
+    def scores(self, run: MethodRun, truth: str) -> FrameScores:
+        """Rows of one method against one kind of truth."""
+        return score_frames(zip(run.answers, self.truths[truth], strict=True))
+
+
+def checked_frames(data: DataSet, indices: Iterable[int], methods: list[Method]) -> Iterator[Frame]:
+    """The frames asked for.
+
+    Raises `ValueError` where a network was made for another grid, or a map or its truth is not finite.
+    """
+    for method in methods:
+        if method.grid is not None and method.grid != data.grid:
+            raise ValueError(
+                f"{data.directory}: grid must be that of method {method.name}'s card, {method.grid}, got {data.grid}"
+            )
+    for frame in data.frames(indices):
+        values = frame.ra_map.values
+        if not np.isfinite(values).all():
+            count = np.count_nonzero(~np.isfinite(values))
+            raise ValueError(f"{data.directory}: frame {frame.index}: map must be finite, {count} cells are not")
+        yield frame
+
+
+def run_methods(
+    methods: list[Method],
+    frames: Iterable[Frame],
+    truth_of: dict[str, Callable[[Frame], FrameTruth]],
+    sweeping: bool = False,
+    tick: Tick = lambda: None,
+) -> Run:
+    """Every method on every frame, one after the other on the same frame so that all share the machine's moods."""
+    runs = [MethodRun(method) for method in methods]
+    truths: dict[str, list[FrameTruth]] = {kind: [] for kind in truth_of}
+    facts: list[FrameFacts] = []
+    for frame in frames:
+        if not facts:
+            # the first call of anything compiles, allocates, reads
+            for run in runs:
+                run.method.place(run.method.answer(run.method.detect(frame)))
+        facts.append(facts_of(frame))
+        for kind, make in truth_of.items():
+            truths[kind].append(make(frame))
+        for run in runs:
+            _step(run, frame, sweeping)
+        tick()
+    if not facts:
+        raise ValueError("frames must hold at least one, got none")
+    return Run(facts=facts, truths=truths, runs=runs)
+
+
+def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
+    """One method on one frame."""
+    method = run.method
+    start_ns = time.perf_counter_ns()
+    detected = method.detect(frame)
+    peaks = method.answer(detected)
+    detected_ns = time.perf_counter_ns()
+    scene_view = method.place(peaks)
+    geometry_done_ns = time.perf_counter_ns()
+    run.answers.append(answer_of(peaks, *scene_view))
+    run.milliseconds.append(
+        (MS_PER_S * s_from_ns(detected_ns - start_ns), MS_PER_S * s_from_ns(geometry_done_ns - detected_ns))
+    )
+    if sweeping:
+        run.peaks.append(detected if method.detect_all is None else method.detect_all(frame))
+
+
+def answer_of(peaks: Peaks, places_m: np.ndarray, hidden: np.ndarray) -> FrameAnswer:
+    """Peaks and recovered places [N, 2] in metres, those of a mask [N] held for hidden."""
+    points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
+    return FrameAnswer(points_m=points_m, path_class=peaks.path_class, recovered_m=places_m, hidden_m=places_m[hidden])
+
+
+def facts_of(frame: Frame) -> FrameFacts:
+    """Return the facts of which groups are made."""
+    hidden = tuple(frame.objects[index] for index in frame.hidden)
+    return FrameFacts(index=frame.index, place=frame.place, relays=frame.relays, hidden=hidden, sequence=frame.sequence)
+
+
+def truth_of_labels(frame: Frame) -> FrameTruth:
+    """The truth a data set holds of a frame; raises `ValueError` where the true place of an image is missing."""
+    labels = frame.labels
+    mirrored = labels.path_class == PathClass.MIRRORED
+    if frame.places_m is None and not np.isfinite(labels.hidden_xy_m[mirrored]).all():
+        raise ValueError(f"frame {frame.index}: hidden_xy_m of mirrored points must be finite")
+    return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)
+
+
+def make_truth(labels: FrameLabels, points_m: np.ndarray, frame: Frame) -> FrameTruth:
+    """Truth from labels; where no object is known, everything mirrored counts as hidden."""
+    points = np.asarray(points_m, np.float64)
+    if frame.places_m is not None:
+        places_m = frame.places_m.astype(np.float64)
+        return FrameTruth(points_m=points, path_class=labels.path_class, places_m=places_m, hidden_m=places_m)
+    return truth_of_points(labels, points, frame.hidden if frame.objects else None)
+
+
+def truth_of_points(labels: FrameLabels | Labels, points_m: np.ndarray, hidden: Sequence[int] | None) -> FrameTruth:
+    """Truth from labels at [N, 2]; `hidden` are the objects that mirrors alone show, None: all that is mirrored."""
+    mirrored = labels.path_class == PathClass.MIRRORED
+    alone = mirrored if hidden is None else mirrored & np.isin(labels.object_index, hidden)
+    return FrameTruth(
+        points_m=np.asarray(points_m, np.float64),
+        path_class=labels.path_class,
+        places_m=labels.hidden_xy_m[mirrored].astype(np.float64),
+        hidden_m=labels.hidden_xy_m[alone].astype(np.float64),
+    )
+
+
+def sweep(run: MethodRun, truth: list[FrameTruth], count: int, tick: Tick = lambda: None) -> list[SweepPoint]:
+    """All frames at each of some thresholds, walls and places found anew at each; strictest last."""
+    points = []
+    operating = run.method.threshold
+    for threshold in sweep_thresholds([peaks.score for peaks in run.peaks], operating, count):
+        answers = run.answers if threshold == operating else [_again(run, peaks, threshold) for peaks in run.peaks]
+        points.append(SweepPoint(threshold=float(threshold), scores=score_frames(zip(answers, truth, strict=True))))
+        tick()
+    return points
+
+
+def _again(run: MethodRun, peaks: Peaks, threshold: float) -> FrameAnswer:
+    """A frame's answer at another threshold."""
+    kept = peaks_above(peaks, threshold)
+    return answer_of(kept, *run.method.place(kept))
+
+
+def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:
+    """Truth before thinning: scenes of the data set traced again.
+
+    Raises `ValueError` where a frame has no scene, or its scene does not give the labels the data set holds.
+    """
+    from lab.evaluate.unthinned_truth import DrawnScene, labelled_paths
+
+    gains_db = _gains_db(data.directory)
+
+    def truth(frame: Frame) -> FrameTruth:
+        where = f"{data.directory}: frame {frame.index}"
+        if not frame.scene_yaml or frame.index >= len(gains_db):
+            raise ValueError(f"{where}: scene_yaml and gain_db must be known for the truth before thinning")
+        drawn = DrawnScene(
+            scene_yaml=frame.scene_yaml, index=frame.index, gain_db=float(gains_db[frame.index]), series=data.series
+        )
+        paths, range_m = labelled_paths(drawn)
+        if not np.array_equal(range_m, frame.labels.range_m):
+            raise ValueError(f"{where}: scene traced again must give the labels of the data set, gives others")
+        labels = FrameLabels(
+            range_m=0.5 * paths.length_m,
+            azimuth_rad=paths.azimuth_rad,
+            path_class=paths.kind,
+            order=paths.order,
+            hidden_xy_m=paths.point_m[:, :2],
+            power_mw=np.full(len(paths), np.nan),
+            object_index=paths.object_index,
+            object_class=np.full(len(paths), ""),
+        )
+        return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)
+
+    return truth
+
+
+def _gains_db(directory: Path) -> np.ndarray:
+    """Gain of every scene of a simulated data set; fewer where shards hold none."""
+    gains: list[np.ndarray] = []
+    for path in sorted(directory.glob("shard-*.npz")):
+        gains += load_arrays(path, ("gain_db",)).values()
+    return np.concatenate([*gains, np.zeros(0)])

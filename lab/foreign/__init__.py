@@ -1,0 +1,1 @@
+"""A foreign ray tracer on places of ours."""

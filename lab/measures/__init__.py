@@ -1,0 +1,1 @@
+"""Measures of answers: frames, objects, drives."""

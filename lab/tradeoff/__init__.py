@@ -1,0 +1,1 @@
+"""Accuracy against time: rows of settings on the same beams."""

@@ -1,0 +1,199 @@
+"""Samples of the field and evidence networks on disk: made once by worker processes, read whole into memory."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from lab.training.data.evidence_samples import EvidenceObjects, evidence_objects, quantized
+from lab.training.data.field_samples import field_sample
+from lab.training.data.frames import DataSet, Frame, FrameLabels, Scan
+from lab.training.data.samples import Perturbation, perturb_scan
+from models.perception.find.detectors import NetworkDetector
+from models.perception.find.encoding import Encoding
+from models.perception.mirrors.mirror_table import WallArrays
+from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
+from models.perception.see.field_predictor import FieldPredictor
+from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
+from models.perception.see.wall_memory import RadarPose, WallMemory
+from msgs.files.array_files import load_arrays
+from msgs.files.whole_files import whole
+from msgs.values.array_table import stored_columns, stored_tables
+from msgs.values.perception import TruthObject
+
+#: Scans of one file.
+SAMPLES_PER_FILE = 40
+#: Share of the training scans that an imperfect radar records.
+IMPERFECT_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class FieldTask:
+    """Samples of the field network: its input."""
+
+    encoding: Encoding
+
+
+@dataclass(frozen=True)
+class EvidenceTask:
+    """Samples of the evidence network: its input, and the networks that it is made with."""
+
+    encoding: EvidenceEncoding
+    detector: Path
+    fields: Path
+    #: Detector and field network look at a scan and at its mirror image.
+    flip_test: bool = False
+
+    @property
+    def geometry(self) -> GeometryParams:
+        """How walls are fitted."""
+        return GeometryParams(walls=self.encoding.walls)
+
+
+@dataclass(frozen=True)
+class ScanTruth:
+    """What the scoring of a scan needs: walls and the mirror of each place, labels, true objects, times of azimuths."""
+
+    walls: WallArrays
+    mirror: np.ndarray
+    labels: FrameLabels
+    truth: tuple[TruthObject, ...]
+    #: Of a beam, per range bin, as the data set says it.
+    noise_power_mw: float
+    #: Acquisition time of each azimuth after the truth's, int64 [azimuths].
+    azimuth_stamp_ns: np.ndarray
+    #: The vehicle's motion was taken out of the map.
+    ego_compensated: bool
+
+
+def make_files(
+    directories: Sequence[Path], task: FieldTask | EvidenceTask, folder: Path, seed: int | None, workers: int
+) -> Iterator[Path]:
+    """Yield files of the samples of all scans of some data sets as they are there, made by worker processes where they
+    are missing; with a seed, half of the scans are recorded by an imperfect radar.
+
+    Raises `ValueError` where a scan does not say its objects.
+    """
+    jobs = []
+    for directory in directories:
+        count = len(DataSet(directory))
+        for number, first in enumerate(range(0, count, SAMPLES_PER_FILE)):
+            path = folder / directory.name / f"samples-{number:05d}.npz"
+            if path.exists():
+                yield path
+            else:
+                jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), task, path, seed))
+    if workers == 1 or not jobs:
+        yield from (_make_file(*job) for job in jobs)
+        return
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    try:
+        for done in as_completed([pool.submit(_make_file, *job) for job in jobs]):
+            yield done.result()
+    finally:
+        # a reader who has enough waits for the files under way alone
+        pool.shutdown(cancel_futures=True)
+
+
+def _make_file(
+    directory: Path, indices: Sequence[int], task: FieldTask | EvidenceTask, path: Path, seed: int | None
+) -> Path:
+    data = _data_set(directory)
+    frames = (_frame(data, index, seed) for index in indices)
+    arrays = _field_arrays(frames, task) if isinstance(task, FieldTask) else _evidence_arrays(frames, task, directory)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+    return path
+
+
+@lru_cache(maxsize=4)
+def _data_set(directory: Path) -> DataSet:
+    return DataSet(directory)
+
+
+@lru_cache(maxsize=1)
+def _networks(task: EvidenceTask, directory: Path) -> tuple[NetworkDetector, FieldPredictor]:
+    detector = NetworkDetector(_data_set(directory).setup, task.detector, flip_test=task.flip_test)
+    return detector, FieldPredictor(task.fields, flip_test=task.flip_test)
+
+
+def _frame(data: DataSet, index: int, seed: int | None) -> Frame:
+    rng = np.random.default_rng((seed or 0, index))
+    imperfect = seed is not None and rng.random() < IMPERFECT_SHARE
+
+    def recorded(scan: Scan) -> Scan:
+        return perturb_scan(scan, Perturbation(), rng, data.setup) if imperfect else scan
+
+    return data.frame(index, recorded)
+
+
+def _field_arrays(frames: Iterator[Frame], task: FieldTask) -> dict[str, np.ndarray]:
+    cells, walls, returns = zip(*(field_sample(frame, task.encoding) for frame in frames), strict=True)
+    return {
+        "cells": np.stack(cells),
+        "range_m": np.stack([first.range_m for first in walls]),
+        "angle_rad": np.stack([first.angle_rad for first in walls]),
+        **stored_columns("returns", returns),
+    }
+
+
+def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Path) -> dict[str, np.ndarray]:
+    detector, fields = _networks(task, directory)
+    channels, objects, truths = [], [], []
+    memory, drive = WallMemory(), ""
+    for frame in frames:
+        if frame.sequence != drive:
+            memory, drive = WallMemory(), frame.sequence
+        memory.move(RadarPose(0, frame.pose) if frame.sequence and frame.pose else None)
+        _, fitted = direct_structure(detector.detect(frame.ra_map), task.geometry)
+        answer = fields.answer(frame.ra_map)
+        scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier())
+        memory.add(scan.elements)
+        channels.append(quantized(scan.evidence.channels))
+        objects.append(evidence_objects(frame, scan))
+        truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))
+    arrays: dict[str, np.ndarray] = {"channels": np.stack(channels)}
+    arrays["mirror"] = np.stack([truth.mirror for truth in truths]).astype(np.int8)
+    arrays |= stored_columns("objects", objects)
+    arrays |= stored_columns("walls", [truth.walls for truth in truths])
+    arrays |= stored_columns("labels", [truth.labels for truth in truths])
+    arrays["truth"] = np.array([msgspec.json.encode(truth.truth) for truth in truths])
+    for name in ("noise_power_mw", "azimuth_stamp_ns", "ego_compensated"):
+        arrays[name] = np.array([getattr(truth, name) for truth in truths])
+    return arrays
+
+
+def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray) -> ScanTruth:
+    grid = frame.ra_map.grid
+    stamps = frame.ra_map.stamps_at(grid.azimuth_at(np.arange(grid.azimuth_bins))) - frame.ra_map.stamp_ns
+    truth = frame.truth or ()
+    return ScanTruth(walls, mirror, frame.labels, truth, frame.noise_power_mw, stamps, frame.ra_map.ego_compensated)
+
+
+def load_objects(path: Path) -> list[EvidenceObjects]:
+    """Return the objects of the scans of a file."""
+    return stored_tables(EvidenceObjects, "objects", load_arrays(path))
+
+
+def load_truths(path: Path) -> list[ScanTruth]:
+    """Return what the scoring of the scans of a file needs; raises `ValueError` naming it."""
+    arrays = load_arrays(path)
+    rows: list[Any] = [
+        stored_tables(WallArrays, "walls", arrays),
+        arrays["mirror"].astype(np.int16),
+        stored_tables(FrameLabels, "labels", arrays),
+        [msgspec.json.decode(text, type=tuple[TruthObject, ...]) for text in arrays["truth"].tolist()],
+        arrays["noise_power_mw"].tolist(),
+        arrays["azimuth_stamp_ns"],
+        arrays["ego_compensated"].tolist(),
+    ]
+    return [ScanTruth(*row) for row in zip(*rows, strict=True)]

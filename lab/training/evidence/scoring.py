@@ -1,0 +1,141 @@
+"""Scores of the evidence network on stored scans: objects found one to one, and reports where none is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from lab.measures.object_rows import ScanRow, is_false, single_reaches
+from lab.training.calibration import fit_table
+from lab.training.data.evidence_samples import SCALE
+from lab.training.data.evidence_store import ScanTruth, load_truths
+from lab.training.evidence.scan_rows import add_rows
+from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
+from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
+from models.perception.see.scan_evidence import EvidenceEncoding
+from msgs.files.array_files import load_arrays
+
+#: False reports a scan at which the recall is shown.
+SHOWN_FALSE = (0.10, 0.15, 0.24)
+#: Thresholds watched; the loss of the best one selects the checkpoint.
+WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
+#: Probabilities that may be thresholds; answers above the first one fit the tables, in so many groups.
+THRESHOLDS, GROUPS = tuple(round(0.05 * step, 2) for step in range(1, 16)), 60
+
+
+def as_answered(moving: bool) -> ScoreTable:
+    """Return the table that leaves answers as they are."""
+    return ()
+
+
+class EvidenceTally:
+    """Rows of all scans at some thresholds; `calibration` gives the table of a vehicle that moves or does not."""
+
+    def __init__(
+        self,
+        encoding: EvidenceEncoding,
+        azimuth_rad: np.ndarray,
+        thresholds: Sequence[float] = WATCHED_THRESHOLDS,
+        calibration: Callable[[bool], ScoreTable] = as_answered,
+    ) -> None:
+        self._grid, self._azimuth_rad, self._calibration = encoding.grid, azimuth_rad, calibration
+        self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
+
+    def add(self, stored: ScanTruth, answer: np.ndarray) -> None:
+        """Score the answer to one scan."""
+        table = self._calibration(stored.ego_compensated)
+        least = score_of(table, min(self.rows))
+        likely = evidence_detections(answer, stored.mirror, self._grid, stored.walls, least)
+        likely = replace(likely, score=calibrated(table, likely.score))
+        stamp_ns = np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)
+        add_rows(self.rows, likely, stamp_ns, stored)
+
+    def points(self) -> list[CurvePoint]:
+        """Return the measures at each threshold, the lowest first."""
+        return [_point(threshold, rows) for threshold, rows in sorted(self.rows.items())]
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Measures at a threshold: shares of the objects that a mirror shows, and of those at 25 dB by one mirror, that
+    are found; false reports a scan; missed objects and false reports a scan.
+    """
+
+    threshold: float
+    recall: float
+    recall_single_25_db: float
+    false_per_scan: float
+    loss_per_scan: float
+
+
+def with_probabilities(
+    card: EvidenceCard, predictor: EvidencePredictor, files: Sequence[Path], false_cost: float
+) -> EvidenceCard:
+    """Return a card with tables for a vehicle at rest and for one that moves, and with the threshold of the least loss
+    and its scores by them, of a predictor's answers to files of validation samples.
+    """
+    azimuth_rad = predictor.grid.azimuth_at(np.arange(predictor.grid.azimuth_bins))
+    answered = [
+        (stored, predictor.answer(channels.astype(np.float32) / SCALE))
+        for path in files
+        for stored, channels in zip(load_truths(path), load_arrays(path, only=("channels",))["channels"], strict=True)
+    ]
+    tallies = [EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS) for _ in (False, True)]
+    for stored, answer in answered:
+        tallies[stored.ego_compensated].add(stored, answer)
+    at_rest, moving = (probability_table(tally.rows) for tally in tallies)
+    card = msgspec.structs.replace(card, calibration=at_rest, calibration_moving=moving)
+    tally = EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS, card.calibration_of)
+    for stored, answer in answered:
+        tally.add(stored, answer)
+    points = tally.points()
+    best = min(points, key=lambda point: point.loss_per_scan + (false_cost - 1.0) * point.false_per_scan)
+    scores = {name: round(getattr(best, name), 4) for name in CurvePoint.__dataclass_fields__ if name != "threshold"}
+    scores |= {f"recall_at_{false}": round(recall_at(points, false), 4) for false in SHOWN_FALSE}
+    return msgspec.structs.replace(card, threshold=best.threshold, scores={"scans": float(len(answered)), **scores})
+
+
+def probability_table(rows: Mapping[float, Sequence[ScanRow]]) -> ScoreTable:
+    """Return the table from answers to the share of reports that are a hidden object, one to one, of the rows of scans
+    at some thresholds.
+
+    Each report counts in the list from the highest threshold that it reaches: a fainter one that lies nearer to the
+    object takes it in a longer list alone.
+    """
+    outcomes = [
+        (report.score, report.found)
+        for low, high in pairwise((*sorted(rows), math.inf))
+        for row in rows[low]
+        for report in row.reports
+        if low <= report.score < high
+    ]
+    score, is_true = np.array(outcomes, np.float64).reshape(-1, 2).T
+    return fit_table(score, is_true.astype(bool), GROUPS)
+
+
+def _point(threshold: float, rows: Sequence[ScanRow]) -> CurvePoint:
+    asked = [item for row in rows for item in row.hidden if item.image.mirrored]
+    loud = [item for item in asked if single_reaches(item, 25.0)]
+    hits = sum(item.error_m is not None for item in asked)
+    false = sum(is_false(report) for row in rows for report in row.reports)
+    return CurvePoint(
+        threshold,
+        hits / max(len(asked), 1),
+        sum(item.error_m is not None for item in loud) / max(len(loud), 1),
+        false / max(len(rows), 1),
+        (len(asked) - hits + false) / max(len(rows), 1),
+    )
+
+
+def recall_at(points: Sequence[CurvePoint], false_per_scan: float) -> float:
+    """Return the recall at 25 dB at a number of false reports a scan, linear between thresholds."""
+    ordered = sorted(points, key=lambda point: point.false_per_scan)
+    false = [point.false_per_scan for point in ordered]
+    return float(np.interp(false_per_scan, false, [point.recall_single_25_db for point in ordered]))

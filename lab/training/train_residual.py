@@ -1,0 +1,205 @@
+"""Training of ResidualReflectNet: schedule, checkpoints, validation, as section 3.3 states them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from lab.networks.residual_reflect_net import ResidualReflectNet
+from lab.training.data.residual_samples import FoldedImages, SampleConfig, recovered_scores
+from lab.training.pretrained import load_initial
+from lab.training.run_folder import BEST, LAST, adopt_config, load_config, load_state, save_epoch
+from models.perception.mirrors.recovery import ReflectionState
+from models.perception.mirrors.residual_model import ResidualFrame, bounded, image_frames, in_frames
+
+
+class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """Schedule of a run."""
+
+    epochs: int = 100
+    seed: int = 0
+    batch_size: int = 128
+    learning_rate: float = 1e-4
+    clip_norm: float = 1.0
+    #: Weight of an image without a wall of its own (eta = 1) in the loss, relative to 1 for all others.
+    unreliable_weight: float = 0.1
+    #: Images that the mirror law leaves further than this from their true position were mirrored elsewhere: they are
+    #: excluded from training and from the selection of the checkpoint. The published training uses all (1000).
+    reach_m: float = 2.0
+    frame: ResidualFrame = "radar"
+    threads: int = 1
+    #: File of initial weights.
+    init: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "batch_size", "threads"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"train.{name} must be at least 1, got {getattr(self, name)}")
+        if self.seed < 0:
+            raise ValueError(f"train.seed must not be negative, got {self.seed}")
+        for name in ("learning_rate", "clip_norm", "reach_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"train.{name} must be positive, got {getattr(self, name)}")
+        if not 0.0 <= self.unreliable_weight <= 1.0:
+            raise ValueError(f"train.unreliable_weight must be in 0..1, got {self.unreliable_weight}")
+
+
+class ResidualRunConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """Complete configuration of a run; its JSON lies in the run folder."""
+
+    training: TrainResidualConfig
+    samples: SampleConfig
+    #: Folder of the data set, and the hash of its test scenes; detector and its SHA-256.
+    data: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualEpoch:
+    """Result of one epoch with the vehicle's processing: on validation scenes, corrections bounded."""
+
+    epoch: int
+    train_loss: float
+    #: Mean |error x| + |error y| of the recovered positions within reach, and F1 of all at 1 m; `_without` are those of
+    #: the mirror law alone.
+    recovered_l1_m: float
+    recovered_l1_without_m: float
+    recovered_f1: float
+    recovered_f1_without: float
+    is_best: bool
+
+
+class ResidualTraining:
+    """One run: network and optimiser, resumable after every epoch.
+
+    `run_dir` receives the resolved configuration, the curves, the last state and the best network. A run that was
+    killed resumes and ends with the same weights as an uninterrupted one. Raises `ValueError` if
+    there is nothing to train or validate on.
+    """
+
+    def __init__(
+        self,
+        config: ResidualRunConfig,
+        train: FoldedImages,
+        validation: FoldedImages,
+        run_dir: Path,
+    ) -> None:
+        self.run_config, self.config, self.run_dir = config, config.training, run_dir
+        reach_m = self.config.reach_m
+        samples = train.select(train.within(reach_m))
+        for name, count in (("train", len(samples)), ("validation", int(validation.within(reach_m).sum()))):
+            if count == 0:
+                raise ValueError(f"{name} scenes must give images within {reach_m} m of their true place, gave none")
+        torch.set_num_threads(self.config.threads)
+        torch.manual_seed(self.config.seed)
+        self.network = ResidualReflectNet()
+        self.optimiser = torch.optim.Adam(self.network.parameters(), self.config.learning_rate)
+        self.scene, self.validation = samples.scene, validation
+        frames = image_frames(samples.reflection, self.config.frame)
+        self.inputs = tensors(in_frames(samples.reflection, frames))
+        self.target = _tensor(frames.from_radar(samples.target_m))
+        self.weight = _tensor(np.where(samples.state[:, 5] > 0.5, self.config.unreliable_weight, 1.0))
+        self.without = recovered_scores(validation, np.zeros_like(validation.folded_m), reach_m)
+        self.reports: list[ResidualEpoch] = []
+        run_dir.mkdir(parents=True, exist_ok=True)
+        adopt_config(run_dir, config)
+        if (run_dir / LAST).exists():
+            self._resume()
+        elif self.config.init:
+            load_initial(self.network, Path(self.config.init))
+
+    def run(self, report: Callable[[ResidualEpoch], None]) -> ResidualEpoch:
+        """Train the remaining epochs, reporting each; return the best one.
+
+        Raises `ValueError` naming the batch whose loss is not finite.
+        """
+        for epoch in range(len(self.reports), self.config.epochs):
+            train_loss = self._train_epoch(epoch)
+            self.reports.append(self._validate(epoch, train_loss))
+            self._save()
+            report(self.reports[-1])
+        return min(self.reports, key=lambda entry: entry.recovered_l1_m)
+
+    def _train_epoch(self, epoch: int) -> float:
+        self.network.train()
+        # the epoch's own seed: a resumed run draws the same numbers
+        order = torch.from_numpy(np.random.default_rng((self.config.seed, epoch)).permutation(len(self.target)))
+        losses = [self._step(batch, epoch, index) for index, batch in enumerate(order.split(self.config.batch_size))]
+        return float(np.mean(losses))
+
+    def _step(self, batch: Tensor, epoch: int, index: int) -> float:
+        self.optimiser.zero_grad()
+        answer = self.network(*(tensor[batch] for tensor in self.inputs))
+        loss = residual_loss(answer, self.target[batch], self.weight[batch])
+        if not torch.isfinite(loss):
+            scenes = np.unique(self.scene[batch.numpy()]).tolist()
+            raise ValueError(
+                f"loss must be finite, got {loss.item()} in epoch {epoch}, batch {index}, of scenes {scenes}"
+            )
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip_norm)
+        self.optimiser.step()
+        return loss.item()
+
+    def _validate(self, epoch: int, train_loss: float) -> ResidualEpoch:
+        offsets_m = network_offsets(self.network, self.validation, self.config.frame)
+        scores = recovered_scores(self.validation, offsets_m, self.config.reach_m)
+        return ResidualEpoch(
+            epoch=epoch,
+            train_loss=train_loss,
+            recovered_l1_m=scores.l1_m,
+            recovered_l1_without_m=self.without.l1_m,
+            recovered_f1=scores.f1,
+            recovered_f1_without=self.without.f1,
+            is_best=scores.l1_m < min((entry.recovered_l1_m for entry in self.reports), default=np.inf),
+        )
+
+    def _save(self) -> None:
+        save_epoch(self.run_dir, {"network": self.network, "optimiser": self.optimiser}, self.reports)
+
+    def _resume(self) -> None:
+        state = load_state(self.run_dir / LAST)
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.reports = [ResidualEpoch(**report) for report in state["reports"]]
+
+
+def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+    """Return the weighted mean over the batch of the l1 length of the error, Eq. (25), in metres; 0 if unweighted."""
+    error_m = (answer - target).abs().sum(dim=1)
+    return (weight * error_m).sum() / weight.sum().clamp_min(1e-9)
+
+
+def network_offsets(network: nn.Module, folded: FoldedImages, frame: ResidualFrame) -> np.ndarray:
+    """Return corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
+    network.eval()
+    frames = image_frames(folded.reflection, frame)
+    with torch.no_grad():
+        answer = network(*tensors(in_frames(folded.reflection, frames))).numpy().astype(np.float64)
+    return bounded(frames.to_radar(answer))
+
+
+def tensors(reflection: ReflectionState) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the tensors that the network takes."""
+    return _tensor(reflection.images_m), _tensor(reflection.patch_m), _tensor(reflection.state)
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, np.float32))
+
+
+def load_best_residual(run_dir: Path) -> tuple[ResidualReflectNet, ResidualRunConfig, int]:
+    """Return the best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+
+    Raises `ValueError` if the folder holds none, naming the file.
+    """
+    config = load_config(run_dir, ResidualRunConfig)
+    network = ResidualReflectNet()
+    state = load_state(run_dir / BEST)
+    network.load_state_dict(state["network"])
+    return network.eval(), config, int(state["epoch"])

@@ -1,0 +1,1 @@
+"""Non-line-of-sight imaging from photon transients."""

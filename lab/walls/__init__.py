@@ -1,0 +1,1 @@
+"""Walls by formula and by full wave: reflection, transmission, curves."""

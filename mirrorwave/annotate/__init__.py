@@ -1,1 +1,0 @@
-"""Labels for radar captures from LiDAR clouds."""

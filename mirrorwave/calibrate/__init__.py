@@ -1,1 +1,0 @@
-"""Calibration of radar, mounting and clock from captures."""

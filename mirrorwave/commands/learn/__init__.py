@@ -1,1 +1,0 @@
-"""Verbs that train, export, evaluate and compare."""

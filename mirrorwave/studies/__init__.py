@@ -1,1 +1,0 @@
-"""Studies over many frames: evaluation, accuracy versus time, comparison of sensors."""

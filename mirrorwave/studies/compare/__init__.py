@@ -1,1 +1,0 @@
-"""Three sensors on the same hidden scenes."""

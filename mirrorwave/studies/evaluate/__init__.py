@@ -1,1 +1,0 @@
-"""Methods and profiles scored on the same frames."""

@@ -1,1 +1,0 @@
-"""Trade-off of accuracy against time."""

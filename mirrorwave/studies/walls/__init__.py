@@ -1,1 +1,0 @@
-"""Walls: what they reflect and let through, by formula and by simulated waves."""

@@ -1,1 +1,0 @@
-"""Ground truth of real captures from LiDAR."""

@@ -1,1 +1,0 @@
-"""Scores against truth: per point, per object, with intervals."""

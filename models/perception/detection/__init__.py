@@ -1,1 +1,0 @@
-"""Detection of classified peaks in range-azimuth maps."""

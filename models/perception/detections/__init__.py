@@ -1,1 +1,0 @@
-"""Peaks from the detections of a radar that gives no beats."""

@@ -1,1 +1,0 @@
-"""Walls as a network sees them, and evidence of hidden objects gathered through them in the bird's-eye view."""

@@ -1,0 +1,1 @@
+"""Step 2: maps become peaks, direct and mirrored."""

@@ -1,0 +1,150 @@
+"""Detectors of classified peaks in a range-azimuth map, with a network or without, behind one call."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from models.perception.find.cfar import PHOTON_CFAR, CfarParams, cfar_peaks, warm
+from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor
+from models.perception.find.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
+from models.perception.find.pursuit import PursuitParams, pursued_peaks
+from models.perception.find.refinement import EchoRefiner, RefinementParams, refined_peaks
+from models.perception.find.ridge_matching import RidgeMatchingParams, ridge_matched_peaks
+from models.perception.mirrors.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
+from models.perception.trained_radar import SetupCheck
+from msgs.values.perception import UNTRAINED_SETUP, Peaks
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
+
+
+class Refine(StrEnum):
+    """Placement of a network's peaks; profiles and committed cards use `PURSUIT`, the published form is `NONE`.
+
+    The other three are rows of the committed accuracy-versus-time table, each below `PURSUIT` in it.
+    """
+
+    #: At the maxima of the heatmap.
+    NONE = "none"
+    #: On the ridges of the map.
+    RIDGE = "ridge"
+    #: On the ridges, then moved to the likeliest positions of point echoes on the complex map.
+    LIKELIHOOD = "likelihood"
+    #: At the maxima, then moved likewise.
+    MAXIMA_LIKELIHOOD = "maxima_likelihood"
+    #: As many peaks as the heatmap's mass is worth: the best on the validation scenes (docs/results/README.md).
+    PURSUIT = "pursuit"
+
+    @classmethod
+    def of(cls, spelling: bool | str) -> Refine:
+        """Return the placement of a switch or a word (true: `PURSUIT`, false: `NONE`); `ValueError` for others."""
+        if isinstance(spelling, bool):
+            return cls.PURSUIT if spelling else cls.NONE
+        if spelling not in tuple(cls):
+            raise ValueError(f"refine must be a bool or one of {', '.join(cls)}, got {spelling!r}")
+        return cls(spelling)
+
+
+class Detector(Protocol):
+    """Finds LOS and mirrored returns in a map."""
+
+    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Return the classified peaks of one map."""
+
+
+class NetworkDetector:
+    """Dense prediction (section 3.1.1): a heatmap of LOS and mirrored returns, then peaks.
+
+    `refine` "pursuit" (True) takes as many peaks as the heatmap's mass is worth. "ridge" takes peaks from the ridges of
+    the map that the heatmap names, and the heatmap's own maxima only where the map has no ridge; "likelihood" then
+    moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
+    moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `params`
+    None: the released settings with the card's threshold. Peaks of a radar that is not the one in training are flagged
+    "untrained_setup", and `doubt` says in what it differs. Raises ValueError for another word, and where the network's
+    input is too coarse for the set-up's array.
+    """
+
+    def __init__(
+        self,
+        setup: RadarSetup,
+        model: Path = DEFAULT_MODEL,
+        threads: int = 1,
+        params: PeakParams | None = None,
+        ridge_matching: RidgeMatchingParams | None = None,
+        refine: bool | str = Refine.PURSUIT,
+        refinement: RefinementParams | None = None,
+        flip_test: bool = False,
+    ) -> None:
+        placement = Refine.of(refine)
+        self._predictor = DensePredictor(model, threads, flip_test)
+        self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
+        self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
+        if placement is Refine.PURSUIT:
+            # compile now: the first map must not wait for it
+            pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, PursuitParams())
+        self._ridge_matching, self._refine = ridge_matching or RidgeMatchingParams(), placement
+        self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
+        self._refiner = (
+            EchoRefiner(setup, refinement) if placement in (Refine.LIKELIHOOD, Refine.MAXIMA_LIKELIHOOD) else None
+        )
+        self._sensitivity_db = sensitivity_db(setup)
+        self._check = SetupCheck(self._predictor.card.name, self._predictor.card.radar, setup)
+        #: In what the radar of the last map is not the one in training; empty: in nothing.
+        self.doubt = self._check.doubt()
+
+    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Return the classified peaks of one map."""
+        self.doubt = self._check.doubt(ra_map.unused_beams)
+        peaks = self._own_peaks(ra_map)
+        if self._refiner is not None:
+            peaks = refined_peaks(peaks, ra_map, self._refiner)
+        faults = (*peaks.faults, UNTRAINED_SETUP) if self.doubt else peaks.faults
+        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name, faults=faults)
+
+    def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Return the peaks before any refinement on the complex map."""
+        if self._refine in (Refine.RIDGE, Refine.LIKELIHOOD):
+            return ridge_matched_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
+        if self._refine is Refine.PURSUIT:
+            return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
+        if self._predictor.card.head == "heatmap":
+            return find_peaks(self._predictor.predict(ra_map), ra_map, self._params)
+        points = self._predictor.points(ra_map, self._params.threshold, self._params.min_distance)
+        cells = np.rint(points.cells).astype(np.int64)
+        return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
+
+
+def detector_name(sha256: str, placement: str, flip_test: bool) -> str:
+    """Return the value of `Peaks.detector` for a network: its file and the placement of its peaks."""
+    return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"
+
+
+class CfarDetector:
+    """Detector without a network: constant false alarm rate; returns behind a wall are classified as mirrored."""
+
+    def __init__(self, setup: RadarSetup, params: CfarParams | None = None) -> None:
+        self._params = params or CfarParams()
+        warm(self._params)
+        self._sensitivity_db = sensitivity_db(setup)
+
+    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Return the classified peaks of one map."""
+        peaks = cfar_peaks(ra_map, self._params)
+        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
+
+
+class PhotonDetector:
+    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed.
+
+    A radar cross-section says nothing about light.
+    """
+
+    def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:
+        self._params = params
+
+    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Return the classified peaks of one map."""
+        return msgspec.structs.replace(cfar_peaks(ra_map, self._params), sensitivity_db=UNKNOWN_SENSITIVITY_DB)

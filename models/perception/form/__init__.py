@@ -1,0 +1,1 @@
+"""Step 1: beams become range-azimuth maps."""

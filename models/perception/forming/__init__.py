@@ -1,1 +1,0 @@
-"""Forming of range-azimuth maps from raw beams."""

@@ -1,1 +1,0 @@
-"""Walls, hidden points and objects of one scan from its classified peaks."""

@@ -1,0 +1,1 @@
+"""Step 3: peaks become walls, and images are folded back in them."""

@@ -1,0 +1,250 @@
+"""The geometry stage: from classified peaks to the bird's-eye view of hidden objects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from models.perception.mirrors.clustering import dbscan
+from models.perception.mirrors.confidence import Confidence
+from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
+from models.perception.mirrors.mirror_table import NO_WALL
+from models.perception.mirrors.observability import VisibilityParams, observability
+from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
+from models.perception.mirrors.recovered_objects import ObjectParams, form_objects
+from models.perception.mirrors.recovery import (
+    Recovered,
+    Residual,
+    cartesian_covariance,
+    corrected,
+    recover,
+    reflection_state,
+)
+from models.perception.mirrors.rejection import hidden_mask
+from models.perception.mirrors.walls import WallParams, find_walls
+from models.perception.target_lists.wall_points import WallPointParams, wall_like
+from msgs.values.arrays import require_positive
+from msgs.values.frames import polar_from_xy, xy_from_polar
+from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, PathClass, Peaks, SensorLimits, Wall
+
+#: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
+#: -> the last two, extended by the walls of earlier scans.
+WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
+#: Walls of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
+ObjectJudge = Callable[[list[Wall]], Callable[[], tuple[HiddenObject, ...]]]
+#: Walls, association and rejection: ours, or those of the specification (section 3.1.2).
+BackEnd = Literal["ours", "specification"]
+
+
+class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of the geometry stage; defaults are the released settings where those exist.
+
+    Of `specification` the back end takes the clusters and `objects`; it has no use for `walls`, `wall_points`,
+    `recovery` and walls of earlier scans.
+    """
+
+    #: Walls, association and rejection: ours, or those of the specification.
+    back_end: BackEnd = "ours"
+    cluster_eps_m: float = 4.0
+    cluster_min_points: int = 2
+    walls: WallParams = WallParams()
+    #: Which direct returns may be part of a wall, by those about them; None: all.
+    wall_points: WallPointParams | None = None
+    recovery: RecoveryParams = RecoveryParams()
+    objects: ObjectParams = ObjectParams()
+    visibility: VisibilityParams = VisibilityParams()
+    grid: BevGrid = BevGrid()
+
+    def __post_init__(self) -> None:
+        require_positive("geometry.cluster_eps_m", self.cluster_eps_m)
+        require_positive("geometry.cluster_min_points", self.cluster_min_points)
+
+
+@dataclass(frozen=True)
+class FoldedScan:
+    """Intermediate result of a scan before objects are formed: direct returns, walls, folded positions.
+
+    A position that is not `hidden` (bool [N]) is explained by a directly visible object: it may be a true image of that
+    object, but adds no information.
+    """
+
+    returns: DirectReturns
+    walls: list[Wall]
+    recovered: Recovered
+    hidden: np.ndarray
+
+
+def fold_scan(
+    peaks: Peaks,
+    params: GeometryParams,
+    residual: Residual | None = None,
+    confidence: Confidence | None = None,
+    wall_prior: WallPrior | None = None,
+) -> FoldedScan:
+    """Find walls in the peaks and fold the images back, Eqs. (18) and (19); drop the improbable ones.
+
+    Raises `ValueError` for more than `MAX_PEAKS`.
+    """
+    return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual, confidence)
+
+
+def _folded(
+    peaks: Peaks,
+    params: GeometryParams,
+    returns: DirectReturns,
+    walls: list[Wall],
+    residual: Residual | None,
+    confidence: Confidence | None,
+) -> FoldedScan:
+    """Fold the images of a scan whose walls are known."""
+    of_specification = params.back_end == "specification"
+    recovered = recover(peaks, walls, returns, BUDDY if of_specification else params.recovery)
+    if residual is not None:
+        recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+    if of_specification:
+        # it rejects nothing
+        return FoldedScan(returns, walls, recovered, np.ones(len(recovered), bool))
+    fitted = None if confidence is None else confidence.of(peaks.detector)
+    if fitted is not None:
+        recovered = fitted.probable(recovered, walls, returns, params.recovery)
+    return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
+
+
+def recover_bev(
+    peaks: Peaks,
+    params: GeometryParams,
+    residual: Residual | None = None,
+    confidence: Confidence | None = None,
+    wall_prior: WallPrior | None = None,
+    judge: ObjectJudge | None = None,
+) -> BevFrame:
+    """Form hidden points and objects from peaks by way of folded positions, or objects as `judge` sees them; tracks are
+    added by `ScanMemory`.
+    """
+    params = heeding(params, peaks.sensor)
+    returns, walls = direct_structure(peaks, params, wall_prior)
+    # a network judges in a thread of its own, while the rest of the view is made
+    objects = judge(walls) if judge else None
+    scan = _folded(peaks, params, returns, walls, residual, confidence)
+    hidden = scan.recovered.take(scan.hidden)
+    visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
+    return BevFrame(
+        stamp_ns=peaks.stamp_ns,
+        scan_id=peaks.scan_id,
+        walls=tuple(scan.walls),
+        points=hidden.as_hidden_points(),
+        objects=form_objects(hidden, scan.walls, params.objects) if objects is None else objects(),
+        los_points_m=scan.returns.points_m.astype(np.float32),
+        grid=params.grid,
+        visibility=visibility,
+        visibility_rcs_dbsm=params.visibility.rcs_dbsm,
+        settled_stamp_ns=peaks.settled_stamp_ns,
+        flags=condition_flags(peaks),
+    )
+
+
+def heeding(params: GeometryParams, sensor: SensorLimits | None) -> GeometryParams:
+    """Return the parameters with the limits of the sensor, where it states them, in place of their own."""
+    if sensor is None:
+        return params
+    beam_deg, azimuth_deg = math.degrees(sensor.beam_width_rad), math.degrees(sensor.azimuth_limit_rad)
+    objects = msgspec.structs.replace(params.objects, satellite_beam_deg=beam_deg, lobe_db=sensor.lobe_db)
+    visibility = msgspec.structs.replace(
+        params.visibility,
+        threshold_db=sensor.threshold_db,
+        max_range_m=sensor.max_range_m,
+        azimuth_limit_deg=azimuth_deg,
+    )
+    return msgspec.structs.replace(params, objects=objects, visibility=visibility)
+
+
+def direct_structure(
+    peaks: Peaks, params: GeometryParams, wall_prior: WallPrior | None = None
+) -> tuple[DirectReturns, list[Wall]]:
+    """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans.
+
+    Raises `ValueError` for more than `MAX_PEAKS`.
+    """
+    if len(peaks) > MAX_PEAKS:
+        raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
+    if params.back_end == "specification":
+        published = PublishedParams(cluster_eps_m=params.cluster_eps_m, cluster_min_points=params.cluster_min_points)
+        return published_structure(peaks, published)
+    direct = peaks.path_class == PathClass.LOS
+    range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
+    points_m = xy_from_polar(range_m, azimuth_rad)
+    covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
+    speed_mps = None if peaks.radial_speed_mps is None else peaks.radial_speed_mps[direct]
+    labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
+    if params.wall_points is None:
+        walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
+    else:
+        part = wall_like(points_m, covariance_m2, peaks.snr_db[direct], speed_mps, params.wall_points)
+        walls, wall_of_point = _walls_among(part, points_m, covariance_m2, params)
+    if wall_prior is not None:
+        walls, wall_of_point = wall_prior(points_m, covariance_m2, walls, wall_of_point)
+    return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point, speed_mps), walls
+
+
+def _walls_among(
+    part: np.ndarray, points_m: np.ndarray, covariance_m2: np.ndarray, params: GeometryParams
+) -> tuple[list[Wall], np.ndarray]:
+    """Return the walls among some of the points [N, 2], and the wall of each point (-1: none), int64 [N]."""
+    index = np.flatnonzero(part)
+    labels = dbscan(points_m[index], params.cluster_eps_m, params.cluster_min_points)
+    walls, wall_of_part = find_walls(points_m[index], covariance_m2[index], labels, params.walls)
+    wall_of_point = np.full(len(points_m), NO_WALL)
+    wall_of_point[index] = wall_of_part
+    return walls, wall_of_point
+
+
+def warm(params: GeometryParams) -> None:
+    """Compile the stage's kernels, or load them, and lay out its grid, so that the first scan does not wait for it.
+
+    Types do not depend on the parameters, so one synthetic street with the default ones needs all kernels.
+    """
+    recover_bev(made_up_peaks(), GeometryParams())
+    if params.wall_points is not None:
+        wall_like(np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1), None, params.wall_points)
+    observability([], 0.0, params.grid, params.visibility)
+
+
+def made_up_peaks() -> Peaks:
+    """Return a facade with a kink, a vehicle before it, and two images behind it of which one belongs to that
+    vehicle.
+    """
+    along = np.linspace(0.0, 10.0, 9)
+    facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)
+    oblique = np.stack([20.0 - 0.4 * along, along + 1.0], axis=1)
+    vehicle = np.array([[12.0, -12.0], [12.0, -11.0], [11.0, -12.0]])
+    images = np.array([[27.0, -9.0], [27.0, -7.0], [28.0, -4.0]])
+    points_m = np.concatenate([facade, oblique, vehicle, images])
+    range_m, azimuth_rad = polar_from_xy(points_m)
+    count = len(points_m)
+    mirrored = np.arange(count) >= count - len(images)
+    return Peaks(
+        stamp_ns=0,
+        scan_id=0,
+        range_m=range_m,
+        azimuth_rad=azimuth_rad,
+        score=np.full(count, 0.9),
+        path_class=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
+        covariance=np.tile(np.diag([0.06**2, 0.01**2]), (count, 1, 1)),
+        peak_stamp_ns=np.zeros(count, np.int64),
+        snr_db=np.full(count, 20.0),
+    )
+
+
+def condition_flags(peaks: Peaks) -> tuple[str, ...]:
+    """Return the conditions of the scan that a reader of its view should know."""
+    present = {
+        "incoherent": peaks.incoherent,
+        "missing_beams": bool(peaks.missing_beams),
+        "saturated": peaks.saturated_share > 0.0,
+    }
+    return tuple(name for name, holds in present.items() if holds) + peaks.faults

@@ -1,0 +1,118 @@
+"""The specification's back end: plain clusters and lines, buddy association, every image folded back, none rejected.
+
+`models.perception.mirrors.peaks_to_view` runs it for `back_end: specification`.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from models.perception.mirrors.clustering import NOISE, dbscan
+from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
+from models.perception.mirrors.lines import fit_line
+from models.perception.mirrors.mirror_table import NO_WALL
+from models.perception.mirrors.recovery import Recovered, Residual, corrected, recover, reflection_state
+from msgs.values.arrays import require_positive
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass, Peaks, Wall
+
+
+class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Released settings of inference."""
+
+    cluster_eps_m: float = 4.0
+    cluster_min_points: int = 2
+    rounds: int = 200
+    inlier_m: float = 0.3
+    min_inliers: int = 2
+    #: Direct returns nearer ahead than this share of the nearest image are ignored.
+    nearest_share: float = 0.2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("cluster_eps_m", "cluster_min_points", "rounds", "inlier_m"):
+            require_positive(f"published.{name}", getattr(self, name))
+        if self.min_inliers < 2:
+            raise ValueError(f"published.min_inliers must be at least 2, got {self.min_inliers!r}")
+
+
+#: An image belongs to the wall of the direct return nearest in angle; one mirror each.
+BUDDY = RecoveryParams(association="buddy", second_order=False)
+
+
+def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual | None = None) -> Recovered:
+    """Return every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
+
+    Without direct returns nothing is recovered.
+    """
+    returns, walls = published_structure(peaks, params)
+    recovered = recover(peaks, walls, returns, BUDDY)
+    if residual is None or len(recovered) == 0:
+        return recovered
+    return corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+
+
+def published_structure(peaks: Peaks, params: PublishedParams) -> tuple[DirectReturns, list[Wall]]:
+    """Return the direct returns with their clusters, and the lines through them."""
+    points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
+    direct = _not_too_near(points_m, peaks.path_class, params.nearest_share)
+    labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
+    walls, wall_of_point = published_walls(points_m[direct], labels, params)
+    return DirectReturns(points_m[direct], peaks.snr_db[direct], labels, wall_of_point), walls
+
+
+def _not_too_near(points_m: np.ndarray, path_class: np.ndarray, share: float) -> np.ndarray:
+    """Return the indices of the direct returns at least `share` as far ahead as the nearest image."""
+    nearest_m = points_m[path_class == PathClass.MIRRORED, 0].min(initial=np.inf)
+    ahead = points_m[:, 0] >= share * nearest_m if np.isfinite(nearest_m) else np.ones(len(points_m), bool)
+    return np.flatnonzero((path_class == PathClass.LOS) & ahead)
+
+
+def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedParams) -> tuple[list[Wall], np.ndarray]:
+    """Return the lines of each cluster of points [N, 2], and the line of each point (`NO_WALL`: none), int64 [N].
+
+    RANSAC by number of inliers, refit by least squares, on what the lines before have left, until too few are left.
+    """
+    rng = np.random.default_rng(params.seed)
+    walls: list[Wall] = []
+    wall_of_point = np.full(len(points_m), NO_WALL, np.int64)
+    for label in range(int(labels.max(initial=NOISE)) + 1):
+        left = np.flatnonzero(labels == label)
+        while len(inliers := left[_largest_inlier_set(points_m[left], params, rng)]) >= params.min_inliers:
+            wall_of_point[inliers] = len(walls)
+            walls.append(_fitted(points_m[inliers]))
+            left = np.setdiff1d(left, inliers)
+    return walls, wall_of_point
+
+
+def _largest_inlier_set(points_m: np.ndarray, params: PublishedParams, rng: np.random.Generator) -> np.ndarray:
+    """Return which points [N] lie on the line through two of them that has the most; none where no two differ."""
+    first, second = np.triu_indices(len(points_m), k=1)
+    if len(first) > params.rounds:
+        sampled = np.sort(rng.choice(len(first), params.rounds, replace=False))
+        first, second = first[sampled], second[sampled]
+    along = points_m[second] - points_m[first]
+    length_m = np.linalg.norm(along, axis=1)
+    apart = length_m > 1e-6
+    if not apart.any():
+        return np.zeros(len(points_m), bool)
+    first, along = first[apart], along[apart] / length_m[apart, None]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    distance_m = np.abs(normal @ points_m.T - np.sum(normal * points_m[first], axis=1)[:, None])  # [H, N]
+    inliers = distance_m <= params.inlier_m
+    return np.asarray(inliers[inliers.sum(axis=1).argmax()])
+
+
+def _fitted(points_m: np.ndarray) -> Wall:
+    """Return the least-squares line through points as a wall from the first to the last of them."""
+    normal, offset_m, _, _ = fit_line(points_m, np.broadcast_to(np.eye(2), (len(points_m), 2, 2)))
+    tangent = np.array([-normal[1], normal[0]])
+    reach = points_m @ tangent
+    (ax, ay), (bx, by) = (np.array([[reach.min()], [reach.max()]]) * tangent - offset_m * normal).tolist()
+    return Wall(
+        normal=(float(normal[0]), float(normal[1])),
+        offset_m=float(offset_m),
+        ends_m=((ax, ay), (bx, by)),
+        inliers=len(points_m),
+    )

@@ -1,0 +1,132 @@
+"""Rejection of folded positions that directly visible objects explain.
+
+A position on a wall, at a direct return or on a vehicle in plain sight may still be true, as a second view of it: it
+stays among the points and forms no hidden object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.perception.mirrors.clustering import NOISE, dbscan, fits_box
+from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
+from models.perception.mirrors.mirror_table import NO_WALL, WallArrays, behind_walls, wall_arrays
+from models.perception.mirrors.recovery import Recovered
+from models.physics.plane import segment_distance_m
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import Wall
+
+
+def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
+    """Return which folded positions nothing in direct sight explains; bool [N].
+
+    One without any score is no object's. Four rules explain a position, each with a switch: it lies on a wall; it lies
+    at a direct return of like strength; it fits in one vehicle with a group of direct returns of like strength, as
+    another side of a visible object; nothing hides it. Without the last a position in open view that has no such return
+    stays, because its occluder may be undetected.
+    """
+    explained = recovered.score <= 0.0
+    reach_m = params.same_place_m + params.same_place_sigmas * recovered.largest_std_m
+    if params.reject_in_open_view:
+        explained |= ~_behind_something(recovered, walls, returns, params)
+    if params.reject_on_wall:
+        explained |= _on_wall(recovered.points_m, wall_arrays(walls), reach_m)
+    if len(returns.points_m) and params.reject_at_return:
+        distance_m = np.linalg.norm(recovered.points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
+        alike = returns.snr_db >= recovered.snr_db[:, None] - params.comparable_db
+        alike &= _may_move_alike(recovered, returns, params)
+        explained |= (alike & (distance_m <= reach_m[:, None])).any(axis=1)
+    if len(returns.points_m) and params.reject_on_vehicle:
+        explained |= _on_visible_vehicle(recovered, wall_arrays(walls), returns, params)
+    return ~explained
+
+
+def _behind_something(
+    recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
+) -> np.ndarray:
+    """Return the positions that a wall hides, lengthened by the margin, or a group of returns of a vehicle's size;
+    bool [N].
+    """
+    behind = ~in_open_view(recovered.points_m, walls, params.open_view_margin_m)
+    range_m, azimuth_rad = polar_from_xy(recovered.points_m)
+    for group in _vehicle_groups(wall_arrays(walls), returns, params):
+        group_range_m, group_azimuth_rad = polar_from_xy(returns.points_m[group])
+        if fits_box(returns.points_m[group], params.vehicle_length_m, params.vehicle_width_m):
+            between = (azimuth_rad > group_azimuth_rad.min()) & (azimuth_rad < group_azimuth_rad.max())
+            behind |= between & (range_m > group_range_m.max() + params.same_place_m)
+    return behind
+
+
+def _vehicle_groups(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> list[np.ndarray]:
+    """Return the indices of each group of near returns off the long walls, with the others on their short walls."""
+    long_walls = walls.length_m > params.vehicle_length_m + 1.0
+    loose = np.flatnonzero(~np.append(long_walls, False)[returns.wall])
+    labels = dbscan(returns.points_m[loose], params.vehicle_eps_m, 2)
+    return [_with_whole_walls(loose[labels == label], returns) for label in range(int(labels.max(initial=NOISE)) + 1)]
+
+
+def _may_move_alike(recovered: Recovered, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
+    """Return whether an image and a direct return may be of one object by their radial speeds; bool [N, M].
+
+    Two views of a moving object have different radial speeds, both of them zero only where it stands.
+    """
+    if params.moving_mps is None or returns.radial_speed_mps is None:
+        return np.ones((len(recovered), len(returns.points_m)), bool)
+    image_mps, return_mps = recovered.radial_speed_mps[:, None], returns.radial_speed_mps
+    unlike = (np.abs(image_mps) > params.moving_mps) != (np.abs(return_mps) > params.moving_mps)
+    return ~unlike | np.isnan(image_mps) | np.isnan(return_mps)
+
+
+def _on_visible_vehicle(
+    recovered: Recovered, walls: WallArrays, returns: DirectReturns, params: RecoveryParams
+) -> np.ndarray:
+    """Return the positions that are another side of a visible vehicle; bool [N].
+
+    A visible vehicle is a group of direct returns off the long walls that fits in its box. A position belongs to it if
+    it fits in too, within its own error, and no long wall hides it.
+    """
+    long_walls = walls.length_m > params.vehicle_length_m + 1.0
+    sigma_m = np.sqrt(np.linalg.eigvalsh(recovered.image_covariance_m2)[:, 1])
+    explained = np.zeros(len(recovered), bool)
+    for group in _vehicle_groups(walls, returns, params):
+        points_m = returns.points_m[group]
+        near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
+        near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
+        candidates = np.flatnonzero(near & ~explained)
+        # most groups do not fit by themselves: then no further point fits
+        slack_m = sigma_m[candidates].max(initial=0.0)
+        if not fits_box(points_m, params.vehicle_length_m + slack_m, params.vehicle_width_m + slack_m):
+            continue
+        for i in candidates:
+            together = np.vstack([points_m, recovered.points_m[i]])
+            length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
+            explained[i] = fits_box(together, length_m, width_m)
+    return explained & ~behind_walls(recovered.points_m, walls.take(long_walls), params.cut_depth_m)
+
+
+def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
+    """Return the returns of a group and all others on its walls: a missed return must not split one front into two
+    objects.
+    """
+    # one more entry, at the end, for the returns on no wall (-1)
+    touched = np.zeros(returns.wall.max(initial=NO_WALL) + 2, bool)
+    touched[returns.wall[group]] = True
+    touched[NO_WALL] = False
+    together = touched[returns.wall]
+    together[group] = True
+    return np.flatnonzero(together)
+
+
+def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np.ndarray:
+    """Return the points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
+    arrays = wall_arrays(walls)
+    outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
+    longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
+    return ~behind_walls(points_m, longer, 0.0)
+
+
+def _on_wall(points_m: np.ndarray, walls: WallArrays, reach_m: np.ndarray) -> np.ndarray:
+    """Return the positions within their own reach [N] of a wall; bool [N]."""
+    return np.logical_or.reduce(segment_distance_m(points_m, walls.a, walls.b) <= reach_m[:, None], axis=1)

@@ -1,0 +1,1 @@
+"""Step 4: evidence of all mirrors becomes hidden objects."""

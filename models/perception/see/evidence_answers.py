@@ -1,0 +1,83 @@
+"""Answers of the evidence network: what it says of each place, and the objects that are read off it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import expit, logit
+
+from models.perception.mirrors.mirror_table import RADAR, WallArrays, hits
+from models.perception.see.detections import (
+    CENTRE,
+    CLASS,
+    HEADING,
+    LOG_SIZE,
+    LOG_SIZE_LIMITS,
+    LOG_STD,
+    LOG_STD_LIMITS,
+    PLACE,
+    Detections,
+    distinct,
+)
+from models.perception.see.gathering import BirdsEyeGrid
+from models.physics.mirror import reflect
+
+#: Reports nearer than this, or than a share of the longer one, are one object.
+SAME_OBJECT_M, SAME_OBJECT_SHARE = 1.2, 0.4
+#: Share of a threshold that no rounding of a probability reaches.
+_ROUNDING = 1.0 - 1e-9
+
+
+def evidence_detections(
+    answer: np.ndarray, mirror: np.ndarray, grid: BirdsEyeGrid, walls: WallArrays, threshold: float
+) -> Detections:
+    """Return the objects of an answer [answers, x, y] whose probability reaches a threshold, one report each.
+
+    `mirror` [x, y]: likeliest wall of each place (-1: none shows it, and it holds no object).
+    """
+    row, column = _peaks(np.where(mirror >= 0, answer[0], -np.inf), threshold)
+    values = answer[:, row, column].T.astype(np.float64)
+    place_m = np.stack([grid.x_m[row], grid.y_m[column]], axis=1) + values[:, PLACE]
+    wall = mirror[row, column].astype(np.int64)
+    image_m, away = _image(place_m, wall, walls)
+    axes = np.stack([away, np.stack([-away[:, 1], away[:, 0]], axis=1)], axis=2)
+    std_m = np.exp(np.clip(values[:, LOG_STD], *LOG_STD_LIMITS))
+    reports = Detections(
+        score=expit(values[:, 0]),
+        place_m=place_m,
+        covariance_m2=(axes * std_m[:, None] ** 2) @ axes.transpose(0, 2, 1),
+        centre_m=place_m + values[:, CENTRE],
+        size_m=np.exp(np.clip(values[:, LOG_SIZE], *LOG_SIZE_LIMITS)),
+        yaw_rad=0.5 * np.arctan2(values[:, HEADING][:, 1], values[:, HEADING][:, 0]),
+        object_class=values[:, CLASS].argmax(axis=1),
+        range_m=np.hypot(*image_m.T),
+        azimuth_rad=np.arctan2(image_m[:, 1], image_m[:, 0]),
+        away_rad=np.arctan2(away[:, 1], away[:, 0]),
+    )
+    return reports.take(distinct(reports, np.abs(reports.place_m[:, 1]), SAME_OBJECT_M, SAME_OBJECT_SHARE))
+
+
+def _peaks(object_logit: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of the places that are the likeliest among their neighbours."""
+    padded = np.pad(object_logit, 1, constant_values=-np.inf)
+    likely = np.argwhere(object_logit >= logit(_ROUNDING * threshold))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
+    about = windows[tuple(likely.T)]
+    kept = likely[about[:, 1, 1] >= about.max(axis=(1, 2), initial=-np.inf)]
+    return kept[:, 0], kept[:, 1]
+
+
+def _image(place_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Return the images [N, 2] of places [N, 2] in walls [N], and the directions of the ways on at the places."""
+    image_m = reflect(place_m, walls.normal[wall], walls.offset_m[wall])
+    if len(place_m) and walls.curvature_per_m[wall].any():
+        # as the tangent that the ray meets, by a few steps from the chord
+        for _ in range(4):
+            normal, offset_m = hits(RADAR, image_m, walls).mirrors(wall, walls)
+            image_m = reflect(place_m, normal, offset_m)
+    else:
+        normal, offset_m = walls.normal[wall], walls.offset_m[wall]
+    height_m = np.sum(image_m * normal, axis=1) + offset_m
+    share = offset_m / np.where(np.abs(offset_m - height_m) > 1e-6, offset_m - height_m, 1e-6)
+    away = place_m - share[:, None] * image_m
+    length_m = np.hypot(*away.T)
+    return image_m, away / np.maximum(length_m, 1e-9)[:, None]

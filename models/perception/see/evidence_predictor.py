@@ -1,0 +1,203 @@
+"""Inference with the evidence network on the vehicle: an ONNX file and the card that describes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from models.perception.cards import card_path, learned_path, read_card
+from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of
+from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, made_up_peaks
+from models.perception.mirrors.walls import WallParams
+from models.perception.onnx_session import ArraySession
+from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
+from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.field_predictor import DEFAULT_FIELDS, FieldPredictor
+from models.perception.see.radial_speed import radial_speeds
+from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
+from models.perception.see.wall_memory import WallMemory
+from models.perception.trained_radar import TrainedRadar, require_grid
+from msgs.values.arrays import require_within
+from msgs.values.perception import HiddenObject, Wall
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+
+Answer = TypeVar("Answer")
+
+#: The network in use where parameters say `default`.
+DEFAULT_EVIDENCE = learned_path("evidence_unet.int8", ".onnx")
+#: Answers that change sign when left and right are exchanged.
+ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
+
+
+class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
+    """Description of an evidence network file: how it was made, its input, its scores; a JSON file beside it."""
+
+    name: str
+    sha256: str
+    parameters: int
+    encoding: EvidenceEncoding
+    #: Radar of the maps in training.
+    radar: TrainedRadar = TrainedRadar()
+    input_shape: tuple[int, ...]
+    output_shape: tuple[int, ...]
+    #: Least probability that is reported: that of the least loss on the validation scans.
+    threshold: float = 0.3
+    #: From answers to the share of such reports that are a hidden object within a metre, of validation scans of a
+    #: vehicle at rest, and of one that moves.
+    calibration: ScoreTable = ()
+    calibration_moving: ScoreTable = ()
+    #: On the validation scans, which chose epoch, threshold and calibration.
+    scores: dict[str, float] = {}
+    #: Data sets of training and validation; detector and wall network with their SHA-256.
+    data: dict[str, str] = {}
+    #: Chosen epoch and the resolved configuration of the run.
+    training: dict[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        check_table("card.calibration", self.calibration)
+        check_table("card.calibration_moving", self.calibration_moving)
+        require_within("card.threshold", 0.0, 1.0, self.threshold)
+        expected = {"input": (1, *self.encoding.shape), "output": (1, ANSWERS, *self.encoding.grid.shape)}
+        for end, shape in expected.items():
+            if getattr(self, f"{end}_shape") != shape:
+                raise ValueError(f"card.{end}_shape must be {shape}, got {getattr(self, f'{end}_shape')}")
+
+    def calibration_of(self, moving: bool) -> ScoreTable:
+        """Return the table for a vehicle that moves or does not; that at rest where no other could be fitted."""
+        return self.calibration_moving if moving and self.calibration_moving else self.calibration
+
+
+class EvidencePredictor:
+    """A field and an evidence network under ONNX Runtime: what a scan hides, by its map and the walls in it.
+
+    `threshold`: least probability that is reported; None: the card's. Both look at map and evidence as they are or
+    mirrored, by which side is louder, so that a mirrored scan gives mirrored objects; with `flip_test` both ways, and
+    the answers are means.
+
+    Raises `ValueError` when a file, its card and its shapes do not belong together, or the field network is not the one
+    in training.
+    """
+
+    def __init__(
+        self,
+        model_path: Path = DEFAULT_EVIDENCE,
+        threads: int = 1,
+        threshold: float | None = None,
+        flip_test: bool = False,
+    ) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self._path = Path(model_path)
+        self.card = read_card(card_path(self._path), EvidenceCard)
+        self.threshold = self.card.threshold if threshold is None else threshold
+        require_within("threshold", 0.0, 1.0, self.threshold)
+        #: File of the field network, beside this one.
+        self.fields_path = self._path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name))
+        self._fields = FieldPredictor(self.fields_path, threads, flip_test)
+        self._flip_test = flip_test
+        wanted = self.card.data.get("fields_sha256", self._fields.card.sha256)
+        if self._fields.card.sha256 != wanted:
+            raise ValueError(
+                f"{self._path}: field network must have the sha256 {wanted} of its card, got {self._fields.card.sha256}"
+            )
+        shapes = self.card.input_shape, self.card.output_shape
+        self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
+        self._odd_channels = self.card.encoding.odd_channels
+        silent = silent_map(self.grid)
+        _, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
+        self.judge(silent, walls)()
+
+    @property
+    def walls(self) -> WallParams:
+        """How the walls are fitted that its own walls join."""
+        return self.card.encoding.walls
+
+    @property
+    def grid(self) -> RangeAzimuthGrid:
+        """Cells of the maps that it answers."""
+        return self._fields.card.grid
+
+    def suits(self, ra_map: RangeAzimuthMap) -> bool:
+        """Return whether the networks were trained on maps of this kind."""
+        return ra_map.grid == self.grid and ra_map.mode != "photons"
+
+    def judge(
+        self,
+        ra_map: RangeAzimuthMap,
+        walls: list[Wall],
+        moving: bool = False,
+        memory: WallMemory | None = None,
+    ) -> Callable[[], tuple[HiddenObject, ...]]:
+        """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
+
+        Walls of earlier scans count as well where a memory of them is given. Scores are probabilities where the card
+        says how, of a vehicle that is `moving` or not. All runs in a thread of its own, beside what the caller does
+        until it waits. Raises `ValueError` for a map that does not suit the networks, and for answers that are not
+        finite.
+        """
+        if not self.suits(ra_map):
+            require_grid(self.card.name, self.grid, ra_map.grid)
+            raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
+        return begun(partial(self._objects, ra_map, walls, moving, memory))
+
+    def _objects(
+        self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None
+    ) -> tuple[HiddenObject, ...]:
+        earlier = memory.earlier() if memory else ()
+        scan = scan_evidence(self.card.encoding, ra_map, self._fields.answer(ra_map), walls, earlier)
+        if memory:
+            memory.add(scan.elements)
+        table = self.card.calibration_of(moving)
+        answer = self.answer(scan.evidence.channels)
+        least = score_of(table, self.threshold)
+        reports = evidence_detections(answer, scan.evidence.mirror, self.card.encoding.grid, scan.arrays, least)
+        reports = replace(reports, score=calibrated(table, reports.score))
+        return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
+
+    def answer(self, channels: np.ndarray) -> np.ndarray:
+        """Return the answer [answers, x, y] to evidence [channels, x, y]."""
+        if self._flip_test:
+            return 0.5 * (self._session.answer(channels) + self._turned_answer(channels))
+        level = channels[1].astype(np.float64)
+        half = level.shape[1] // 2
+        is_turned = level[:, half:].sum() > level[:, :half].sum()
+        return self._turned_answer(channels) if is_turned else self._session.answer(channels)
+
+    def _turned_answer(self, channels: np.ndarray) -> np.ndarray:
+        """Return the answer to the mirrored evidence, mirrored back."""
+        flipped = channels[..., ::-1].copy()
+        flipped[self._odd_channels] *= -1.0
+        answer = self._session.answer(flipped)[..., ::-1].copy()
+        answer[ODD_ANSWERS] *= -1.0
+        return answer
+
+
+def silent_map(grid: RangeAzimuthGrid) -> RangeAzimuthMap:
+    """Return a map without echoes."""
+    return RangeAzimuthMap(
+        stamp_ns=0,
+        scan_id=0,
+        grid=grid,
+        values=np.full(grid.shape, 1e-9, np.complex64),
+        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
+        noise_power_mw=1e-14,
+        incoherent=np.zeros(grid.range_bins, bool),
+    )
+
+
+def begun(work: Callable[[], Answer]) -> Callable[[], Answer]:
+    """Begin `work` in a thread of its own; the function returned waits for its answer, or raises its error.
+
+    A pool is as short-lived as its thread, which a process that is forked later would lack.
+    """
+    pool = ThreadPoolExecutor(1, "evidence-network")
+    future = pool.submit(work)
+    pool.shutdown(wait=False)
+    return future.result

@@ -1,0 +1,1 @@
+"""Peaks of radars that give target lists instead of beams."""

@@ -1,0 +1,1 @@
+"""Step 5: objects of successive scans become tracks."""

@@ -1,0 +1,101 @@
+"""State across scans: the vehicle's path, the walls it passed, the tracked objects."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import msgspec
+import numpy as np
+
+from models.perception.mirrors.peaks_to_view import WallPrior
+from models.perception.see.wall_memory import RadarPose, WallMemory
+from models.perception.track.odometry import ScanOdometry, stationary_pose
+from models.perception.track.tracker import Tracker, TrackerParams
+from models.perception.track.wall_map import WallMap
+from models.perception.track.wall_priors import WallPriorStore
+from models.perception.track.yaw_rate_bias import BiasEstimate
+from msgs.values.environment import WallPriors
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, Peaks, Wall
+from msgs.values.vehicle import VehicleState
+
+
+class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of the state kept across scans."""
+
+    tracking: bool = True
+    #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
+    wall_map: bool = False
+    tracker: TrackerParams = TrackerParams()
+
+
+class ScanMemory:
+    """State across scans of one radar: vehicle states in any order, scans in the order of their stamps."""
+
+    def __init__(self, params: MemoryParams) -> None:
+        self._odometry = ScanOdometry()
+        self._tracker = Tracker(params.tracker) if params.tracking else None
+        self._walls = WallMap() if params.wall_map else None
+        self._priors = WallPriorStore()
+        self._elements = WallMemory()
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state of the vehicle; see `ScanOdometry` for the states that each scan uses."""
+        self._odometry.add(state)
+
+    def add_walls(self, message: WallPriors) -> None:
+        """Take in walls from elsewhere; see `WallPriorStore` for the messages that each scan uses."""
+        self._priors.add(message)
+
+    def wall_elements_at(self, peaks: Peaks) -> WallMemory:
+        """Return what earlier scans showed of walls, at the radar's pose of a scan; nothing where that is not known."""
+        pose = self._odometry.at(peaks.stamp_ns)
+        if pose is None or pose == stationary_pose():
+            self._elements.move(None)
+        else:
+            self._elements.move(RadarPose(pose.frame, pose.odom_from_vehicle @ peaks.vehicle_from_radar))
+        return self._elements
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is subtracted from the yaw rate."""
+        return self._odometry.yaw_rate_bias
+
+    def walls_at(self, peaks: Peaks) -> WallPrior | None:
+        """Return the wall prior for `recover_bev`: walls of earlier scans, then those from elsewhere; None: neither."""
+        earlier = self._earlier_walls(peaks)
+        priors = self._priors.at(peaks.stamp_ns, self._odometry.before, peaks.vehicle_from_radar)
+        if not priors:
+            return earlier
+        elsewhere = partial(self._priors.fused, priors)
+        return elsewhere if earlier is None else partial(_in_turn, earlier, elsewhere)
+
+    def _earlier_walls(self, peaks: Peaks) -> WallPrior | None:
+        """Return the prior of earlier scans; None where no walls are kept or no state has arrived."""
+        pose = self._odometry.at(peaks.stamp_ns)
+        # a radar that only seems to stand would find every wall at several positions
+        if self._walls is None or pose is None or pose == stationary_pose():
+            return None
+        return partial(self._walls.step, peaks.stamp_ns, pose, peaks.vehicle_from_radar)
+
+    def tracked(self, view: BevFrame, vehicle_from_radar: Pose2, ego_compensated: bool = True) -> BevFrame:
+        """Return the view with its tracks; the radar is stationary as long as no vehicle state has arrived (`view.ego`
+        is None). `ego_compensated`: as its peaks have it.
+        """
+        if self._tracker is None:
+            return view
+        tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar, ego_compensated)
+        return msgspec.structs.replace(view, tracks=tracks)
+
+
+def _in_turn(
+    first: WallPrior,
+    second: WallPrior,
+    points_m: np.ndarray,
+    covariance_m2: np.ndarray,
+    walls: list[Wall],
+    wall_of_point: np.ndarray,
+) -> tuple[list[Wall], np.ndarray]:
+    """Return the walls of a scan after two wall priors, one after the other."""
+    walls, wall_of_point = first(points_m, covariance_m2, walls, wall_of_point)
+    return second(points_m, covariance_m2, walls, wall_of_point)

@@ -1,1 +1,0 @@
-"""Across scans: ego-motion, walls and tracks in the odometry frame."""

@@ -1,1 +1,0 @@
-"""Confocal photon transients: hidden shapes by the light-cone transform, and the response of the instrument."""

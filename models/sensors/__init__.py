@@ -1,1 +1,0 @@
-"""Formats of commercially available radar boards."""

@@ -1,1 +1,0 @@
-"""Targets, losses, training and export. With models/networks the only package that imports torch."""

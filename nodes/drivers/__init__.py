@@ -1,1 +1,0 @@
-"""Commercially available radars, one module a kind: parameters, set-up, beams."""

@@ -1,1 +1,0 @@
-"""Worlds traced by a foreign ray tracer: export of scenes as triangles, paths back in our terms."""

@@ -1,0 +1,173 @@
+"""Paths of a moving scene between the instants at which it is traced.
+
+To trace anew for every beam costs more than the beam's signal. A path that is there at two instants in a row is
+carried from one to the other: its length by the cubic through both lengths and both rates of change, the rest in
+straight lines. One that comes or goes in between is faded in or out. Rays begin and end at once; waves do so over a
+Fresnel zone, and the scene moves by less than one from instant to instant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from sim_player.scene.world import World
+from sim_player.trace.path_table import Paths
+
+#: Ends of one path may lie so far from where its rates carry it; beyond, it is taken for another.
+LARGEST_JUMP_M = 0.1
+#: How far a scene may move from one instant to the next: radius of the first Fresnel zone half-way between two points
+#: 12 m apart at 10 GHz.
+LONGEST_MOVE_M = 0.3
+
+
+def tracing_step_s(world: World, own_speed_mps: float, longest_s: float) -> float:
+    """Return the time between two instants of tracing: a scene whose radar has a speed moves `LONGEST_MOVE_M` at most.
+
+    Never over `longest_s`.
+    """
+    speeds = np.append(np.linalg.norm(world.velocity_mps, axis=1), 0.0)
+    return float(min(longest_s, LONGEST_MOVE_M / max(own_speed_mps + speeds.max(), 1e-6)))
+
+
+def scene_step_s(world: World) -> float:
+    """Return the same time for a radar that moves as the scene says."""
+    return tracing_step_s(world, world.scene.ego.speed_mps, world.radar.scan_period_s)
+
+
+#: Which paths [P] of a span are kept, given both of its ends and its length in seconds; bool [P].
+Kept = Callable[[Paths, Paths, float], np.ndarray]
+
+
+class PathTrack:
+    """Paths of one scene at any time, traced at multiples of `step_s` only; deterministic whatever the order asked.
+
+    `kept` chooses the paths of each span between two instants (`sim_player.planner.weakest`); None: all.
+    """
+
+    def __init__(self, trace: Callable[[float], Paths], step_s: float, kept: Kept | None = None) -> None:
+        if not step_s > 0.0:
+            raise ValueError(f"step_s must be positive, got {step_s!r}")
+        self._trace, self._step_s, self._kept = trace, step_s, kept
+        self._knots: dict[int, Paths] = {}
+        self._span: tuple[int, Span] | None = None
+        self._last: tuple[float, Paths] | None = None
+
+    def at(self, time_s: float) -> Paths:
+        """Return all paths at a time; those of the last time are kept."""
+        if self._last is None or self._last[0] != time_s:
+            self._last = time_s, self._at(time_s)
+        return self._last[1]
+
+    def _at(self, time_s: float) -> Paths:
+        index = int(np.floor(time_s / self._step_s))
+        if self._span is None or self._span[0] != index:
+            self._knots = {knot: self._knot(knot) for knot in (index, index + 1)}
+            span = Span(self._knots[index], self._knots[index + 1], self._step_s)
+            self._span = index, span if self._kept is None else span.take(self._kept(*span.ends(), self._step_s))
+        return self._span[1].at(time_s - index * self._step_s)
+
+    def _knot(self, index: int) -> Paths:
+        return self._knots[index] if index in self._knots else self._trace(index * self._step_s)
+
+
+class Span:
+    """Paths between two instants."""
+
+    def __init__(self, first: Paths, last: Paths, step_s: float) -> None:
+        here, there = _in_both(first.chain, last.chain)
+        carried_m = step_s * (first.radial_speed_mps[here] + last.radial_speed_mps[there])
+        stays = np.abs(last.length_m[there] - first.length_m[here] - carried_m) <= LARGEST_JUMP_M
+        self._step_s = step_s
+        self._first, self._last = first.take(here[stays]), last.take(there[stays])
+        self._goes, self._comes = (
+            first.take(_all_but(len(first), here[stays])),
+            last.take(_all_but(len(last), there[stays])),
+        )
+
+    def ends(self) -> tuple[Paths, Paths]:
+        """Return all paths at both instants, in the same order; those that come or go are nothing at one of them."""
+        gone, coming = _faded(self._goes, 0.0, self._step_s), _faded(self._comes, 0.0, -self._step_s)
+        return Paths.joined([self._first, self._goes, coming]), Paths.joined([self._last, gone, self._comes])
+
+    def take(self, kept: np.ndarray) -> Span:
+        """Return the span with some of its paths, bool [P] in the order of `ends`."""
+        stays, goes, comes = np.split(kept, np.cumsum([len(self._first), len(self._goes)]))
+        span = copy(self)
+        span._first, span._last = self._first.take(stays), self._last.take(stays)
+        span._goes, span._comes = self._goes.take(goes), self._comes.take(comes)
+        return span
+
+    def at(self, since_s: float) -> Paths:
+        """Return all paths so long after the first instant."""
+        share = since_s / self._step_s
+        goes, comes = _faded(self._goes, 1.0 - share, since_s), _faded(self._comes, share, since_s - self._step_s)
+        return Paths.joined([self._carried(since_s), goes, comes])
+
+    def _carried(self, since_s: float) -> Paths:
+        first, last, share = self._first, self._last, since_s / self._step_s
+
+        def line(name: str) -> np.ndarray:
+            start = getattr(first, name)
+            return np.asarray(start + share * (getattr(last, name) - start))
+
+        def turn(name: str) -> np.ndarray:
+            start = getattr(first, name)
+            # by the shorter way round
+            return np.asarray(start + share * ((getattr(last, name) - start + np.pi) % (2.0 * np.pi) - np.pi))
+
+        length_m, rate_mps = _cubic(
+            (first.length_m, last.length_m),
+            (2.0 * first.radial_speed_mps, 2.0 * last.radial_speed_mps),
+            share,
+            self._step_s,
+        )
+        return replace(
+            first,
+            length_m=length_m,
+            radial_speed_mps=0.5 * rate_mps,
+            azimuth_rad=turn("azimuth_rad"),
+            elevation_rad=line("elevation_rad"),
+            departure_azimuth_rad=turn("departure_azimuth_rad"),
+            departure_elevation_rad=line("departure_elevation_rad"),
+            amplitude=line("amplitude"),
+            point_m=line("point_m"),
+            virtual_m=line("virtual_m"),
+        )
+
+
+def _in_both(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the numbers that two lists share stand in each, in their order; of equal ones the first."""
+    (numbers, here), (carried, there) = (np.unique(chain, return_index=True) for chain in (first, last))
+    at = np.searchsorted(carried, numbers)
+    shared = at < len(carried)
+    shared[shared] = carried[at[shared]] == numbers[shared]
+    return here[shared], there[at[shared]]
+
+
+def _all_but(count: int, rows: np.ndarray) -> np.ndarray:
+    """Return all of so many rows but some, as a mask."""
+    mask = np.ones(count, bool)
+    mask[rows] = False
+    return mask
+
+
+def _faded(paths: Paths, share: float, elapsed_s: float) -> Paths:
+    """Return paths carried on at their own rate, with a share of their field."""
+    length_m = paths.length_m + 2.0 * elapsed_s * paths.radial_speed_mps
+    return replace(paths, length_m=length_m, amplitude=share * paths.amplitude)
+
+
+def _cubic(
+    value: tuple[np.ndarray, np.ndarray], rate: tuple[np.ndarray, np.ndarray], share: float, step_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cubic through two values with two rates of change, and its rate, at a share of the step (Hermite)."""
+    rise = value[1] - value[0]
+    start, end = rate[0] * step_s - rise, rate[1] * step_s - rise
+    left = 1.0 - share
+    at = value[0] + share * rise + share * left * (left * start - share * end)
+    slope = rise + (left - share) * (left * start - share * end) - share * left * (start + end)
+    return at, slope / step_s

@@ -1,0 +1,146 @@
+"""`mirrorwave eval`: what a method's text means, one small run with all its files, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lab.evaluate.method_runs import run_methods, sweep, truth_of_labels
+from lab.evaluate.methods import build_method, overridden, parse_method, peaks_above
+from lab.measures.frame_scores import measures
+from lab.training.data.frames import DataSet, fixed_splits
+from mirrorwave.cli import main
+from models.perception.find.cfar import CfarParams
+from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.mirrors.peaks_to_view import GeometryParams
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight streets with the basic effects, split."""
+    folder = write_dataset(tmp_path_factory.mktemp("data"), 8, 3, Recipe(places="street_v1")).parent
+    fixed_splits(folder)
+    return folder
+
+
+def test_text_of_a_method() -> None:
+    spec = parse_method("ours=net.onnx,refine,residual=r.onnx,geometry=published,threshold=0.4,named.reach=[1, 2]")
+    assert (spec.name, spec.source, spec.refine, spec.geometry, spec.threshold) == (
+        "ours",
+        "net.onnx",
+        True,
+        "specification",
+        0.4,
+    )
+    assert spec.residual == Path("r.onnx")
+    assert spec.parameters == {"named": {"reach": [1, 2]}}
+    assert (parse_method("cfar").name, parse_method("a/net.onnx").name) == ("cfar", "net")
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("ours=nothing", "source must be cfar, cfar-nlos, truth or FILE.onnx, got 'nothing'"),
+        ("cfar,refine", "refine must go with a network"),
+        ("cfar,sharpen", "got 'sharpen'"),
+        ("n=a.onnx,refine=more", "got 'refine=more'"),
+        ("cfar,geometry=best", "got 'geometry=best'"),
+        ("cfar,threshold=2", "got 'threshold=2'"),
+        ("cfar,named.reach=1", "group must be one of cfar, geometry, got 'named'"),
+        ("cfar,cfar.false=4", "cfar.false must be one of false_alarm_rate, ridges"),
+        ("cfar,cfar.false_alarm_rate=wide", "Expected `float`"),
+        ("n=missing.onnx", "missing.json"),
+        ("=cfar", "source must be"),
+    ],
+)
+def test_unknown_words_are_refused_by_name(text: str, fault: str) -> None:
+    with pytest.raises(ValueError, match="--method") as caught:
+        build_method(parse_method(text))
+    assert fault in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_parameters_are_replaced_by_dotted_key() -> None:
+    got = overridden(GeometryParams(), "geometry", {"geometry": {"recovery.association": "buddy", "cluster_eps_m": 3}})
+    assert (got.recovery.association, got.cluster_eps_m) == ("buddy", 3.0)
+    assert overridden(CfarParams(), "cfar", {}) == CfarParams()
+
+
+def test_threshold_of_a_network_is_its_own_then_the_option_then_its_card() -> None:
+    text = f"n={DEFAULT_MODEL}"
+    assert build_method(parse_method(f"{text},threshold=0.7"), 0.4).threshold == 0.7
+    assert build_method(parse_method(text), 0.4).threshold == 0.4
+    assert build_method(parse_method(text)).threshold == load_card(DEFAULT_MODEL).threshold
+
+
+def test_labels_as_peaks_are_perfect(folder: Path) -> None:
+    """The dense scores of the truth itself are 1 with Chamfer 0 (1e-6 m): the scale every other row is read on."""
+    run = run_methods([build_method(parse_method("truth"))], DataSet(folder).frames(range(2)), {"it": truth_of_labels})
+    found = measures(run.scores(run.runs[0], "it"))
+    assert found["dense_macro_f1"][0] == 1.0
+    assert found["dense_macro_chamfer_m"][0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_sweep_meets_the_answer_at_the_operating_threshold(folder: Path) -> None:
+    """Local maxima over a low threshold, cut at a higher one, are those over the higher one: same counts."""
+    data = DataSet(folder)
+    method = build_method(parse_method(f"n={DEFAULT_MODEL},geometry=published,threshold=0.35"))
+    strict = build_method(parse_method(f"n={DEFAULT_MODEL},geometry=published,peaks.min_distance=3,threshold=0.2"))
+    run = run_methods([method, strict], data.frames(range(3)), {"thinned": truth_of_labels}, sweeping=True)
+    points = sweep(run.runs[0], run.truth, 3)
+    at = next(point for point in points if point.threshold == 0.35)
+    assert np.array_equal(at.scores.counts, run.scores(run.runs[0], "thinned").counts)
+    # the other run's peaks go down to the same floor: cut at 0.35 they are this run's answer
+    other = [peaks_above(peaks, 0.35) for peaks in run.runs[1].peaks]
+    assert [len(peaks) for peaks in other] == [len(one.points_m) for one in run.runs[0].answers]
+    recalls = [float(np.sum(point.scores.counts[:, :2, 0])) for point in points]
+    assert recalls == sorted(recalls, reverse=True)
+
+
+@pytest.mark.slow
+def test_one_run_with_all_its_files(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two methods over three frames, both truths; tables can be made again from the rows of the frames."""
+    out = tmp_path / "out"
+    words = ["eval", "--data", str(folder), "--split", "all", "--truth", "both", "--out", str(out), "--sweep", "2"]
+    words += ["--limit", "3"]
+    words += ["--draws", "50", "--method", "cfar-nlos", "--method", f"net={DEFAULT_MODEL},geometry=ours"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    test_sha256 = fixed_splits(folder).test_sha256
+    assert test_sha256 in printed
+    report = json.loads((out / "results.json").read_text())
+    assert report["test_sha256"] == test_sha256
+    assert [one["name"] for one in report["methods"]] == ["cfar-nlos", "net"]
+    net = report["methods"][1]
+    assert net["parameters"] == load_card(DEFAULT_MODEL).parameters
+    assert net["milliseconds"]["detect"]["p90"] >= net["milliseconds"]["detect"]["median"] > 0.0
+    counts = np.array(report["per_frame"]["methods"]["net"]["thinned"]["counts"])[:, :2].sum(axis=0)
+    f1 = np.mean(2 * counts[:, 0] / (2 * counts[:, 0] + counts[:, 1] + counts[:, 2]))
+    assert net["measures"]["thinned"]["dense_macro_f1"][0] == pytest.approx(f1)
+    value, low, high = report["differences"]["cfar-nlos"]["dense_macro_f1"]
+    assert low <= value <= high
+    assert value == pytest.approx(report["methods"][0]["measures"]["thinned"]["dense_macro_f1"][0] - f1)
+    # more truth points than thinning left over
+    rows = {kind: np.array(report["per_frame"]["methods"]["net"][kind]["counts"]) for kind in ("thinned", "all")}
+    assert (rows["all"][:, 0, [0, 2]].sum(axis=1) >= rows["thinned"][:, 0, [0, 2]].sum(axis=1)).all()
+    assert "## Minus net, paired draws" in (out / "results.md").read_text()
+    for name in ("pr.png", "scenes.png", "qualitative.png"):
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_words_of_the_command_are_checked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, fault in (
+        (["--method", "cfar,shine"], "got 'shine'"),
+        (["--method", "cfar", "--method", "cfar"], "names must differ, got 'cfar' twice"),
+        (["--method", "cfar", "--reference", "ours"], "--reference must be one of cfar, got 'ours'"),
+        (["--split", "tset"], "tset"),
+    ):
+        assert main(["eval", "--data", str(folder), *words]) == 2
+        error = capsys.readouterr().err
+        assert fault in error
+        assert error.count("\n") == 1

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from lab.networks.further_than_cfar import COMPACT, FULL, FurtherThanCfar, FurtherThanCfarConfig
+from lab.training.objectives.focal import binary_focal_loss
+
+TINY = FurtherThanCfarConfig(
+    range_bins=64, columns=32, widths=(4, 4, 8, 8), blocks=(1, 1, 1, 1), pyramid_width=8, segmentation_width=8
+)
+
+
+def network(config: FurtherThanCfarConfig = TINY) -> FurtherThanCfar:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    return FurtherThanCfar(config)
+
+
+def test_published_widths_have_their_counts() -> None:
+    """A ResNet-18 without its classifier has 11,176,512 parameters at 3 channels.
+
+    By hand, the rest. Lateral convolutions: 256 * (64 + 128 + 256 + 512) + 4 * 256. Segmentation: one convolution from
+    256 to 128 at each of the four levels, and 0 + 0 + 1 + 2 from 128 to 128; each with a scale and a shift of 128.
+    Head: 2 * 128 + 2.
+    """
+    with torch.device("meta"):
+        net = FurtherThanCfar(FULL)
+    lateral = 256 * (64 + 128 + 256 + 512) + 4 * 256
+    segmentation = 4 * (9 * 256 * 128 + 256) + 3 * (9 * 128 * 128 + 256)
+    assert sum(p.numel() for p in net.backbone.parameters()) == 11_176_512
+    assert sum(p.numel() for p in net.parameters()) == 11_176_512 + lateral + segmentation + 2 * 128 + 2
+
+
+def test_compact_one_is_as_large_as_ours() -> None:
+    """CompactUNet has 0.96 M parameters."""
+    assert 0.7e6 < sum(p.numel() for p in FurtherThanCfar(COMPACT).parameters()) < 1.0e6
+
+
+@pytest.mark.parametrize("config", [FULL, COMPACT])
+def test_answers_every_cell(config: FurtherThanCfarConfig) -> None:
+    with torch.device("meta"):
+        logits = FurtherThanCfar(config)(torch.empty(2, 3, config.range_bins, config.columns))
+    assert logits.shape == (2, *config.output_shape) == (2, 2, config.range_bins, 256)
+
+
+def test_features_halve_from_stage_to_stage() -> None:
+    shapes = [tuple(x.shape[1:]) for x in network().backbone(torch.zeros(1, 3, 64, 32))]
+    assert shapes == [(4, 16, 8), (4, 8, 4), (8, 4, 2), (8, 2, 1)]
+
+
+def test_dropout_acts_in_training_only() -> None:
+    net = network()
+    x = torch.randn(1, 3, 64, 32)
+    with torch.no_grad():
+        assert not torch.equal(net(x), net(x))
+        net.eval()
+        assert torch.equal(net(x), net(x))
+
+
+def test_gradients_reach_every_parameter() -> None:
+    net = network()
+    net(torch.randn(2, 3, 64, 32)).square().sum().backward()
+    for name, parameter in net.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.abs().sum() > 0, name
+
+
+@pytest.mark.slow
+def test_learns_one_map() -> None:
+    """One map with a patch of 8 x 8 cells a class: the loss falls below a fifth, 95 % of the cells are right."""
+    net = network()
+    x = torch.randn(1, 3, 64, 32)
+    mask = torch.zeros(1, 2, 64, 32)
+    mask[0, 0, 8:16, 16:24] = mask[0, 1, 40:48, 0:8] = 1.0
+    optimizer = torch.optim.Adam(net.parameters(), 1e-2)
+    losses = []
+    for _ in range(80):
+        optimizer.zero_grad()
+        loss = binary_focal_loss(net(x), mask, alpha=0.75)
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.2 * losses[0]
+    with torch.no_grad():
+        right = ((net(x) > 0) == (mask > 0.5)).float().mean()
+    assert right > 0.95
+
+
+def test_onnx_agrees(onnx_difference: Callable[..., float]) -> None:
+    assert onnx_difference(network(), torch.randn(1, 3, 64, 32)) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"range_bins": 500}, "multiples of 32, got 500 and 256"),
+        ({"columns": 48}, "multiples of 32, got 512 and 48"),
+        ({"segmentation_width": 30}, "segmentation_width must be a multiple of 4, got 30"),
+    ],
+)
+def test_shapes_that_do_not_divide_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FurtherThanCfarConfig(**change)

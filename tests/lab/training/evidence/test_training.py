@@ -1,0 +1,135 @@
+"""From drawn places to networks on the vehicle: samples, two trainings, export, a scan judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from scipy.special import expit
+
+from lab.training.data.evidence_store import load_objects, load_truths
+from lab.training.data.frames import DataSet
+from lab.training.evidence.grid_training import GridSchedule
+from lab.training.evidence.runs import CHANNELS, EVIDENCE_FILE, FIELDS_FILE, GRID, EvidenceRun
+from lab.training.evidence.train_fields import FieldTraining
+from lab.training.export.evidence import quantize_evidence
+from lab.training.run_folder import BEST, load_state
+from models.perception.cards import card_path, learned_path
+from models.perception.find.detectors import NetworkDetector
+from models.perception.find.onnx_model import DensePredictor
+from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
+from models.perception.see.evidence_predictor import EvidencePredictor
+from models.perception.see.wall_elements import WALL_ANSWERS
+from msgs.files.array_files import load_arrays
+from msgs.files.checksums import file_sha256
+from nodes.geometry import Params, predictor_of
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("places")
+    write_dataset(folder, 3, 5, Recipe(effects="basic", truth=True))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def judges(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("judges")
+    write_dataset(folder, 2, 6, Recipe(effects="basic", truth=True))
+    return folder
+
+
+def train(places: Path, judges: Path, work: Path, epochs: int) -> Path:
+    """Both networks; the folder of the exported files."""
+    run = EvidenceRun(data=[places], validation=[judges], folder=work)
+    run.train_fields(GridSchedule(epochs=1, batch_size=2))
+    run.train_evidence(GridSchedule(epochs=epochs, batch_size=2))
+    return work
+
+
+@pytest.fixture(scope="module")
+def trained(places: Path, judges: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(places, judges, tmp_path_factory.mktemp("work"), 2)
+
+
+def test_samples_hold_what_the_scans_show(places: Path, trained: Path) -> None:
+    (path,) = (trained / "evidence-samples" / places.name).glob("*.npz")
+    truths, objects, data = load_truths(path), load_objects(path), DataSet(places)
+    assert len(truths) == len(objects) == len(data) == 3
+    for index, (truth, of_scan) in enumerate(zip(truths, objects, strict=True)):
+        scan = data.scan(index)
+        assert truth.truth == scan.truth
+        np.testing.assert_array_equal(truth.labels.range_m, scan.labels.range_m)
+        for place_m, number in zip(of_scan.place_m[of_scan.asked], of_scan.number[of_scan.asked], strict=True):
+            own = scan.labels.object_index == number
+            assert np.hypot(*(scan.labels.hidden_xy_m[own] - place_m).T).min() < 3.0
+
+
+def test_a_field_network_begins_with_the_answers_of_a_detector(places: Path, trained: Path, tmp_path: Path) -> None:
+    files = sorted((trained / "fields-samples" / places.name).glob("*.npz"))
+    schedule = GridSchedule(epochs=1, batch_size=2)
+    training = FieldTraining(files, files, CHANNELS, GRID, schedule, tmp_path)
+    detector = learned_path("compact_unet", ".onnx")
+    training.start_from(detector)
+    training.network.eval()
+    cells = load_arrays(files[0], only=("cells",))["cells"][:1].astype(np.float32)
+    with torch.no_grad():
+        answer = training.network(torch.from_numpy(cells))[0, WALL_ANSWERS:].numpy()
+    wanted = DensePredictor(detector).infer(cells[0])
+    np.testing.assert_allclose(expit(answer), wanted, atol=2e-3)
+
+
+def test_a_stopped_run_goes_on_to_the_same_weights(
+    places: Path, judges: Path, trained: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """One epoch of two, then the rest: the samples, made already, are those of the whole run."""
+    work = tmp_path_factory.mktemp("again")
+    train(places, judges, work, 2)
+    whole, again = (load_state(folder / "evidence" / BEST)["network"] for folder in (trained, work))
+    assert all((whole[name] == again[name]).all() for name in whole)
+
+
+def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, trained: Path) -> None:
+    path = trained / EVIDENCE_FILE
+    predictor = predictor_of(Params(object_network=str(path), object_threshold=0.0))
+    assert isinstance(predictor, EvidencePredictor)
+    data = DataSet(places)
+    ra_map = data.frame(0).ra_map
+    peaks = NetworkDetector(data.setup).detect(ra_map)
+    _, walls = direct_structure(peaks, GeometryParams(walls=predictor.walls))
+    objects = predictor.judge(ra_map, walls)()
+    assert objects
+    assert all(0.0 <= item.score <= 1.0 for item in objects)
+    photons = msgspec.structs.replace(ra_map, mode="photons")
+    with pytest.raises(ValueError, match=r"map\.mode must be of a radar for evidence_unet, got photons"):
+        predictor.judge(photons, walls)
+
+
+def test_networks_that_do_not_belong_together_are_refused(trained: Path, tmp_path: Path) -> None:
+    for name in (EVIDENCE_FILE, FIELDS_FILE):
+        for path in (trained / name, card_path(trained / name)):
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    other = card_path(tmp_path / EVIDENCE_FILE)
+    other.write_text(other.read_text().replace(file_sha256(trained / FIELDS_FILE), "0" * 64))
+    with pytest.raises(ValueError, match=r"field network must have the sha256 0{64} of its card"):
+        EvidencePredictor(tmp_path / EVIDENCE_FILE)
+
+
+def test_whole_numbers_answer_like_the_network_they_are_made_of(places: Path, trained: Path, tmp_path: Path) -> None:
+    """Both networks of two epochs, rounded on the three scans: probabilities within 0.1, cards that belong together."""
+    card = quantize_evidence(trained / EVIDENCE_FILE, DataSet(places), 3, tmp_path / "evidence_unet.int8.onnx")
+    assert card.scores["largest_probability_difference"] < 0.1
+    assert card.data["fields"] == "field_unet.int8.onnx"
+    assert EvidencePredictor(tmp_path / "evidence_unet.int8.onnx").card == card
+
+
+def test_validation_places_are_not_trained_on(places: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no scan may share a place with"):
+        EvidenceRun(data=[places], validation=[places], folder=tmp_path)

@@ -1,0 +1,61 @@
+"""The published back end: a straight wall folds exactly, a lonely return stands for a wall, nothing is rejected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models.perception.mirrors.published import PublishedParams, published_walls, recover_published
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import PathClass, Peaks
+
+
+def peaks_of(direct: np.ndarray, images: np.ndarray) -> Peaks:
+    range_m, azimuth_rad = polar_from_xy(np.concatenate([direct, images]))
+    count = len(range_m)
+    return Peaks(
+        stamp_ns=0,
+        scan_id=0,
+        range_m=range_m,
+        azimuth_rad=azimuth_rad,
+        score=np.ones(count),
+        path_class=np.repeat(np.array([PathClass.LOS, PathClass.MIRRORED], np.uint8), [len(direct), len(images)]),
+        covariance=np.tile(np.diag([0.01, 1e-4]), (count, 1, 1)),
+        peak_stamp_ns=np.zeros(count, np.int64),
+        snr_db=np.full(count, 30.0),
+    )
+
+
+def test_images_fold_in_the_wall_of_their_buddy() -> None:
+    """Wall x = 20 of nine returns; an image at (32, 3) came from (8, 3). Exact to 1e-9."""
+    direct = np.stack([np.full(9, 20.0), np.arange(-4.0, 5.0)], axis=1)
+    recovered = recover_published(peaks_of(direct, np.array([[32.0, 3.0]])), PublishedParams())
+    assert recovered.points_m == pytest.approx(np.array([[8.0, 3.0]]), abs=1e-9)
+
+
+def test_lonely_buddy_stands_for_a_wall_across_its_ray() -> None:
+    """One return at (10, 0), in no cluster: its wall is x = 10, and (16, 0) folds to (4, 0)."""
+    recovered = recover_published(peaks_of(np.array([[10.0, 0.0]]), np.array([[16.0, 0.0]])), PublishedParams())
+    assert recovered.points_m == pytest.approx(np.array([[4.0, 0.0]]), abs=1e-9)
+
+
+def test_without_direct_returns_or_images_nothing_is_recovered() -> None:
+    nothing = np.zeros((0, 2))
+    assert len(recover_published(peaks_of(nothing, np.array([[9.0, 1.0]])), PublishedParams())) == 0
+    assert len(recover_published(peaks_of(np.array([[9.0, 1.0]]), nothing), PublishedParams())) == 0
+
+
+def test_two_lines_of_one_cluster_are_two_walls() -> None:
+    """An L of two arms of six points each, one cluster: two walls, every point on one."""
+    arm = np.arange(6.0)
+    points = np.concatenate([np.stack([10 + arm, 0 * arm], 1), np.stack([0 * arm + 10, 1.0 + arm], 1)])
+    walls, of_point = published_walls(points, np.zeros(12, int), PublishedParams())
+    assert len(walls) == 2
+    assert (of_point >= 0).all()
+    assert sorted(wall.inliers for wall in walls) == [5, 7]
+
+
+def test_equal_points_end_the_search() -> None:
+    walls, of_point = published_walls(np.ones((4, 2)), np.zeros(4, int), PublishedParams())
+    assert walls == []
+    assert (of_point == -1).all()
