@@ -36,7 +36,7 @@ _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
 _OPTIONAL_TOPICS = frozenset({"environment/walls", *SIDE_TOPICS})
 #: Modules of nodes that read every topic.
-_TAKES_ALL = frozenset({"nodes.recorder", "contrib.foxglove.bridge"})
+_TAKES_ALL = frozenset({"nodes.recorder", "contrib.foxglove.foxglove_bridge"})
 _LOG_BYTES = 1 << 18
 _ROOM_WARNING_BYTES, _ROOM_FAILED_BYTES = 5 * _GIB, 200 * _MIB
 _LOST = ("lost", "rejected")

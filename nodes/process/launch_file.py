@@ -29,8 +29,8 @@ SUPERVISOR = "supervisor"
 RECORDER = "recorder"
 #: Nodes of plug-ins by the name that launch files gave them before they were plug-ins.
 FORMER_MODULES = {
-    "nodes.bridges.foxglove": "contrib.foxglove.bridge",
-    "nodes.bridges.ros2": "contrib.ros2.bridge",
+    "nodes.bridges.foxglove": "contrib.foxglove.foxglove_bridge",
+    "nodes.bridges.ros2": "contrib.ros2.ros2_bridge",
     "nodes.dca1000_radar": "contrib.boards.dca1000_radar",
     "nodes.drivers.detections_radar": "contrib.boards.detections_radar",
     "nodes.drivers.recorded_sensors": "contrib.imports.recorded_sensors",
@@ -42,7 +42,7 @@ VIEWER_MODULE = "nodes.bev_viewer"
 #: Hosts a group of nodes; its parameters are their modules and parameters by name.
 GROUP_MODULE = "nodes.process.group"
 #: Nodes that keep the token of their address while they are restarted.
-_TOKEN_MODULES = (VIEWER_MODULE, "contrib.foxglove.bridge")
+_TOKEN_MODULES = (VIEWER_MODULE, "contrib.foxglove.foxglove_bridge")
 
 
 def _require_duration(name: str, value: float) -> None:

@@ -24,7 +24,7 @@ from contrib.boards import dca1000_socket as dca1000
 from contrib.boards.dca1000_packets import datagram
 from contrib.boards.target_list import TargetListReader
 from contrib.imports import recorded_sensors
-from contrib.ros2 import bridge as ros2
+from contrib.ros2 import ros2_bridge as ros2
 from contrib.ros2.ros2_types import type_store
 from contrib.two_machines import link
 from fuzz.seeds import CFG
@@ -780,7 +780,7 @@ CASES: dict[str, Case] = {
         lambda folder: {"interface": "virtual"},
     ),
     "car_sim": Case(make_car_sim, (), "nodes.car_sim", lambda folder: {"interface": "virtual"}),
-    "ros2": Case(make_ros2, all_talk(), "contrib.ros2.bridge"),
+    "ros2": Case(make_ros2, all_talk(), "contrib.ros2.ros2_bridge"),
     "bev_viewer": Case(make_viewer, all_talk(), "nodes.bev_viewer"),
     "recorder": Case(make_recorder, all_talk(), "nodes.recorder", lambda folder: {"path": str(folder / "out.mcap")}),
     "snapshot_recorder": Case(

@@ -20,7 +20,7 @@ MOVERS = (
     "nodes.can_out",
     "nodes.car_sim",
     "nodes.bev_viewer",
-    "contrib.ros2.bridge",
+    "contrib.ros2.ros2_bridge",
     "nodes.process.supervisor",
 )
 #: Modules that one process imports in turn, and what must not have come along with them.

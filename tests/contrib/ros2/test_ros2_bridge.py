@@ -22,7 +22,7 @@ import psutil
 import pytest
 
 from contrib.ros2 import ros2_link
-from contrib.ros2.bridge import (
+from contrib.ros2.ros2_bridge import (
     CameraParams,
     DetectionParams,
     LidarParams,
@@ -480,7 +480,7 @@ def test_clouds_and_images_come_in_byte_for_byte_and_what_is_none_is_one_line(ca
     ("params", "rule"),
     [
         ({"lidar": {"mounting": {"height_m": -1.0}}}, "mounting.height_m must lie in 0..100, got -1.0"),
-        ({"camera": {"type": "h264"}}, "ros2.params.camera.type: Invalid enum value 'h264'"),
+        ({"camera": {"type": "h264"}}, "ros2_bridge.params.camera.type: Invalid enum value 'h264'"),
         ({"domain": -1}, "domain must be 0..232, got -1"),
         ({"domain": 233}, "domain must be 0..232, got 233"),
         ({"interface": "no_such0"}, "interface must be one of .*lo.*, got 'no_such0'"),
@@ -490,9 +490,9 @@ def test_clouds_and_images_come_in_byte_for_byte_and_what_is_none_is_one_line(ca
         ({"topics": {"ra_map": "/odom"}}, "topics must have different names in ROS 2, got odom twice"),
         ({"frames": {"radar": "odom"}}, "frames must have different names"),
         ({"detections": {"topic": "9x"}}, "topic must be letters"),
-        ({"detections": {"type": "list"}}, "ros2.params.detections.type: Invalid enum value 'list'"),
+        ({"detections": {"type": "list"}}, "ros2_bridge.params.detections.type: Invalid enum value 'list'"),
         ({"detections": {"mapping": "nowhere.yaml"}}, "nowhere.yaml"),
-        ({"stamps": "now"}, "ros2.params.stamps"),
+        ({"stamps": "now"}, "ros2_bridge.params.stamps"),
     ],
 )
 @needs_dds
@@ -500,7 +500,7 @@ def test_clouds_and_images_come_in_byte_for_byte_and_what_is_none_is_one_line(ca
 def test_wrong_parameters_are_one_line(params: dict[str, Any], rule: str) -> None:
     given = {"domain": own_domain()} | params
     with pytest.raises((ValueError, OSError), match=rule) as caught:
-        load_node("contrib.ros2.bridge", given)
+        load_node("contrib.ros2.ros2_bridge", given)
     assert "\n" not in str(caught.value)
 
 
@@ -518,7 +518,7 @@ def test_an_interface_that_is_down_is_one_line(monkeypatch: pytest.MonkeyPatch, 
 def test_without_its_libraries_it_names_the_extra(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ValueError, match=rf"needs {library}, which is not installed: pip install 'mirrorwave\[ros2\]'"):
-        load_node("contrib.ros2.bridge", {})
+        load_node("contrib.ros2.ros2_bridge", {})
 
 
 def test_the_configuration_keeps_to_one_interface() -> None:

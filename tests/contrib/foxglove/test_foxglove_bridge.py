@@ -19,7 +19,7 @@ import yaml
 from websockets.exceptions import ConnectionClosed, InvalidStatus, NegotiationError
 from websockets.sync.client import ClientConnection, connect
 
-from contrib.foxglove.bridge import FoxgloveBridge, Params, create
+from contrib.foxglove.foxglove_bridge import FoxgloveBridge, Params, create
 from contrib.foxglove.foxglove_messages import MAX_PRIMITIVES, FoxgloveStream
 from contrib.foxglove.foxglove_schemas import CHANNELS, SCHEMAS
 from contrib.foxglove.foxglove_server import MAX_CLIENT_MESSAGES_PER_S
@@ -329,4 +329,4 @@ def test_the_layout_shows_topics_that_there_are() -> None:
 
 def test_the_launch_file_runs_the_bridge_as_a_viewer() -> None:
     nodes = yaml.safe_load((CHECKOUT / "launch/corner_foxglove.yaml").read_text(encoding="utf-8"))["nodes"]
-    assert nodes["foxglove"] == {"module": "contrib.foxglove.bridge", "viewer": True}
+    assert nodes["foxglove"] == {"module": "contrib.foxglove.foxglove_bridge", "viewer": True}
