@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.ndimage import maximum_filter, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from models.compiled import compiled
 from models.perception.mirrors.mirror_table import WallArrays
@@ -110,15 +110,29 @@ def map_fields(ra_map: RangeAzimuthMap, heat: np.ndarray) -> np.ndarray:
     values = ra_map.values[:bins]
     power_mw = values.real.astype(np.float32) ** 2 + values.imag.astype(np.float32) ** 2
     level_db = 10.0 * np.log10(np.maximum(power_mw / np.float32(ra_map.noise_power_mw), 1e-3))
-    loudest_db = maximum_filter(level_db, size=NEAR_CELLS, mode="nearest")
+    loudest_db = loudest_near(level_db, NEAR_CELLS)
     contrast = np.clip((loudest_db - uniform_filter(level_db, size=AROUND_CELLS, mode="nearest")) / CONTRAST_DB, -1, 1)
     low, high = LEVEL_DB
     level = np.clip((level_db - low) / (high - low), 0.0, 1.0)
     shadow = np.zeros_like(level)
     np.maximum.accumulate(level[:-1], axis=0, out=shadow[1:])
     loudest = np.clip((loudest_db - low) / (high - low), 0.0, 1.0)
-    answers = maximum_filter(heat, size=(1, *NEAR_CELLS), mode="nearest")
-    return np.stack([loudest, contrast, shadow, *answers]).astype(np.float32)
+    return np.stack([loudest, contrast, shadow, *loudest_near(heat, NEAR_CELLS)]).astype(np.float32, copy=False)
+
+
+def loudest_near(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the largest value within a window of odd `size` about each cell of [..., range, azimuth].
+
+    Shifted copies are compared whole: several times as fast as a filter that goes from cell to cell.
+    """
+    for axis, width in zip((-2, -1), size, strict=True):
+        near, moved = values.copy(), np.moveaxis(values, axis, 0)
+        largest = np.moveaxis(near, axis, 0)
+        for shift in range(1, width // 2 + 1):
+            np.maximum(largest[shift:], moved[:-shift], out=largest[shift:])
+            np.maximum(largest[:-shift], moved[shift:], out=largest[:-shift])
+        values = near
+    return values
 
 
 def gathered(
@@ -218,22 +232,27 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 has, ix, iy, mx, my, along, nx, ny = _mirror_at(x, y, table, wall)
                 if not has:
                     continue
-                away = np.hypot(ix, iy)
+                # what is cheap to ask comes first: most walls show no image of a place
+                missed = max(max(-along, along - table[wall, _LENGTH]), 0.0)
+                if missed > MAX_MISSED_M:
+                    continue
+                away = np.sqrt(ix * ix + iy * iy)
                 row = (away - range_first) / range_step
-                column = (np.arctan2(iy, ix) - azimuth_first) / azimuth_step
-                if row < 1.0 or row >= bins - 1 or column < 0.0 or column > azimuths - 1:
+                if row < 1.0 or row >= bins - 1:
                     continue
                 incidence = abs(ix * nx + iy * ny) / away
-                missed = max(max(-along, along - table[wall, _LENGTH]), 0.0)
-                sideways = np.hypot(mx, my) * AZIMUTH_STD_RAD / max(incidence, 0.1)
-                if missed > min(END_M + 2.0 * sideways, MAX_MISSED_M):
+                sideways = np.sqrt(mx * mx + my * my) * AZIMUTH_STD_RAD / max(incidence, 0.1)
+                if missed > END_M + 2.0 * sideways:
+                    continue
+                column = (np.arctan2(iy, ix) - azimuth_first) / azimuth_step
+                if column < 0.0 or column > azimuths - 1:
                     continue
                 first_free = is_free(0.0, 0.0, mx, my, table, wall)
                 second_free = is_free(mx, my, x, y, table, wall)
                 r, c = int(row + 0.5), int(column + 0.5)
                 level, contrast, heat = fields[0, r, c], fields[1, r, c], fields[4, r, c]
                 dx, dy = x - mx, y - my
-                away_m = max(np.hypot(dx, dy), 1e-6)
+                away_m = max(np.sqrt(dx * dx + dy * dy), 1e-6)
                 gap = gaps[wall, min(max(int((along + GAP_BEFORE_M) / GAP_STEP_M), 0), GAPS - 1)]
                 f = features[count]
                 f[0], f[1], f[2], f[3], f[4], f[5] = 1.0, level, contrast, fields[2, r, c], fields[3, r, c], heat
@@ -267,14 +286,15 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                     second, most = (most, f[5]) if f[5] > most else (max(second, f[5]), most)
                 # walls that show the place at one image are one mirror
                 for other in range(count):
-                    if np.hypot(image[other, 0] - image[best, 0], image[other, 1] - image[best, 1]) < SAME_IMAGE_M:
+                    apart_x, apart_y = image[other, 0] - image[best, 0], image[other, 1] - image[best, 1]
+                    if apart_x * apart_x + apart_y * apart_y < SAME_IMAGE_M**2:
                         key[other] = -np.inf
             channels[over, i, j] = min(free / 4.0, 1.0)
             if free > 0:
                 channels[over + 1, i, j], channels[over + 2, i, j] = level_sum / free, least_contrast
                 channels[over + 3, i, j], channels[over + 4, i, j] = most, min(heat_sum / 2.0, 1.0)
                 channels[over + 5, i, j] = second
-            away = np.hypot(x, y)
+            away = np.sqrt(x * x + y * y)
             row = (away - range_first) / range_step
             column = (np.arctan2(y, x) - azimuth_first) / azimuth_step
             if 0.0 <= column <= azimuths - 1 and row < bins - 1:

@@ -22,6 +22,7 @@ import psutil
 import pytest
 
 from contrib.ros2 import ros2_link
+from contrib.ros2.point_cloud2 import LidarMounting
 from contrib.ros2.ros2_bridge import (
     CameraParams,
     DetectionParams,
@@ -32,7 +33,6 @@ from contrib.ros2.ros2_bridge import (
     RosClock,
     create,
 )
-from contrib.ros2.point_cloud2 import LidarMounting
 from contrib.ros2.ros2_messages import Frames
 from contrib.ros2.ros2_topics import PUBLISHED, Ros2Topic
 from msgs.bus.interface import Envelope, Outgoing, Received
@@ -657,7 +657,7 @@ def test_another_program_decodes_the_mounting_as_a_late_joiner(domain: int) -> N
 def test_a_node_of_ros_2_receives_and_knows_the_types(domain: int) -> None:
     """Every topic whose types that ROS 2 has; those that ROS 2 itself brings are among them."""
     node = create(Params(domain=domain))
-    script = CHECKOUT / "tests/nodes/bridges/ros2_subscriber.py"
+    script = CHECKOUT / "tests/contrib/ros2/ros2_subscriber.py"
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     environment.pop("PYTHONPATH", None)
     command = [os.environ["MIRRORWAVE_RCLPY"], str(script)]
