@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.ndimage import maximum_filter
 from scipy.special import expit
 
 from models.perception.mirrors.mirror_table import WallArrays, wall_arrays
 from models.perception.mirrors.walls import WallParams
-from models.perception.see.gathering import BirdsEyeGrid, Evidence, channel_names, gathered, odd_channels
+from models.perception.see.gathering import BirdsEyeGrid, Evidence, channel_names, gathered, loudest_near, odd_channels
 from models.perception.see.wall_elements import (
     WALL_ANSWERS,
     WallElements,
@@ -102,7 +101,7 @@ def scan_evidence(
 
 def certainties(walls: WallArrays, answer: np.ndarray, grid: RangeAzimuthGrid) -> np.ndarray:
     """Return the mean probability that an answer [`WALL_ANSWERS`, range, azimuth] gives to the line of each wall."""
-    likeliest = maximum_filter(answer[0], size=(5, 3), mode="nearest")
+    likeliest = loudest_near(answer[0], (5, 3))
     share = (np.arange(CERTAINTY_POINTS) + 0.5) / CERTAINTY_POINTS
     points_m = walls.a[:, None] + share[:, None] * (walls.b - walls.a)[:, None]
     row = np.rint(grid.range_index(np.hypot(points_m[..., 0], points_m[..., 1]))).astype(int)
