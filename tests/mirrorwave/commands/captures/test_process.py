@@ -305,13 +305,13 @@ def test_the_sample_holds_two_hidden_cars_that_are_recovered(
     result = json.loads(capsys.readouterr().out)
     assert (result["scans_with_loss"], result["capture_loss"]) == (0, None)
     assert result["score"]["scans"] == 12
-    assert result["score"]["matched"] >= 10
+    assert result["score"]["matched"] >= 13
     assert result["score"]["unmatched"] == 0
     last = json.loads((tmp_path / "objects.jsonl").read_text().splitlines()[-1])
     for centre_m in ((18.9, 13.9), (10.3, 5.65)):
         assert min(math.dist(centre_m, (one["x_m"], one["y_m"])) for one in last["objects"]) < 1.35
     assert len(last["objects"]) == 2
-    assert SAMPLE.stat().st_size < 3_500_000
+    assert SAMPLE.stat().st_size < 4_500_000
 
 
 @pytest.mark.slow
