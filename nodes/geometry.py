@@ -109,6 +109,8 @@ class GeometryNode(Node):
                     self._set_up(setup)
                 case RangeAzimuthMap() as ra_map:
                     self._maps.append(ra_map)
+                    if self._stage.predictor is not None:
+                        self._stage.predictor.expect(ra_map)
                 case Peaks() as peaks:
                     self._waiting.append((peaks, now_ns + MAP_PATIENCE_NS))
         # views go out in the order of their scans: peaks that others follow wait no longer than these

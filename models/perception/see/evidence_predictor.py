@@ -110,6 +110,8 @@ class EvidencePredictor:
         shapes = self.card.input_shape, self.card.output_shape
         self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
         self._odd_channels = self.card.encoding.odd_channels
+        #: The newest map that peaks are awaited for, and what waits for its field answer.
+        self._expected: tuple[RangeAzimuthMap, Callable[[], np.ndarray]] | None = None
         silent = silent_map(self.grid)
         _, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
         self.judge(silent, walls)()
@@ -127,6 +129,11 @@ class EvidencePredictor:
     def suits(self, ra_map: RangeAzimuthMap) -> bool:
         """Return whether the networks were trained on maps of this kind."""
         return ra_map.grid == self.grid and ra_map.mode != "photons"
+
+    def expect(self, ra_map: RangeAzimuthMap) -> None:
+        """Let the field network begin with a map while its peaks are found elsewhere; other maps are passed over."""
+        if self.suits(ra_map):
+            self._expected = ra_map, begun(partial(self._fields.answer, ra_map))
 
     def judge(
         self,
@@ -151,7 +158,9 @@ class EvidencePredictor:
         self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None
     ) -> tuple[HiddenObject, ...]:
         earlier = memory.earlier() if memory else ()
-        scan = scan_evidence(self.card.encoding, ra_map, self._fields.answer(ra_map), walls, earlier)
+        expected, fields = self._expected or (None, None)
+        field_answer = fields() if fields and expected is ra_map else self._fields.answer(ra_map)
+        scan = scan_evidence(self.card.encoding, ra_map, field_answer, walls, earlier)
         if memory:
             memory.add(scan.elements)
         table = self.card.calibration_of(moving)

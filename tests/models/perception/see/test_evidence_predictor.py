@@ -114,6 +114,25 @@ def test_scans_are_judged_beside_each_other(network: Path) -> None:
     assert begun[0]() == alone[0] != alone[1]
 
 
+def test_a_map_whose_peaks_are_awaited_is_answered_once(network: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The field network begins with the map; another map, and one that does not suit, are answered as without it."""
+    predictor, (_, walls) = EvidencePredictor(network), direct_structure(made_up_peaks(), GeometryParams())
+    maps = street_map(), street_map(values=echoes((30.0, 2.0)))
+    alone = [predictor.judge(ra_map, walls)() for ra_map in maps]
+    answered: list[RangeAzimuthMap] = []
+    answer = predictor._fields.answer
+
+    def counted(ra_map: RangeAzimuthMap) -> np.ndarray:
+        answered.append(ra_map)
+        return answer(ra_map)
+
+    monkeypatch.setattr(predictor._fields, "answer", counted)
+    predictor.expect(maps[0])
+    predictor.expect(street_map(mode="photons"))
+    assert [predictor.judge(ra_map, walls)() for ra_map in maps] == alone
+    assert [id(ra_map) for ra_map in answered] == [id(ra_map) for ra_map in maps]
+
+
 def test_what_fails_beside_the_scan_is_raised_where_it_waits(network: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     predictor = EvidencePredictor(network)
 
