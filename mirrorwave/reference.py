@@ -26,7 +26,8 @@ from msgs.bus.topics import MIB, SHIPPED, TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
 from msgs.values.arrays import Checked, limits_of
 
-NODES_DIR = CHECKOUT / "nodes"
+#: Where nodes are: those of the road, and plug-ins.
+NODE_FOLDERS = "nodes", "contrib"
 #: In a table cell this would end the cell.
 _BAR = "\\|"
 
@@ -109,8 +110,8 @@ def commands_page() -> str:
 
 def node_modules() -> list[str]:
     """Dotted names of the modules that can stand in a launch file."""
-    paths = sorted(NODES_DIR.rglob("*.py"))
-    sources = {path.relative_to(NODES_DIR.parent): path.read_text(encoding="utf-8") for path in paths}
+    paths = [path for folder in NODE_FOLDERS for path in sorted((CHECKOUT / folder).rglob("*.py"))]
+    sources = {path.relative_to(CHECKOUT): path.read_text(encoding="utf-8") for path in paths}
     return [
         ".".join(path.with_suffix("").parts)
         for path, text in sources.items()

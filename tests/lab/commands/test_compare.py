@@ -23,7 +23,7 @@ from lab.studies.report import Interval, write_report
 from mirrorwave import cli
 from msgs.files.shipped import CHECKOUT
 from sim_player.scene.description import load_scene
-from tests.mirrorwave.figures import assert_readable_at_page_width
+from tests.figures import assert_readable_at_page_width
 
 PLAN = Plan(
     seed=3,

@@ -25,7 +25,7 @@ from msgs.values.perception import (
 )
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from tests.builders import example_map
-from tests.mirrorwave.figures import assert_readable_at_page_width, legends_of
+from tests.figures import assert_readable_at_page_width, legends_of
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

@@ -19,7 +19,7 @@ from lab.tradeoff.row_figures import draw_front, draw_stages
 from lab.tradeoff.row_report import Report
 from lab.training.training_curves import draw_curves as draw_training
 from mirrorwave.plots.style import legend_below, legend_beside, legend_of_figure, new_figure, save
-from tests.mirrorwave.figures import assert_legends_off_data, assert_readable_at_page_width, legends_of
+from tests.figures import assert_legends_off_data, assert_readable_at_page_width, legends_of
 
 
 def test_a_legend_over_the_data_or_out_of_the_figure_is_caught() -> None:

@@ -23,7 +23,7 @@ from sim_player.planner.purposes import Purpose
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import load_scene
 from sim_player.scene.world import prepare
-from tests.mirrorwave.figures import assert_readable_at_page_width
+from tests.figures import assert_readable_at_page_width
 
 SCENE = "launch/scenes/corner.yaml"
 

@@ -17,8 +17,8 @@ from numba.core.dispatcher import Dispatcher
 from tests.models.perception.mirrors.place_peaks import place_peaks
 from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev, warm
 
-ROOMS = ("perception.geometry.lines", "perception.geometry.wall_search", "perception.geometry.arcs",
-         "perception.geometry.clustering", "perception.geometry.observability", "physics.mirror")
+ROOMS = ("perception.mirrors.lines", "perception.mirrors.wall_search", "perception.mirrors.arcs",
+         "perception.mirrors.clustering", "perception.mirrors.observability", "physics.mirror")
 
 def compiled():
     rooms = [vars(importlib.import_module("models." + room)) for room in ROOMS]

@@ -1,9 +1,14 @@
-"""What is asked of every figure: read off matplotlib's objects as they were saved, not off pixels."""
+"""What is asked of every figure: read off matplotlib's objects as they were saved, not off pixels.
+
+Folders whose `conftest.py` takes the two fixtures in look at every figure that their tests save.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
+import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure, SubFigure
@@ -66,3 +71,33 @@ def assert_readable_at_page_width(figure: Figure) -> None:
     shrunk = min(1.0, PAGE_INCH / figure.get_figwidth())
     small = {text.get_text(): text.get_fontsize() * shrunk for text in texts_of(figure)}
     assert {text: round(size, 2) for text, size in small.items() if size < LEAST_PT} == {}
+
+
+SAVED: list[Figure] = []
+
+
+@pytest.fixture(scope="session", autouse=True)
+def recorded() -> Iterator[None]:
+    """Figures are noted as they are saved, whoever saves them."""
+    save = Figure.savefig
+
+    def noted(self: Figure, *arguments: Any, **options: Any) -> None:
+        if not any(one is self for one in SAVED):
+            SAVED.append(self)
+        save(self, *arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", noted)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def saved_figures() -> Iterator[list[Figure]]:
+    """The figures that this test saved, oldest first; looked at when it ends."""
+    # what tests of other folders saved in this process is not this test's
+    SAVED.clear()
+    yield SAVED
+    figures = SAVED.copy()
+    SAVED.clear()
+    for figure in figures:
+        assert_legends_off_data(figure)
