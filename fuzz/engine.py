@@ -25,7 +25,7 @@ from fuzz.targets import TARGETS, execute
 
 #: Memory a reader may ask for at once is far below; a length field must not be what it asks for.
 _ADDRESS_SPACE = 16 << 30
-_OURS = ("msgs", "models", "sim_player", "nodes", "mirrorwave")
+_OURS = ("msgs", "models", "sim_player", "nodes", "mirrorwave", "lab", "contrib")
 
 
 def fuzz(name: str, work: Path) -> None:

@@ -272,7 +272,7 @@ def _checked(check: str, path: Path, load: Callable[[], str]) -> Risk:
 
 
 def _check_module(check: str, entry: NodeEntry) -> Iterator[Risk]:
-    if not entry.module.startswith("nodes."):
+    if not entry.module.startswith(("nodes.", "contrib.")):
         mend = "start it only if you trust who wrote it"
         yield Risk(check, Grade.WARNING, f"runs {entry.module}, which is no part of mirrorwave", mend)
 
