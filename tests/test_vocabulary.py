@@ -11,7 +11,7 @@ import pytest
 
 from msgs.files.shipped import CHECKOUT
 
-FLOORS = ("msgs", "models", "sim_player", "nodes", "mirrorwave")
+FLOORS = ("msgs", "models", "sim_player", "nodes", "mirrorwave", "lab", "contrib")
 #: Words that stand in no name, alone or beside others.
 RETIRED_WORDS = {
     *("leg", "legs", "thing", "things", "drowned", "told", "bearable", "remembered", "anew", "welcome"),

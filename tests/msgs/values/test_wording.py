@@ -50,7 +50,7 @@ def nouns(tree: ast.AST) -> Iterator[str]:
 
 def test_what_is_counted_is_named_in_the_singular() -> None:
     """A plural noun becomes "270 objectss"."""
-    roots = ("mirrorwave", "msgs", "models", "sim_player", "nodes")
+    roots = ("mirrorwave", "msgs", "models", "sim_player", "nodes", "lab", "contrib")
     sources = [path for root in roots for path in (CHECKOUT / root).rglob("*.py")]
     found = {noun for path in sources for noun in nouns(ast.parse(path.read_text()))}
     assert {"scan", "beam", "{topic} message"} <= found
