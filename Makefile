@@ -113,7 +113,7 @@ site: export NO_MKDOCS_2_WARNING = 1
 site: setup-dev  ## the pages under docs/ as a site in build/site; a broken link is an error
 	$(BIN)/mkdocs build --strict --quiet
 
-reference: setup-dev  ## docs/reference, written from the types and the verbs
+reference: setup  ## commands, parameters and messages as pages in docs/reference, written from the code
 	$(BIN)/python -m mirrorwave.reference docs/reference
 
 bench: setup-dev  ## the committed benchmarks, printed

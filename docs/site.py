@@ -1,4 +1,4 @@
-"""What the site needs beyond docs/: the pages at the top of the checkout, and links that leave it."""
+"""What the site needs beyond docs/: the reference, the pages at the top of the checkout, and links that leave it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mkdocs.structure.files import File
+
+from mirrorwave.reference import pages
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -21,10 +23,15 @@ _LINK = re.compile(r"(?P<mark>!?)\[(?P<text>[^\]]*)\]\((?P<path>[^)#:\s]+)(?P<an
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages at the top of the checkout."""
+    """Add the pages at the top of the checkout, and the reference as the code has it."""
     for name, page in _PAGES.items():
         text = (_ROOT / name).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=_within_docs(text)))
+    for name, text in pages().items():
+        # what `make reference` wrote some time may be old
+        if written := files.get_file_from_path(f"reference/{name}"):
+            files.remove(written)
+        files.append(File.generated(config, f"reference/{name}", content=text))
     return files
 
 

@@ -34,7 +34,7 @@ _BAR = "\\|"
 _MESSAGES_HEAD = """\
 # Messages
 
-Written by `make reference` from the types in `msgs/`; a test fails where this page and the types differ.
+Written by `make reference` from the types in `msgs/`.
 
 ## On the wire
 
@@ -50,12 +50,12 @@ counter-clockwise from x. `stamp_ns` is the time of acquisition on the clock of 
 _PARAMETERS_HEAD = """\
 # Parameters of the nodes
 
-Written by `make reference` from each node's `Params`; a test fails where this page and the code differ. They stand in
+Written by `make reference` from each node's `Params`. They stand in
 launch files under `nodes.NAME.params`, and `mirrorwave launch FILE -p NAME.KEY=VALUE` sets one. A word or a key that is
 not here is refused with its name. Parameters that are structures of their own are listed below each node.
 """
 _COMMANDS_HEAD = """\
-Written by `make reference` from the command line itself; a test fails where this page and `--help` differ. Exit codes
+Written by `make reference` from the command line itself. Exit codes
 of all: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss, above 128 ended by a signal
 ([watch a graph](../guides/watch-a-graph.md#exit-codes)).
 """

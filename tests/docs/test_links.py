@@ -13,14 +13,18 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from markdown_it import MarkdownIt
 
+from mirrorwave.reference import pages
 from tests.docs.pages import ROOT
 
+#: Pages that `make reference` writes; they are no part of the checkout.
+REFERENCE = ROOT / "docs" / "reference"
 PAGES = sorted(
-    [
+    {
+        *(REFERENCE / name for name in ("commands.md", "messages.md", "parameters.md")),
         *ROOT.glob("*.md"),
         *(ROOT / "examples").rglob("*.md"),
         *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}")),
-    ]
+    }
 )
 #: Where sources name a page: in docstrings, comments, help texts and error messages.
 SOURCES = sorted(
@@ -34,8 +38,16 @@ _HTML_LINK = re.compile(r"""(?:href|src)\s*=\s*["']([^"']+)["']""")
 _HTML_ID = re.compile(r"""(?:id|name)\s*=\s*["']([^"']+)["']""")
 
 
+@cache
+def reference() -> dict[Path, str]:
+    """The text of each page of the reference."""
+    return {REFERENCE / name: text for name, text in pages().items()}
+
+
 def markdown_of(path: Path) -> str:
     """The text of a page; of a notebook that of its Markdown cells."""
+    if path in reference():
+        return reference()[path]
     text = path.read_text(encoding="utf-8")
     if path.suffix != ".ipynb":
         return text
@@ -78,7 +90,7 @@ def dead_links(path: Path, root: Path = ROOT) -> list[str]:
         if parts.scheme or parts.netloc:
             continue
         target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
-        if not target.is_relative_to(root) or not target.exists():
+        if not target.is_relative_to(root) or not (target.exists() or target in reference()):
             dead.append(f"{link}: no such file")
         elif parts.fragment and target.suffix in (".md", ".ipynb") and parts.fragment not in anchors_of(target):
             dead.append(f"{link}: no such heading")
@@ -92,7 +104,7 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 def missing_pages(text: str, root: Path = ROOT) -> list[str]:
     """Files of `docs/` that a source names and that are not there."""
-    return [name for name in _NAMED_PAGE.findall(text) if not (root / name).exists()]
+    return [name for name in _NAMED_PAGE.findall(text) if not ((root / name).exists() or ROOT / name in reference())]
 
 
 def test_pages_that_sources_name_are_there() -> None:

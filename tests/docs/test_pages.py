@@ -33,8 +33,6 @@ GIVEN: dict[str, tuple[str, ...]] = {
 #: Pages that speak of a graph that runs already.
 OF_A_GRAPH = {"docs/guides/two-machines.md"}
 LIVE = re.compile(r"launch [^#\n]*(&|--record)")
-#: Written from the code, with usage lines in place of commands; held by tests/mirrorwave/test_reference.py.
-GENERATED = "docs/reference/commands.md"
 #: What of the checkout a page finds beside it.
 CHECKOUT = (
     "launch",
@@ -107,7 +105,7 @@ def test_other_pages_name_verbs_and_options_that_exist(capsys: pytest.CaptureFix
     asked = 0
     for page in OTHERS:
         shells = [block for block in blocks_of(page) if block.language == "sh"]
-        for block in shells if str(page.relative_to(ROOT)) != GENERATED else []:
+        for block in shells:
             for line, command in commands_of(block.text):
                 words = shlex.split(re.split(r" [&|>]", command.rstrip("& "))[0])
                 if words[:1] == ["mirrorwave"]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import msgspec
 import pytest
 
 from mirrorwave.reference import fields_of, main, node_modules, pages
+from msgs.bus.topics import SHIPPED
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import Track
 from nodes.process.launch_file import read_launch_file
@@ -15,10 +19,15 @@ ROOT = CHECKOUT
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["messages.md", "parameters.md", "commands.md"])
-def test_committed_pages_are_up_to_date(name: str) -> None:
-    """If this fails: make reference."""
-    assert (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8") == pages()[name]
+def test_pages_name_every_topic_node_and_verb(tmp_path: Path) -> None:
+    assert main([str(tmp_path)]) == 0
+    written = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    assert written == pages()
+    assert set(SHIPPED) <= set(re.findall(r"^\| `([^`]+)`", written["messages.md"], re.MULTILINE))
+    assert re.findall(r"^## ([\w.]+)$", written["parameters.md"], re.MULTILINE) == node_modules()
+    assert {"mirrorwave launch", "mirrorwave sim run"} <= set(
+        re.findall(r"`(mirrorwave[\w -]+)`", written["commands.md"])
+    )
 
 
 def test_fields_have_the_words_of_their_source() -> None:
