@@ -90,7 +90,7 @@ def run(environment: Path, folder: Path, *words: str) -> subprocess.CompletedPro
 
 def test_the_wheel_has_one_package_and_all_that_it_needs(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names} == {"mirrorwave", "mirrorwave-0.1.0.dist-info"}
+    assert {name.split("/")[0] for name in names} == {"mirrorwave", "mirrorwave-0.2.0.dist-info"}
     within = "mirrorwave/floors_below/"
     needed = [path for name in (*FLOORS, "launch") for path in (CHECKOUT / name).rglob("*.*") if path.is_file()]
     needed = [path for path in needed if "__pycache__" not in path.parts]
