@@ -65,7 +65,14 @@ def mutated(parts: Parts, kinds: tuple[str, ...], rng: random.Random) -> Parts:
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         at = rng.randrange(len(parts))
         if rng.random() < 0.04:
-            _rearrange(parts, at, rng)
+            match rng.randrange(3):
+                case 0 if len(parts) < MAX_PARTS:
+                    parts.insert(at, parts[rng.randrange(len(parts))])
+                case 1 if len(parts) > 1:
+                    del parts[at]
+                case _:
+                    other = rng.randrange(len(parts))
+                    parts[at], parts[other] = parts[other], parts[at]
             continue
         kind = kinds[min(at, len(kinds) - 1)]
         change = CHANGES[kind] if rng.random() < 0.8 else change_bytes
@@ -75,17 +82,6 @@ def mutated(parts: Parts, kinds: tuple[str, ...], rng: random.Random) -> Parts:
         except Exception:  # noqa: BLE001 - a mutation may fail in whatever way its input makes it
             parts[at] = change_bytes(parts[at], rng)
     return parts
-
-
-def _rearrange(parts: Parts, at: int, rng: random.Random) -> None:
-    match rng.randrange(3):
-        case 0 if len(parts) < MAX_PARTS:
-            parts.insert(at, parts[rng.randrange(len(parts))])
-        case 1 if len(parts) > 1:
-            del parts[at]
-        case _:
-            other = rng.randrange(len(parts))
-            parts[at], parts[other] = parts[other], parts[at]
 
 
 def change_bytes(data: bytes, rng: random.Random) -> bytes:

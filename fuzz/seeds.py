@@ -287,10 +287,7 @@ def network() -> list[bytes]:
 
     weights = numpy_helper.from_array(np.full((2, 7, 1, 1), 0.1, np.float32), "w")
     graph = helper.make_graph(
-        [
-            helper.make_node("Conv", ["map", "w"], ["seen"]),
-            helper.make_node("Sigmoid", ["seen"], ["heat"]),
-        ],
+        [helper.make_node("Conv", ["map", "w"], ["seen"]), helper.make_node("Sigmoid", ["seen"], ["heat"])],
         "g",
         [helper.make_tensor_value_info("map", TensorProto.FLOAT, (1, 7, 8, 16))],
         [helper.make_tensor_value_info("heat", TensorProto.FLOAT, (1, 2, 8, 16))],

@@ -151,7 +151,10 @@ def roughness(draws: list[tuple[MiniScene, Waves]]) -> Roughness:
     smooth = ray_field(world, EFFECTS - {"rough_wall_loss", "diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
     rays = ray_field(world, EFFECTS - {"diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
     at_m = float(smooth.delay_m[0])
-    between = (at_m + 2.0 * GATE_M, _ends_m(world) - 2.0 * GATE_M)
+    between = (
+        at_m + 2.0 * GATE_M,
+        (2.0 * float(np.hypot(*np.concatenate([world.wall_a, world.wall_b]).T).min())) - 2.0 * GATE_M,
+    )
     flash = np.array([gated(waves.walls, at_m, at_m) / smooth.field[0] for _, waves in draws])
     rest = np.array([gated(waves.walls, *between) / smooth.field[0] for _, waves in draws])
     power = np.mean(np.abs(rest) ** 2, axis=1)
@@ -181,11 +184,6 @@ def _lobe_db(
         weight = gate_weight(patches.delay_m, *between)[:, None]
         total += float(np.mean(np.sum(np.abs(weight * patches.field / mirror) ** 2, axis=0)))
     return 0.5 * db(total / PATCH_DRAWS)
-
-
-def _ends_m(world: World) -> float:
-    """Return the round trip to the nearest end of a wall."""
-    return 2.0 * float(np.hypot(*np.concatenate([world.wall_a, world.wall_b]).T).min())
 
 
 def clusters(rays: RayField) -> list[tuple[float, float]]:

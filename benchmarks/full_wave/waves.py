@@ -27,18 +27,13 @@ class Waves:
     targets: dict[str, LineEcho]
 
 
-def steps_of(scene: MiniScene, grid: LineGrid) -> int:
-    """Return the steps after which the pulse of the longest round trip has come back."""
-    pulse_m = SPEED_OF_LIGHT_MPS * 2.0 * HALF_LENGTH * deviation_s(empty_echo(grid, 1 << 11))
-    return math.ceil((scene.longest_m + pulse_m) / (SPEED_OF_LIGHT_MPS * grid.step_s))
-
-
 def solve(
     scene: MiniScene, cells_per_wavelength: float, work: Path, on_step: Callable[[str, float], None] | None = None
 ) -> Waves:
     """Return the echoes of a scene, computing those that `work` does not hold; `on_step(run, share done)`."""
     grid = scene.grid(cells_per_wavelength)
-    steps = steps_of(scene, grid)
+    pulse_m = SPEED_OF_LIGHT_MPS * 2.0 * HALF_LENGTH * deviation_s(empty_echo(grid, 1 << 11))
+    steps = math.ceil((scene.longest_m + pulse_m) / (SPEED_OF_LIGHT_MPS * grid.step_s))
     empty = empty_echo(grid, steps)
 
     def echo(target: str | None) -> LineEcho:

@@ -37,14 +37,7 @@ from nodes.process.launch_file import SUPERVISOR
 ROOT = CHECKOUT
 LAUNCHES = (ROOT / "launch" / "corner.yaml", ROOT / "launch" / "corner_can.yaml")
 #: Heard of the nodes; not the beams, because listening to 350 MB/s changes what is measured.
-HEARD = (
-    "radar/setup",
-    "sim/truth",
-    "vehicle/state",
-    "radar/ra_map",
-    "perception/peaks",
-    "perception/hidden_objects",
-)
+HEARD = ("radar/setup", "sim/truth", "vehicle/state", "radar/ra_map", "perception/peaks", "perception/hidden_objects")
 PATIENCE_S = 90.0
 #: Between two faults, in which the graph comes to rest.
 REST_S = 3.0
@@ -56,12 +49,7 @@ class Graph:
     """A launched graph and an observer of it."""
 
     def __init__(
-        self,
-        launch: Path,
-        domain: str,
-        folder: Path,
-        overrides: Iterable[str] = (),
-        options: Iterable[str] = (),
+        self, launch: Path, domain: str, folder: Path, overrides: Iterable[str] = (), options: Iterable[str] = ()
     ) -> None:
         self.domain = domain
         command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--domain", domain]
@@ -138,7 +126,11 @@ class Aftermath:
         if sent_ns < self.fault_ns:
             return
         if isinstance(message, LogRecord) and message.node == SUPERVISOR:
-            self._note_log(message)
+            name, _, text = message.text.partition(" ")
+            if name == self.node and text.startswith(("was ended", "has not answered", "hangs")):
+                self._note("seen", message.stamp_ns)
+                if not text.startswith("has not answered"):
+                    self._note("given up", message.stamp_ns)
         elif isinstance(message, NodeStatus):
             if (message.node, message.state) == (self.node, NodeState.READY) and message.pid != self._old_pid:
                 self._note("ready", sent_ns)
@@ -150,13 +142,6 @@ class Aftermath:
     def is_over(self, kinds: Iterable[str]) -> bool:
         """Whether all of these have been seen."""
         return {*kinds, "seen", "view"} <= self.times_s.keys()
-
-    def _note_log(self, record: LogRecord) -> None:
-        name, _, text = record.text.partition(" ")
-        if name == self.node and text.startswith(("was ended", "has not answered", "hangs")):
-            self._note("seen", record.stamp_ns)
-            if not text.startswith("has not answered"):
-                self._note("given up", record.stamp_ns)
 
     def _note(self, kind: str, at_ns: int) -> None:
         self.times_s.setdefault(kind, 1e-9 * (at_ns - self.fault_ns))
@@ -241,11 +226,6 @@ def stop_again_and_again(launch: Path, folder: Path, stops: int, own: list[str])
     return {"stops": stops, "clean": sum(row["left"] == 0 for row in rows), "rows": rows}
 
 
-def hear_ctrl_c() -> None:
-    """Let what is started from here hear Ctrl-C, also where this runs in the background and would pass deafness on."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 def _progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
@@ -292,7 +272,7 @@ def main() -> None:
     parser.add_argument("-p", dest="overrides", action="append", default=[])
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    hear_ctrl_c()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     files = arguments.files or LAUNCHES
     own = arguments.overrides
     with tempfile.TemporaryDirectory() as folder_name:

@@ -84,14 +84,6 @@ def geometry(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return walls, np.stack(Boxes.of(scene.objects).faces, axis=1)
 
 
-def true_labels(points_m: np.ndarray, walls: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """`PointLabel` that the scene's geometry gives each point [N]; wall points are walls, seen or not."""
-    to_wall = segment_distance_m(points_m, walls[:, 0], walls[:, 1]).min(axis=1)
-    to_face = segment_distance_m(points_m, faces[:, 0], faces[:, 1]).min(axis=1, initial=np.inf)
-    visible = sight(points_m, walls, faces)
-    return np.where(to_wall <= to_face, PointLabel.WALL, np.where(visible, PointLabel.LOS, PointLabel.HIDDEN))
-
-
 def sight(points_m: np.ndarray, walls: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Which points the radar sees, a hand's breadth before them; bool [N]."""
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])[:, None]
@@ -132,7 +124,10 @@ def measure(name: str, seed: int, row: dict[str, Any]) -> None:
     merged_m = np.concatenate([moved(one.target_from_sensor, one.points_m) for one in placed])
     labels = label_slice(merged_m, -scene.radar.height_m, SliceParams(), by_hand(scene), seed)
     walls, faces = geometry(scene)
-    truth = true_labels(labels.points_m, walls, faces)
+    to_wall = segment_distance_m(labels.points_m, walls[:, 0], walls[:, 1]).min(axis=1)
+    to_face = segment_distance_m(labels.points_m, faces[:, 0], faces[:, 1]).min(axis=1, initial=np.inf)
+    visible = sight(labels.points_m, walls, faces)
+    truth = np.where(to_wall <= to_face, PointLabel.WALL, np.where(visible, PointLabel.LOS, PointLabel.HIDDEN))
     np.add.at(row.setdefault("confusion", np.zeros((3, 3), int)), (truth, labels.label), 1)
     of_wall = truth == PointLabel.WALL
     seen = sight(labels.points_m[of_wall], walls, faces)

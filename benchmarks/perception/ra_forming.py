@@ -23,13 +23,7 @@ from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, ide
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import BeamFolder, FormingParams
 from models.perception.form.slow_time_sums import fold_chirps
-from models.physics.antenna import (
-    element_field,
-    row_field,
-    setup_weights,
-    steering_weights,
-    two_way_pattern,
-)
+from models.physics.antenna import element_field, row_field, setup_weights, steering_weights, two_way_pattern
 from models.physics.waveform import beat_samples
 from msgs.values.radar import ArrayParams, RadarBeam, RadarSetup, RangeAzimuthGrid
 

@@ -197,21 +197,16 @@ def follow(capture: Capture) -> tuple[list[Moving | None], list[Track | None]]:
     return moving, tracks
 
 
-def raw_range_m(capture: Capture) -> np.ndarray:
-    """Range of the strongest bin of each frame over all channels, the capture's mean taken off; [frames]."""
-    spectra = np.fft.fft((capture.samples - capture.samples.mean(axis=0)) * np.hanning(capture.samples.shape[-1]))
-    power = np.sum(np.abs(spectra) ** 2, axis=1)
-    range_m = capture.array.range_bin_m(power.shape[1]) * np.arange(power.shape[1])
-    power[:, range_m < LEAST_RANGE_M] = 0.0
-    return np.asarray(range_m[power.argmax(axis=1)])
-
-
 def measure(folder: Path) -> dict[str, Any]:
     """Figures of the track, and its course, of the capture in a folder."""
     capture = read_capture(folder)
     other = with_config(folder, msgspec.structs.replace(capture.config, sent_lanes=None))
     moving, tracks = follow(capture)
-    raw_m = raw_range_m(capture)
+    spectra = np.fft.fft((capture.samples - capture.samples.mean(axis=0)) * np.hanning(capture.samples.shape[-1]))
+    power = np.sum(np.abs(spectra) ** 2, axis=1)
+    range_m = capture.array.range_bin_m(power.shape[1]) * np.arange(power.shape[1])
+    power[:, range_m < LEAST_RANGE_M] = 0.0
+    raw_m = np.asarray(range_m[power.argmax(axis=1)])
     track_m, azimuth_rad, speeds = (np.full(len(tracks), np.nan) for _ in range(3))
     for at, track in enumerate(tracks):
         if track is not None:

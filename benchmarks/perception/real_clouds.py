@@ -23,14 +23,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.captures import add_data_option, capture_folder
 from benchmarks.perception.annotation import pose_error
 from contrib.annotate.clouds import read_cloud
-from contrib.annotate.registration import (
-    PosedCloud,
-    Registration,
-    RegistrationParams,
-    import_open3d,
-    moved,
-    register,
-)
+from contrib.annotate.registration import PosedCloud, Registration, RegistrationParams, import_open3d, moved, register
 
 PARAMS = RegistrationParams()
 STEP_M, TURN_DEG = 0.3, 3.0

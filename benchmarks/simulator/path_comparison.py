@@ -153,12 +153,7 @@ def _match(ours: Routes, theirs: Routes, free: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _key(routes: Routes, index: int) -> Key:
-    return (
-        int(routes.target[index]),
-        int(routes.wall[index]),
-        int(routes.wall2[index]),
-        bool(routes.ground[index]),
-    )
+    return (int(routes.target[index]), int(routes.wall[index]), int(routes.wall2[index]), bool(routes.ground[index]))
 
 
 def _field(routes: Routes) -> np.ndarray:

@@ -324,10 +324,7 @@ class Wire:
     def __init__(self, name: str) -> None:
         # several may run at a time; names of interfaces have at most 15 characters
         name = f"{name}{os.getpid() % 1_000_000}"
-        self.hosts = (
-            Host(f"{name}a", f"{name}a0", "10.77.0.1"),
-            Host(f"{name}b", f"{name}b0", "10.77.0.2"),
-        )
+        self.hosts = (Host(f"{name}a", f"{name}a0", "10.77.0.1"), Host(f"{name}b", f"{name}b0", "10.77.0.2"))
         self.is_dead = False
         self.delay_s = 0.0
         self.rate_mbit_per_s = float("inf")
@@ -377,7 +374,10 @@ class Wire:
             for tap in select.select(taps, [], [], wait_s)[0]:
                 end = taps.index(tap)
                 for data in _read_all(tap):
-                    self._look_at(data, end)
+                    self.frames[end] += 1
+                    self.bytes[end] += len(data)
+                    for word in self.seen:
+                        self.seen[word] += word in data
                     if (due_s := self._due_s(data, end)) is not None:
                         heapq.heappush(waiting, (due_s, next(order), 1 - end, data))
             while waiting and waiting[0][0] <= time.monotonic():
@@ -394,12 +394,6 @@ class Wire:
             return None
         self._passed_s[end] = max(now_s, self._passed_s[end]) + 8e-6 * len(data) / self.rate_mbit_per_s
         return self._passed_s[end] + self.delay_s
-
-    def _look_at(self, data: bytes, end: int) -> None:
-        self.frames[end] += 1
-        self.bytes[end] += len(data)
-        for word in self.seen:
-            self.seen[word] += word in data
 
 
 def _read_all(tap: int) -> Iterator[bytes]:

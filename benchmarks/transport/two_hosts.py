@@ -51,11 +51,7 @@ START_S, STOP_S, HEAL_S, SETTLE_S = 120.0, 30.0, 60.0, 6.0
 #: Connections have found the new rate of a link.
 SLOW_SETTLE_S = 10.0
 #: Links that are slow for good: rate and delay of each direction.
-SLOW = {
-    "0.2 s late": (float("inf"), 0.2),
-    "20 Mbit/s, 0.1 s late": (20.0, 0.1),
-    "4 Mbit/s, 0.1 s late": (4.0, 0.1),
-}
+SLOW = {"0.2 s late": (float("inf"), 0.2), "20 Mbit/s, 0.1 s late": (20.0, 0.1), "4 Mbit/s, 0.1 s late": (4.0, 0.1)}
 #: How far the compute host's clock is ahead in the run with two clocks.
 AHEAD_S = 100_000
 #: What must not be readable on the wire: topics, a field, a node.

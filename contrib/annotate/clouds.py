@@ -225,10 +225,7 @@ def _open3d_points(path: Path) -> np.ndarray:
     _refuse_promises(path)
     o3d = import_open3d()
     printed = io.StringIO()
-    with (
-        contextlib.redirect_stdout(printed),
-        o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Warning),
-    ):
+    with contextlib.redirect_stdout(printed), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Warning):
         try:
             cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
         except (MemoryError, RuntimeError) as error:
@@ -247,7 +244,10 @@ def _refuse_promises(path: Path) -> None:
         return
     rows, start = _header(path, content)
     if kind == ".ply":
-        _refuse_odd_ply(path, rows)
+        for row in rows:
+            is_odd = row[0] == "element" and not (len(row) == 3 and row[2].isascii() and row[2].isdecimal())
+            if is_odd or row[0] not in PLY_WORDS:
+                raise ValueError(f"{path}: no line of a PLY header: {' '.join(row)[:80]!r}")
     count, row_bytes, words = _ply_promise(rows) if kind == ".ply" else _pcd_promise(rows)
     _require_tractable(path, count)
     if kind == ".pcd":
@@ -280,14 +280,6 @@ def _lines_of(words: int, text: bytes) -> int:
     """Lines of at least so many words, as open3d finds them; it skips all others."""
     lines = (line for line in text.split(b"\n") if len(line) <= LONGEST_LINE and b"\0" not in line)
     return sum(len(_WORD.findall(line)) >= words for line in lines)
-
-
-def _refuse_odd_ply(path: Path, rows: list[list[str]]) -> None:
-    """ValueError where a PLY header could be read in another way: its words may stand in any lines."""
-    for row in rows:
-        is_odd = row[0] == "element" and not (len(row) == 3 and row[2].isascii() and row[2].isdecimal())
-        if is_odd or row[0] not in PLY_WORDS:
-            raise ValueError(f"{path}: no line of a PLY header: {' '.join(row)[:80]!r}")
 
 
 def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int) -> None:

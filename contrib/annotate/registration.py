@@ -179,7 +179,8 @@ def register(
     or has too few planes.
     """
     for name, points_m in (("source", source_m), *(("target", cloud.points_m) for cloud in targets)):
-        _require_points(name, points_m)
+        if points_m.ndim != 2 or points_m.shape[1] != 3 or not np.isfinite(points_m).all():
+            raise ValueError(f"{name} must be finite points of shape (N, 3), got {points_m.dtype} {points_m.shape}")
     clouds = _Clouds(source_m, targets)
     if target_from_source is None:
         coarse_m = params.voxels_m[0]
@@ -196,11 +197,6 @@ def register(
     pose = _icp(clouds, target_from_source, params.voxels_m, params.max_iterations)
     result = _judged(clouds, pose, params.voxels_m[-1], start)
     return max([result, *_searched_along_slide(clouds, result, params)], key=lambda registration: registration.score)
-
-
-def _require_points(name: str, points_m: np.ndarray) -> None:
-    if points_m.ndim != 2 or points_m.shape[1] != 3 or not np.isfinite(points_m).all():
-        raise ValueError(f"{name} must be finite points of shape (N, 3), got {points_m.dtype} {points_m.shape}")
 
 
 def _searched_along_slide(clouds: _Clouds, first: Registration, params: RegistrationParams) -> list[Registration]:

@@ -8,15 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mirrorwave.console import (
-    AsJson,
-    ExitCode,
-    print_json,
-    print_line,
-    print_table,
-    progress_bar,
-    require_picture,
-)
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_picture
 from msgs.values.wording import counted
 
 

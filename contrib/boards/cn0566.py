@@ -108,7 +108,13 @@ class Cn0566:
         with self._linked():
             self._set_converter()
             self._set_synthesiser()
-            self._set_gains()
+            self._board.configure(device_mode="rx")
+            self._write_gains(0)
+            self._board.latch_rx_settings()
+            # the oscillator's own tuning voltage, and its path to the transmitter
+            self._board._gpios.gpio_vctrl_1 = 1
+            self._board._gpios.gpio_vctrl_2 = 1
+            self._board._gpios.gpio_tx_sw = _TRANSMIT_SWITCH
             self._set_timing()
         self._arm()
         _LOG.info("%s", describe(self._params))
@@ -198,7 +204,8 @@ class Cn0566:
         # the board is fed from the second output
         converter.tx_hardwaregain_chan0 = _MUTED_DB
         converter.tx_hardwaregain_chan1 = params.transmit_gain_db
-        tone = _tone(params)
+        turns = params.offset_hz / params.sample_rate_hz * np.arange(params.interval_samples)
+        tone = np.asarray(_TONE_AMPLITUDE * np.exp(2j * np.pi * (turns % 1.0)))
         converter.tx([0.5 * tone, tone])
 
     def _set_synthesiser(self) -> None:
@@ -230,15 +237,6 @@ class Cn0566:
             if abs(actual - wanted) > _RAMP_TOLERANCE * wanted:
                 raise ValueError(f"cn0566: {name} must be {wanted}, the synthesiser took {actual:g}")
 
-    def _set_gains(self) -> None:
-        self._board.configure(device_mode="rx")
-        self._write_gains(0)
-        self._board.latch_rx_settings()
-        # the oscillator's own tuning voltage, and its path to the transmitter
-        self._board._gpios.gpio_vctrl_1 = 1
-        self._board._gpios.gpio_vctrl_2 = 1
-        self._board._gpios.gpio_tx_sw = _TRANSMIT_SWITCH
-
     def _write_gains(self, beam_index: int) -> None:
         self._gain_codes = self._table.gain_codes[beam_index]
         for element, code in enumerate(self._gain_codes, start=1):
@@ -266,12 +264,6 @@ class Cn0566:
         for level in (0, 1, 0):
             self._board._gpios.gpio_burst = level
         return list(self._converter.rx())
-
-
-def _tone(params: PhaserParams) -> np.ndarray:
-    """Return the tone for cyclic transmission, in whole periods; complex128 [samples]."""
-    turns = params.offset_hz / params.sample_rate_hz * np.arange(params.interval_samples)
-    return np.asarray(_TONE_AMPLITUDE * np.exp(2j * np.pi * (turns % 1.0)))
 
 
 def describe(params: Params) -> str:

@@ -157,7 +157,10 @@ def _take(fields: dict[str, Any], call: Call, where: str) -> None:
     if call.name in _WITHOUT_EFFECT:
         return
     if call.name in _FIXED:
-        _require_fixed(call, where)
+        for at, (expected, rule) in _FIXED[call.name].items():
+            actual = call.arguments[at] if at < len(call.arguments) else None
+            if actual != expected:
+                raise ValueError(f"{where}: value {at + 1} must be {expected!r} ({rule}), got {actual!r}")
     elif call.name not in _READERS:
         raise ValueError(f"{where} must be a call that is known")
     if call.name not in _READERS:
@@ -172,13 +175,6 @@ def _take(fields: dict[str, Any], call: Call, where: str) -> None:
             raise ValueError(f"{where} must stand once, got it again")
         else:
             fields[command] = content
-
-
-def _require_fixed(call: Call, where: str) -> None:
-    for at, (expected, rule) in _FIXED[call.name].items():
-        actual = call.arguments[at] if at < len(call.arguments) else None
-        if actual != expected:
-            raise ValueError(f"{where}: value {at + 1} must be {expected!r} ({rule}), got {actual!r}")
 
 
 def _mask(switches: tuple[Value, ...], where: str) -> int:

@@ -184,7 +184,10 @@ class RadarDriver(Node):
     def _advance(self, now_ns: int) -> None:
         """Advance to the next beam; a late radar is not hurried, its scans just take longer."""
         if self._beam_index == 0:
-            self._judge_pace(now_ns)
+            took_s = 1e-9 * (now_ns - self._scan_start_ns)
+            nominal_s = self._setup.radar.scan_period_s
+            is_slow = self._scan_start_ns and took_s > SLOW * nominal_s
+            self._slow = f"a scan takes {took_s:.2f} s, scan_period_s says {nominal_s:g} s" if is_slow else ""
             self._scan_start_ns = now_ns
         self._beam_index += 1
         assert self._due_ns is not None
@@ -193,12 +196,6 @@ class RadarDriver(Node):
             self._scan_id, self._beam_index = self._scan_id + 1, 0
             if self._scan_id == self._params.scans:
                 self._due_ns = now_ns + ns_from_s(self._params.settle_s)
-
-    def _judge_pace(self, now_ns: int) -> None:
-        took_s = 1e-9 * (now_ns - self._scan_start_ns)
-        nominal_s = self._setup.radar.scan_period_s
-        is_slow = self._scan_start_ns and took_s > SLOW * nominal_s
-        self._slow = f"a scan takes {took_s:.2f} s, scan_period_s says {nominal_s:g} s" if is_slow else ""
 
 
 def create(params: Params) -> RadarDriver:

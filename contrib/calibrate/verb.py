@@ -143,10 +143,7 @@ def array(
     if as_json:
         print_json({"out": str(out), "calibration": calibration, "range_m": responses.range_m, "loss": source.loss})
     else:
-        print_table(
-            ("element", "gain", "phase_deg", "snr_db", "spread_deg"),
-            element_rows(calibration, responses),
-        )
+        print_table(("element", "gain", "phase_deg", "snr_db", "spread_deg"), element_rows(calibration, responses))
         print_line(f"reflector: {responses.range_m:.2f} m; channels {calibration.channel_gains_db} dB")
         print_line(f"wrote {out}; use it with -p radar_driver.cn0566.calibration={out}")
     _end(source.loss, as_json)

@@ -135,7 +135,11 @@ class FoxgloveStream:
             case SceneTruth():
                 return [Draft("/sim/truth", partial(_truth_scene, message))]
             case VehicleState():
-                return self._state_drafts(message)
+                drafts = [Draft("/vehicle/state", partial(_vehicle, message))]
+                pose = self._odometry.advance(message)
+                if pose is not None:
+                    drafts.append(Draft("/tf", partial(_transform, message.stamp_ns, ODOM, VEHICLE, pose)))
+                return drafts
             case LidarPoints():
                 return [Draft("/lidar/points", partial(_lidar_cloud, message))]
             case CameraImage():
@@ -160,13 +164,6 @@ class FoxgloveStream:
             Draft("/hidden_objects/visibility", partial(_visibility, frame)),
             Draft("/views", partial(_view, frame, latency_ms)),
         ]
-
-    def _state_drafts(self, state: VehicleState) -> list[Draft]:
-        drafts = [Draft("/vehicle/state", partial(_vehicle, state))]
-        pose = self._odometry.advance(state)
-        if pose is not None:
-            drafts.append(Draft("/tf", partial(_transform, state.stamp_ns, ODOM, VEHICLE, pose)))
-        return drafts
 
     def _last_heartbeat(self, status: NodeStatus) -> NodeStatus | None:
         last = self._heartbeats.pop(status.node, None)

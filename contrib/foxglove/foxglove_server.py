@@ -231,23 +231,20 @@ class _Client:
     def _obey(self, op: str, text: str) -> None:
         if op == "subscribe":
             for wanted in msgspec.json.decode(text, type=_Subscribe).subscriptions:
-                self._subscribe(wanted)
+                if not 0 <= wanted.id < 1 << 32:
+                    raise ProtocolError("the number of a subscription must be 0..4294967295")
+                if not 1 <= wanted.channelId <= self._last_channel:
+                    self._put(_status(f"no channel {wanted.channelId}"))
+                elif wanted.id in self.subscriptions.values() or wanted.channelId in self.subscriptions:
+                    self._put(_status(f"subscription {wanted.id} to channel {wanted.channelId}: already subscribed"))
+                else:
+                    self.subscriptions[wanted.channelId] = wanted.id
         elif op == "unsubscribe":
             ended = set(msgspec.json.decode(text, type=_Unsubscribe).subscriptionIds)
             self.subscriptions = {channel: own for channel, own in self.subscriptions.items() if own not in ended}
         else:
             self._put(_status(f"{op[:40]!r} is not served here"))
         self._on_change()
-
-    def _subscribe(self, wanted: _Subscription) -> None:
-        if not 0 <= wanted.id < 1 << 32:
-            raise ProtocolError("the number of a subscription must be 0..4294967295")
-        if not 1 <= wanted.channelId <= self._last_channel:
-            self._put(_status(f"no channel {wanted.channelId}"))
-        elif wanted.id in self.subscriptions.values() or wanted.channelId in self.subscriptions:
-            self._put(_status(f"subscription {wanted.id} to channel {wanted.channelId}: already subscribed"))
-        else:
-            self.subscriptions[wanted.channelId] = wanted.id
 
 
 def _server_info(title: str) -> str:

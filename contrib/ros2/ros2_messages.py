@@ -253,10 +253,7 @@ class Ros2Messages:
         )
 
     def _track_arrow(self, stamp_ns: int, track: Track) -> Any:
-        end_m = (
-            track.x_m + _TRACK_SHOWN_S * track.velocity_x_mps,
-            track.y_m + _TRACK_SHOWN_S * track.velocity_y_mps,
-        )
+        end_m = (track.x_m + _TRACK_SHOWN_S * track.velocity_x_mps, track.y_m + _TRACK_SHOWN_S * track.velocity_y_mps)
         return self._marker(
             stamp_ns,
             "tracks",

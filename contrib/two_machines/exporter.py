@@ -195,7 +195,7 @@ class Exporter:
             self._subscriptions[descriptor := int(parts[0].get(zmq.SRCFD))] += 1
             self._keys[descriptor] = _key_of(parts[0])
             if self._subscriptions[descriptor] <= _MAX_SUBSCRIPTIONS:
-                self._send_latched(request[1:], _name_of(parts[0], self._allowed))
+                self._send_latched(request[1:], self._allowed.get(_key_of(parts[0]), "somebody"))
             else:
                 self._shut_out(parts[0], descriptor)
         elif request[:1] == b"\x00":
@@ -254,11 +254,6 @@ def _authenticator(context: zmq.Context[zmq.Socket[bytes]], allowed: Mapping[byt
     authenticator.start()
     authenticator.configure_curve_callback(_ZAP_DOMAIN, _List())
     return authenticator
-
-
-def _name_of(frame: zmq.Frame, allowed: Mapping[bytes, str]) -> str:
-    """Return the sender's name, as the handshake found it."""
-    return allowed.get(_key_of(frame), "somebody")
 
 
 def _key_of(frame: zmq.Frame) -> bytes:

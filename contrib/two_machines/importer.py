@@ -178,7 +178,13 @@ class Importer:
 
     def turn(self) -> list[Forwarded]:
         """Return the received messages, a bounded number of them; ask for the peer's clock when that is due."""
-        self._hear_monitor()
+        events = [event for event, _ in self._watch.events()]
+        for event in events:
+            self.refused += event == zmq.EVENT_DISCONNECTED and not self._is_in
+            self._is_in = event == zmq.EVENT_HANDSHAKE_SUCCEEDED
+        self._complaint.say(self.refused, self._clock_ns(), f"{self.name}: %d handshakes failed: check the keys")
+        if zmq.EVENT_DISCONNECTED in events:
+            self._end_imports()
         waiting = [self._take([part.buffer for part in parts]) for parts in waiting_on(self._socket)]
         now_ns = self._clock_ns()
         # its answer may still be among the waiting messages
@@ -196,15 +202,6 @@ class Importer:
         self._socket.close()
 
     # the link
-
-    def _hear_monitor(self) -> None:
-        events = [event for event, _ in self._watch.events()]
-        for event in events:
-            self.refused += event == zmq.EVENT_DISCONNECTED and not self._is_in
-            self._is_in = event == zmq.EVENT_HANDSHAKE_SUCCEEDED
-        self._complaint.say(self.refused, self._clock_ns(), f"{self.name}: %d handshakes failed: check the keys")
-        if zmq.EVENT_DISCONNECTED in events:
-            self._end_imports()
 
     def _is_silent(self, now_ns: int) -> bool:
         """Return whether a question waits too long for its answer; a pause of our own does not count."""

@@ -80,7 +80,8 @@ def load_own(path: Path) -> KeyPair:
     if status.st_mode & 0o077:
         mode = stat.S_IMODE(status.st_mode)
         raise ValueError(f"{path}: a secret key must be readable by its owner alone, mode is {mode:04o}; chmod 600")
-    _require_not_replaceable(path.parent)
+    if not path.parent.stat().st_mode & stat.S_ISVTX:
+        _require_not_writable_by_others(path.parent)
     fields = _fields(data, path)
     if "secret" not in fields:
         raise ValueError(f"{path}: holds no secret key; the file that does ends in {SECRET_SUFFIX}")
@@ -223,9 +224,3 @@ def _require_not_writable_by_others(folder: Path) -> None:
         raise ValueError(
             f"{folder}: a folder of keys must be ours, not writable by group or others, mode is {mode:04o}; chmod 700"
         )
-
-
-def _require_not_replaceable(folder: Path) -> None:
-    """Refuse a folder in which others may write and no sticky bit restrains them: they could replace the key."""
-    if not folder.stat().st_mode & stat.S_ISVTX:
-        _require_not_writable_by_others(folder)

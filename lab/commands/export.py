@@ -38,13 +38,7 @@ def export(
     if run.suffix == ".onnx":
         _export_evidence(run, out, data, precision, as_json)
         return
-    config = ExportConfig(
-        data_dir=data,
-        test_dir=test,
-        split=split,
-        precision=precision,
-        range_bins=range_bins,
-    )
+    config = ExportConfig(data_dir=data, test_dir=test, split=split, precision=precision, range_bins=range_bins)
     with progress_bar("export") as progress:
         card = export_run(run, out, config, report=progress.print)
     if as_json:

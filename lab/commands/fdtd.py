@@ -83,7 +83,10 @@ def wall(
     if as_json:
         print_json(wall_document(result))
         return
-    _print_wall(result)
+    from lab.walls.transmission import levels_of
+
+    print_line(f"{result.title} at {result.frequency_hz / 1e9:g} GHz, {result.angle_deg:g} deg, {result.polarisation}")
+    print_table(("", "R dB", "T dB"), [(name, f"{r_db:.2f}", f"{t_db:.2f}") for name, r_db, t_db in levels_of(result)])
     if plot is not None:
         print_line(f"{plot}")
 
@@ -116,10 +119,3 @@ def _print_table(table: ReflectanceTable, path: Path) -> None:
                 print_line(f"{row['name']} at {band['ghz']:g} GHz: {band['note']}")
     for reason, count in card["status"].items():
         print_line(f"{count} rough cells {reason}")
-
-
-def _print_wall(result: WallAnswer) -> None:
-    from lab.walls.transmission import levels_of
-
-    print_line(f"{result.title} at {result.frequency_hz / 1e9:g} GHz, {result.angle_deg:g} deg, {result.polarisation}")
-    print_table(("", "R dB", "T dB"), [(name, f"{r_db:.2f}", f"{t_db:.2f}") for name, r_db, t_db in levels_of(result)])

@@ -28,12 +28,10 @@ def tradeoff(
         "runs/tradeoff"
     ),
     networks: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="With rows of further networks, as `make results` leaves."),
+        Path | None, typer.Option(metavar="DIR", help="With rows of further networks, as `make results` leaves.")
     ] = None,
     row: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles."),
+        list[str] | None, typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles.")
     ] = None,
     profile: Annotated[
         list[str] | None,

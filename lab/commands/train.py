@@ -76,7 +76,7 @@ def dense(
     config = TrainDenseConfig(
         network=choice,
         objective=_objective(FAMILIES[family].objective, objective, schedule),
-        schedule=_replaced(SCHEDULES[schedule], given),
+        schedule=replace(SCHEDULES[schedule], **{name: value for name, value in given.items() if value is not None}),
         seed=seed,
         threads=threads,
         init=str(init or ""),
@@ -131,10 +131,6 @@ def _objective(default: ObjectiveConfig, kind: str | None, schedule: str) -> Obj
     if kind is not None and kind not in get_args(ObjectiveKind):
         raise ValueError(f"--objective must be one of {', '.join(get_args(ObjectiveKind))}, got {kind!r}")
     return msgspec.convert(fields, type(default))
-
-
-def _replaced(schedule: ScheduleConfig, given: dict[str, Any]) -> ScheduleConfig:
-    return replace(schedule, **{name: value for name, value in given.items() if value is not None})
 
 
 def _grid(data: Path) -> RangeAzimuthGrid:

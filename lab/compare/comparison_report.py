@@ -327,21 +327,17 @@ def _radar_sentences(report: Report) -> list[str]:
         f"(4 x 8 both ways against 1 x 57 one way), {time_db:+.1f} dB of time and noise of a cell."
     ]
     for sweep in RANGE_SWEEPS:
-        gaps = _gaps_db(report, sweep)
+        levels = [
+            {row.value: row.snr_db for row in report.of(sweep, name) if clear(report, row)}
+            for name in ("xband", "77ghz")
+        ]
+        gaps = [levels[0][value] - levels[1][value] for value in levels[0] if value in levels[1]]  # type: ignore[operator]
         if gaps:
             said.append(
                 f"Measured over {SWEEPS[sweep].title.removesuffix(' [m]')} where both stand clear of noise: "
                 f"{np.median(gaps):+.1f} dB (median; values: {len(gaps)}), the wall's material and roughness included."
             )
     return said
-
-
-def _gaps_db(report: Report, sweep: str) -> list[float]:
-    """Level of X-band over 77 GHz at the values where both are clear of noise."""
-    levels = [
-        {row.value: row.snr_db for row in report.of(sweep, name) if clear(report, row)} for name in ("xband", "77ghz")
-    ]
-    return [levels[0][value] - levels[1][value] for value in levels[0] if value in levels[1]]  # type: ignore[operator]
 
 
 def clear(report: Report, row: Row) -> bool:

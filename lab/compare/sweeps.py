@@ -74,10 +74,7 @@ RANGES_M = (7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0,
 SWEEPS: dict[str, Sweep] = {
     "range": Sweep("range to the image behind concrete [m]", QUICK_RANGES_M, RANGES_M, _corner("range_m")),
     "range_glass": Sweep(
-        "range to the image behind float glass [m]",
-        QUICK_RANGES_M,
-        RANGES_M,
-        _corner("range_m", wall="float_glass"),
+        "range to the image behind float glass [m]", QUICK_RANGES_M, RANGES_M, _corner("range_m", wall="float_glass")
     ),
     "range_metal": Sweep(
         "range to the image behind polished metal [m]",

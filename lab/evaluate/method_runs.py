@@ -207,7 +207,10 @@ def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:
     """
     from lab.evaluate.unthinned_truth import DrawnScene, labelled_paths
 
-    gains_db = _gains_db(data.directory)
+    gains: list[np.ndarray] = []
+    for path in sorted(data.directory.glob("shard-*.npz")):
+        gains += load_arrays(path, ("gain_db",)).values()
+    gains_db = np.concatenate([*gains, np.zeros(0)])
 
     def truth(frame: Frame) -> FrameTruth:
         where = f"{data.directory}: frame {frame.index}"
@@ -232,11 +235,3 @@ def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:
         return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)
 
     return truth
-
-
-def _gains_db(directory: Path) -> np.ndarray:
-    """Gain of every scene of a simulated data set; fewer where shards hold none."""
-    gains: list[np.ndarray] = []
-    for path in sorted(directory.glob("shard-*.npz")):
-        gains += load_arrays(path, ("gain_db",)).values()
-    return np.concatenate([*gains, np.zeros(0)])

@@ -80,11 +80,7 @@ def trace_to_points(
     if not len(point_m):
         return _no_paths(max_bounces)
     solved = sionna.PathSolver()(
-        scene,
-        max_depth=max_bounces,
-        max_num_paths_per_src=MAX_PATHS,
-        samples_per_src=samples,
-        refraction=False,
+        scene, max_depth=max_bounces, max_num_paths_per_src=MAX_PATHS, samples_per_src=samples, refraction=False
     )
     return _one_way(scene, solved, surfaces)
 
@@ -111,10 +107,7 @@ def _material(sionna: Any, name: str, surface: ExportedSurface, carrier_hz: floa
         return sionna.ITURadioMaterial(name, surface.mesh.material, thickness_m)
     conductivity = -surface.permittivity.imag * 2.0 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_PER_M
     return sionna.RadioMaterial(
-        name,
-        thickness=thickness_m,
-        relative_permittivity=surface.permittivity.real,
-        conductivity=conductivity,
+        name, thickness=thickness_m, relative_permittivity=surface.permittivity.real, conductivity=conductivity
     )
 
 

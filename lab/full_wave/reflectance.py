@@ -241,7 +241,10 @@ class ReflectanceTable:
             smooth_db = _power_db(self.smooth_r[w, f, p])
             is_measured = np.isfinite(smooth_db)
             if is_measured.any():
-                exact_db = _exact_db(wall, band_hz, polarisation, 0.0, self.smooth_angle_deg)
+                media, thicknesses_m = zip(*layers_of(wall, band_hz), strict=True)
+                cosine = np.cos(np.radians(self.smooth_angle_deg))
+                r = stack_reflection(media, thicknesses_m, cosine, SPEED_OF_LIGHT_MPS / band_hz, polarisation)
+                exact_db = _power_db(r) + _factor_db(0.0, self.smooth_angle_deg, band_hz)
                 angles_deg, difference_db = self.smooth_angle_deg[is_measured], (smooth_db - exact_db)[is_measured]
                 zero = np.zeros_like(difference_db)
                 yield Comparison(
@@ -604,16 +607,6 @@ def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
         note = ", ".join(part for part in (band_note(WALLS[wall][0], band), opacity_note) if part)
         rows.append({"ghz": band / 1e9, "permittivity": [eps.real, eps.imag], "note": note})
     return rows
-
-
-def _exact_db(
-    wall: str, frequency_hz: float, polarisation: Polarisation, roughness_m: float, angles_deg: np.ndarray
-) -> np.ndarray:
-    """Return the closed form of the ray tracer [dB]."""
-    media, thicknesses_m = zip(*layers_of(wall, frequency_hz), strict=True)
-    cosine = np.cos(np.radians(angles_deg))
-    r = stack_reflection(media, thicknesses_m, cosine, SPEED_OF_LIGHT_MPS / frequency_hz, polarisation)
-    return _power_db(r) + _factor_db(roughness_m, angles_deg, frequency_hz)
 
 
 def _factor_db(roughness_m: float, angles_deg: np.ndarray, frequency_hz: float) -> np.ndarray:

@@ -173,12 +173,7 @@ def _absorbers(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the decay, drive and 1/kappa of both ends at positions counted in cells."""
     low = layer(
-        absorber,
-        absorber.cells - position,
-        float(strip.cell_m[0]),
-        strip.absorbed_index[0],
-        strip.step_s,
-        frequency_hz,
+        absorber, absorber.cells - position, float(strip.cell_m[0]), strip.absorbed_index[0], strip.step_s, frequency_hz
     )
     high = layer(
         absorber,

@@ -91,19 +91,14 @@ class _CachedTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     timed: list[Timed]
 
 
-def require_budget(budget_ms: float) -> None:
-    """Raise `ValueError` unless a budget is a positive number of milliseconds."""
-    if not 0.0 < budget_ms < float("inf"):
-        raise ValueError(f"--latency-budget-ms must be positive and finite, got {budget_ms}")
-
-
 def pick(budget_ms: float, remeasure: bool = False, note: Callable[[str], None] = lambda text: None) -> list[Timed]:
     """Try profiles in order of their loss, from memory where nothing has changed; the last one fits the budget.
 
     `note` gets a line before each trial, and what of it is not kept. Raises `ValueError` with all that was measured
     where none fits.
     """
-    require_budget(budget_ms)
+    if not 0.0 < budget_ms < float("inf"):
+        raise ValueError(f"--latency-budget-ms must be positive and finite, got {budget_ms}")
     losses, path = _known(), cache_path()
     memory = _Memory(path, _key(losses), remeasure)
     load, busy = load_per_core(), ""
@@ -116,12 +111,18 @@ def pick(budget_ms: float, remeasure: bool = False, note: Callable[[str], None] 
                 note(f"trying profile {candidate.profile} on this machine")
                 trial = run_live(candidate.profile, SCANS)
                 known = _timed(candidate, trial)
-                busy = _busy_reason(load, trial)
+                cores = os.cpu_count() or 1
+                reasons = [busy_reason(load)]
+                if trial.others_cores > OTHERS_SHARE * cores:
+                    reasons.append(
+                        f"other processes used {trial.others_cores:.1f} of {cores} cores (limit {OTHERS_SHARE * cores:g})"
+                    )
+                busy = " and ".join(filter(None, reasons))
                 if busy:
                     note(f"profile {candidate.profile} is not remembered, the machine is busy: {busy}")
                 memory.keep(known, is_lasting=not busy)
             timed.append(known)
-            if _is_within(known, budget_ms):
+            if known.expected_ms is not None and known.expected_ms <= budget_ms:
                 return timed
         if memory.measured >= {row.profile for row in losses}:
             break
@@ -171,17 +172,6 @@ def _timed(candidate: ProfileLoss, trial: Trial) -> Timed:
     views = len(trial.latencies_ms)
     expected_ms = MARGIN * max(trial.latencies_ms) if views >= max(SCANS - MISSING_SCANS, 1) else None
     return Timed(profile=candidate.profile, loss=candidate.loss, expected_ms=expected_ms, views=views)
-
-
-def _busy_reason(load_before: float, trial: Trial) -> str:
-    """Return why a trial says nothing of the machine alone, "" where it does."""
-    cores = os.cpu_count() or 1
-    reasons = [busy_reason(load_before)]
-    if trial.others_cores > OTHERS_SHARE * cores:
-        reasons.append(
-            f"other processes used {trial.others_cores:.1f} of {cores} cores (limit {OTHERS_SHARE * cores:g})"
-        )
-    return " and ".join(filter(None, reasons))
 
 
 def _cpu_s() -> tuple[float, float]:
@@ -246,10 +236,6 @@ def _stop(graph: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         graph.kill()
         graph.wait()
-
-
-def _is_within(timed: Timed, budget_ms: float) -> bool:
-    return timed.expected_ms is not None and timed.expected_ms <= budget_ms
 
 
 def _need(timed: Timed) -> str:

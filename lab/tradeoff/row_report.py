@@ -13,17 +13,7 @@ import numpy as np
 
 from lab.measures.frame_scores import Estimate, FrameScores, bootstrap_weights, differences, estimates
 from lab.measures.object_metrics import ObjectScores, object_differences, object_estimates
-from lab.studies.report import (
-    DRAWS,
-    Interval,
-    Provenance,
-    Times,
-    busy_reason,
-    finite,
-    machine,
-    quantiles_ms,
-    versions,
-)
+from lab.studies.report import DRAWS, Interval, Provenance, Times, busy_reason, finite, machine, quantiles_ms, versions
 from lab.tradeoff.row_runs import BEFORE, PARTS, FrameResult, Plan
 from lab.tradeoff.rows import PROFILE, Setting
 from mirrorwave.plots.markdown import table
@@ -148,11 +138,7 @@ def _named(row: Setting) -> dict[str, Any]:
 
 
 def _row(
-    row: Setting,
-    scores: Mapping[str, _Scores],
-    results: Sequence[FrameResult],
-    weights: np.ndarray,
-    memory_mib: float,
+    row: Setting, scores: Mapping[str, _Scores], results: Sequence[FrameResult], weights: np.ndarray, memory_mib: float
 ) -> Row:
     times_ms = latency_ms([result.times_ms[row.name] for result in results])
     total_ms = np.sum([times_ms[part] for part in PARTS], axis=0)

@@ -386,10 +386,5 @@ def _row_memory_mib(row: Setting) -> float:
     beam = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
     for scan_beam in scan_beams(np.broadcast_to(beam, (len(setup.beams), *beam.shape)), setup):
         chain.add(scan_beam)
-    return _peak_resident_mib()
-
-
-def _peak_resident_mib() -> float:
-    """Of the calling process since it was started; `ru_maxrss` would still hold that of the process it came from."""
     status = Path("/proc/self/status").read_text()
     return float(status.split("VmHWM:")[1].split()[0]) / 1024.0

@@ -95,14 +95,11 @@ class _Tries:
             if name in self.failed or (value in self.case.once and value in self.answers):
                 continue
             with charged(self.failed, name):
-                self._try(name, value)
-
-    def _try(self, name: str, value: Value) -> None:
-        clock = Clock()
-        self.answers[value] = self.case.answer(value, clock)
-        own = self.times_ms.setdefault(name, {})
-        for part, milliseconds in clock.ms.items():
-            own.setdefault(part, []).append(milliseconds)
+                clock = Clock()
+                self.answers[value] = self.case.answer(value, clock)
+                own = self.times_ms.setdefault(name, {})
+                for part, milliseconds in clock.ms.items():
+                    own.setdefault(part, []).append(milliseconds)
 
     def result(self, index: int) -> CaseResult:
         """Errors against the most complete answer; without it all have failed."""

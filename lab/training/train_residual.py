@@ -82,13 +82,7 @@ class ResidualTraining:
     there is nothing to train or validate on.
     """
 
-    def __init__(
-        self,
-        config: ResidualRunConfig,
-        train: FoldedImages,
-        validation: FoldedImages,
-        run_dir: Path,
-    ) -> None:
+    def __init__(self, config: ResidualRunConfig, train: FoldedImages, validation: FoldedImages, run_dir: Path) -> None:
         self.run_config, self.config, self.run_dir = config, config.training, run_dir
         reach_m = self.config.reach_m
         samples = train.select(train.within(reach_m))

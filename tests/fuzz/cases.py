@@ -755,11 +755,7 @@ CASES: dict[str, Case] = {
     "lidar_former": Case(make_lidar_former, lidar_talk(), "nodes.lidar_former", talk=lidar_talk),
     "detection_peaks": Case(make_detection_peaks, detections_talk(), "nodes.detection_peaks", talk=detections_talk),
     "dense_predictor": Case(
-        make_network,
-        map_talk(),
-        "nodes.dense_predictor",
-        lambda folder: {"model": str(tiny_network())},
-        map_talk,
+        make_network, map_talk(), "nodes.dense_predictor", lambda folder: {"model": str(tiny_network())}, map_talk
     ),
     "dense_predictor (cfar)": Case(
         make_cfar, map_talk(), "nodes.dense_predictor", lambda folder: {"method": "cfar"}, map_talk

@@ -159,11 +159,7 @@ def test_a_stamp_that_a_peers_clock_cannot_have_is_rejected() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "fields"),
-    [
-        (PeakParams, {"min_distance": 1 << 31}),
-        (RidgeParams, {"spacing": (0, 1 << 62)}),
-    ],
+    ("kind", "fields"), [(PeakParams, {"min_distance": 1 << 31}), (RidgeParams, {"spacing": (0, 1 << 62)})]
 )
 def test_parameters_that_no_map_could_be_looked_at_with(kind: type, fields: dict[str, Any]) -> None:
     (name,) = fields

@@ -83,15 +83,10 @@ def _row(
     moved_s = float(weight @ elapsed_s[images] / weight.sum())
     centre_m = centre_m + moved_s * np.array([true_object.velocity_x_mps, true_object.velocity_y_mps])
     singles = images & (labels.order == 1)
-    asked = singles.any() and _led(labels, singles, walls)
+    asked = singles.any() and bool(led(labels, singles, walls, LED_M).any())
     if asked:
         asked = 10.0 * math.log10(labels.power_mw[singles].max() / frame.noise_power_mw) >= ASKED_DB
     return (*place_m, *centre_m, *log_size, *heading, kind, number, float(asked))
-
-
-def _led(labels: FrameLabels, singles: np.ndarray, walls: WallArrays) -> bool:
-    """Return whether some wall folds one of the louder images of an object to where it is."""
-    return bool(led(labels, singles, walls, LED_M).any())
 
 
 def led(labels: FrameLabels, images: np.ndarray, walls: WallArrays, within_m: float) -> np.ndarray:

@@ -255,12 +255,7 @@ def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) ->
 
 
 def shuffled_batches(
-    scans: Sequence[Scan],
-    former: SampleFormer,
-    batch_size: int,
-    seed: tuple[int, ...],
-    rank: int = 0,
-    ranks: int = 1,
+    scans: Sequence[Scan], former: SampleFormer, batch_size: int, seed: tuple[int, ...], rank: int = 0, ranks: int = 1
 ) -> Iterator[tuple[np.ndarray, np.ndarray, list[PointLabels]]]:
     """Yield one epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
 

@@ -182,10 +182,7 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
         path_class=np.repeat(np.array([PathClass.LOS, PathClass.MIRRORED], np.uint8), [len(direct), len(image)]),
         hidden_xy_m=np.concatenate([direct, paired]).astype(np.float32),
         places_m=true_place.astype(np.float32),
-        source={
-            "files": {_name(path, directory): file_sha256(path) for path in files},
-            "negative_cells": negative,
-        },
+        source={"files": {_name(path, directory): file_sha256(path) for path in files}, "negative_cells": negative},
     )
 
 

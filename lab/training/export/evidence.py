@@ -124,12 +124,7 @@ def _write(network: nn.Module, shape: tuple[int, ...], path: Path) -> None:
 
 
 def _facts(
-    network: nn.Module,
-    path: Path,
-    shape: tuple[int, ...],
-    answer: tuple[int, ...],
-    epoch: int,
-    said: dict[str, Any],
+    network: nn.Module, path: Path, shape: tuple[int, ...], answer: tuple[int, ...], epoch: int, said: dict[str, Any]
 ) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "name": path.stem,

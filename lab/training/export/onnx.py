@@ -177,9 +177,13 @@ def export_run(
     network, run, epoch = load_best(run_dir)
     encoding = msgspec.structs.replace(run.data.encoding, crop_bins=config.range_bins)
     if config.range_bins is not None:
-        network = _cropped(network, config.range_bins)
+        if not isinstance(network, CompactUNet):
+            raise ValueError(f"export.range_bins must go with a compact_unet, got {type(network).__name__}")
+        network = network.cropped(config.range_bins)
     scenes = _Scenes(config.data_dir or Path(run.data.directory), config)
-    maps = _training_maps(scenes, run, encoding, config)
+    count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
+    indices = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
+    maps = np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(indices)])
     model = Exported(network)
     with tempfile.TemporaryDirectory() as directory:
         reference, file = Path(directory) / "reference.onnx", Path(directory) / "export.onnx"
@@ -264,12 +268,6 @@ def _convert(model: Exported, reference: Path, file: Path, precision: Precision,
         shutil.copyfile(reference, file)
 
 
-def _cropped(network: nn.Module, range_bins: int) -> nn.Module:
-    if not isinstance(network, CompactUNet):
-        raise ValueError(f"export.range_bins must go with a compact_unet, got {type(network).__name__}")
-    return network.cropped(range_bins)
-
-
 def _draft(
     model: Exported, run: RunConfig, encoding: Encoding, epoch: int, run_dir: Path, config: ExportConfig
 ) -> ModelCard:
@@ -323,13 +321,6 @@ def _training_command(run: RunConfig, run_dir: Path) -> str:
     }
     given = "".join(f" --{name} {value}" for name, value in options.items() if value != "")
     return "mirrorwave train dense" + given + "".join(f" --more {folder}" for folder in run.data.more)
-
-
-def _training_maps(scenes: _Scenes, run: RunConfig, encoding: Encoding, config: ExportConfig) -> np.ndarray:
-    """Return encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
-    count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
-    indices = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
-    return np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(indices)])
 
 
 def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, float], ...]:

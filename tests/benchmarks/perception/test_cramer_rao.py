@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.perception.cramer_rao import (
-    azimuth_response,
-    periodogram_range_loss,
-    raw_bound,
-    windowed_bound,
-)
+from benchmarks.perception.cramer_rao import azimuth_response, periodogram_range_loss, raw_bound, windowed_bound
 from models.physics.waveform import window_noise_gain
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup
 

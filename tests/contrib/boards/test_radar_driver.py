@@ -288,8 +288,7 @@ def test_a_synthesiser_that_takes_another_ramp_is_refused(
 
 @needs_library
 @pytest.mark.parametrize(
-    ("taken_hz", "is_refused"),
-    [(125_125_000, False), (124_875_000, False), (125_125_001, True), (124_874_999, True)],
+    ("taken_hz", "is_refused"), [(125_125_000, False), (124_875_000, False), (125_125_001, True), (124_874_999, True)]
 )
 def test_a_ramp_may_be_off_by_a_thousandth(
     monkeypatch: pytest.MonkeyPatch, kit: StandInKit, library: Any, taken_hz: int, is_refused: bool

@@ -27,14 +27,7 @@ from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarPoints
 from nodes.node import InProcessGraph, Node
-from tests.side_sensors import (
-    compressed_image,
-    header,
-    jpeg,
-    ouster_points,
-    point_cloud2,
-    write_bag,
-)
+from tests.side_sensors import compressed_image, header, jpeg, ouster_points, point_cloud2, write_bag
 
 CLOUD, COMPRESSED, RAW = (f"sensor_msgs/msg/{name}" for name in ("PointCloud2", "CompressedImage", "Image"))
 EPOCH_NS = 1_700_000_000_000_000_000

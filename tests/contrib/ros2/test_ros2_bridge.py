@@ -256,13 +256,7 @@ def test_a_reader_that_takes_nothing_is_counted() -> None:
 
 
 @needs_rosbags
-@pytest.mark.parametrize(
-    "broken",
-    [
-        msgspec.structs.replace(view(0, NOW_NS), stamp_ns=1 << 62),
-    ],
-    ids=["stamp"],
-)
+@pytest.mark.parametrize("broken", [msgspec.structs.replace(view(0, NOW_NS), stamp_ns=1 << 62)], ids=["stamp"])
 def test_a_message_that_ros_2_cannot_hold_is_one_line(broken: Any, caplog: Any) -> None:
     stand = Stand()
     with caplog.at_level(logging.WARNING):

@@ -145,8 +145,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
     sets = read_sets()
     small = {name: ObjectSet(seed=seed, places=1, effects="basic") for name, seed in (("a", 1), ("b", 2))}
     monkeypatch.setattr(
-        "lab.evaluate.place_report.read_sets",
-        lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25),
+        "lab.evaluate.place_report.read_sets", lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25)
     )
     request = ObjectRequest(
         sets=["a", "b"], profiles=["cfar"], places=None, moving=False, effects="all", seed=0, draws=5, workers=1,

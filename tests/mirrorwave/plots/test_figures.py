@@ -12,7 +12,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from benchmarks.accuracy import severity
-from benchmarks.live import soak
 from lab.evaluate.method_figures import draw_curves as draw_precision
 from lab.evaluate.method_figures import draw_groups
 from lab.tradeoff.row_figures import draw_front, draw_stages
@@ -134,35 +133,10 @@ def severity_rows() -> list[severity.Row]:
     ]  # fmt: skip
 
 
-def an_hour() -> dict[str, Any]:
-    nodes = {name: 100.0 + 10.0 * index for index, name in enumerate(("geometry", "dense_predictor", "player"))}
-    latency = {"p50": 45.0, "p99": 64.0, "max": 80.0}
-    minutes = [
-        {
-            "at_s": 60.0 * minute,
-            "latency_ms": latency,
-            "resident_mib": nodes,
-            "phase": "kills" if minute > 3 else "calm",
-        }
-        for minute in range(1, 6)
-    ]
-    return {"minutes": minutes}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("draw", "result", "signs"),
-    [
-        (severity.draw, severity_rows, {"made up, per scan", "flagged in half of the scans or more"}),
-        (soak.draw, an_hour, {"p99", "deadline", "kills", "dense_predictor"}),
-    ],
-    ids=["severity", "soak"],
-)
-def test_figures_of_benchmarks(
-    draw: Any, result: Any, signs: set[str], tmp_path: Path, saved_figures: list[Figure]
-) -> None:
-    draw(result(), tmp_path / "a.png")
+def test_figure_of_faults(tmp_path: Path, saved_figures: list[Figure]) -> None:
+    severity.draw(severity_rows(), tmp_path / "a.png")
     (figure,) = saved_figures
-    assert signs <= set(words(figure))
+    assert {"made up, per scan", "flagged in half of the scans or more"} <= set(words(figure))
     assert_readable_at_page_width(figure)
     assert np.all(np.array(figure.get_size_inches()) < 40.0)

@@ -46,12 +46,7 @@ def scan_of(profiles: np.ndarray, noise_power_mw: float = 0.0, index: int = 0) -
         object_class=np.array(["car"]),
     )
     return Scan(
-        index=index,
-        profiles=profiles,
-        values=None,
-        noise_power_mw=noise_power_mw,
-        missing_beams=(),
-        labels=labels,
+        index=index, profiles=profiles, values=None, noise_power_mw=noise_power_mw, missing_beams=(), labels=labels
     )
 
 

@@ -1,1 +1,0 @@
-"""Training by the clock, from arrays made beforehand, and its runs made small."""
