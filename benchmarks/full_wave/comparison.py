@@ -15,7 +15,6 @@ from benchmarks.full_wave.waves import Waves
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.table import WEIGHTS
 from sim_player.scene.description import DiffuseLobe
-from sim_player.scene.world import World
 from sim_player.trace.effect_names import PATH_EFFECTS
 
 #: The chirp's sweep; the full wave is read at so many frequencies.

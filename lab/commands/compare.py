@@ -128,6 +128,8 @@ def _show(report: Report, out: Path) -> None:
     from lab.compare.comparison_report import COLUMNS, LEAST, cells
 
     print_table(("sweep", "value", *COLUMNS), [[row.sweep, *cells(row)] for row in report.rows], LEAST)
-    for finding in report.findings:
-        print_line(finding)
+    for failed in (row for row in report.rows if row.failed is not None):
+        print_line(
+            f"{failed.sensor} failed at {report.viewpoints - failed.scans} viewpoints ({failed.value}): {failed.failed}"
+        )
     print_line(f"{out}: compare.json, compare.md, compare.png")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -15,11 +14,9 @@ from mirrorwave.console import AsJson, former_name, print_json, print_line, prin
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
-    from lab.evaluate.method_report import Context
     from lab.evaluate.method_runs import Run, SweepPoint
     from lab.evaluate.methods import Method
-    from lab.measures.frame_scores import FrameTruth
-    from lab.training.data.frames import DataSet, Frame, Splits
+    from lab.training.data.frames import DataSet, Splits
     from msgs.values.radar import RadarSetup
 
 
@@ -30,14 +27,6 @@ class SplitOption(StrEnum):
     VALIDATION = "validation"
     TRAIN = "train"
     ALL = "all"
-
-
-class TruthOption(StrEnum):
-    """Truth points that a map can tell apart, every labelled echo over the noise, or both."""
-
-    THINNED = "thinned"
-    ALL = "all"
-    BOTH = "both"
 
 
 def evaluate(
@@ -116,9 +105,7 @@ def evaluate(
         ),
     ] = None,
     split: Annotated[SplitOption, typer.Option(help="Scenes to evaluate.")] = SplitOption.TEST,
-    truth: Annotated[TruthOption, typer.Option(help="Truth before thinning traces each scene again.")] = (
-        TruthOption.THINNED
-    ),
+    truth: Annotated[Literal["thinned"], typer.Option(hidden=True)] = "thinned",
     threshold: Annotated[
         float | None,
         typer.Option(min=0.001, max=0.999, help="For networks whose method names none; else their card's."),
@@ -130,7 +117,7 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="results.json, results.md, pr.png, scenes.png, qualitative.png; with --objects and --table "
+            help="results.json, results.md, pr.png; with --objects and --table "
             "[runs/table5-SEED] also a file a place: the same command goes on where it stopped.",
         ),
     ] = None,
@@ -178,7 +165,7 @@ def evaluate(
     dataset, splits = DataSet(data), fixed_splits(data)
     methods = _methods(method or _default_methods(), threshold, threads, dataset.setup)
     reference_method = _reference(reference, methods)
-    run, sweeps = _run(dataset, splits, methods, split, truth, sweep if out is not None else 0, limit)
+    run, sweeps = _run(dataset, splits, methods, split, sweep if out is not None else 0, limit)
     context = Context(
         data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=draws, threads=threads,
         reference=reference_method,
@@ -187,7 +174,10 @@ def evaluate(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_report(report, out)
-        _draw(report, run, dataset, context, out)
+        if sweeps:
+            from lab.evaluate.method_figures import draw_curves
+
+            draw_curves(report, out / "pr.png")
     _show(report, out, as_json)
 
 
@@ -227,21 +217,15 @@ def _run(
     splits: Splits,
     methods: list[Method],
     split: SplitOption,
-    truth: TruthOption,
     sweep_count: int,
     limit: int | None,
 ) -> tuple[Run, dict[str, list[SweepPoint]]]:
     """All frames, then the curves."""
-    from lab.evaluate.method_runs import checked_frames, retraced_truth, run_methods, sweep, truth_of_labels
+    from lab.evaluate.method_runs import checked_frames, run_methods, sweep
 
     indices = splits.of(split.value)[:limit]
-    truth_of: dict[str, Callable[[Frame], FrameTruth]] = {}
-    if truth is not TruthOption.ALL:
-        truth_of["thinned"] = truth_of_labels
-    if truth is not TruthOption.THINNED:
-        truth_of["all"] = retraced_truth(dataset)
     with progress_bar("frames", len(indices)) as tick:
-        run = run_methods(methods, checked_frames(dataset, indices, methods), truth_of, sweep_count > 0, tick)
+        run = run_methods(methods, checked_frames(dataset, indices, methods), sweep_count > 0, tick)
     sweeps: dict[str, list[SweepPoint]] = {}
     if sweep_count:
         with progress_bar("curves", len(methods)) as tick:
@@ -251,18 +235,6 @@ def _run(
     return run, sweeps
 
 
-def _draw(report: dict[str, Any], run: Run, dataset: DataSet, context: Context, out: Path) -> None:
-    from lab.evaluate.method_figures import draw_curves, draw_groups, draw_scenes, shown_frames
-
-    if report["methods"][0]["sweep"]:
-        draw_curves(report, out / "pr.png")
-    if report["methods"][0]["groups"]:
-        draw_groups(report, out / "scenes.png")
-    if positions := shown_frames(run):
-        frames = [dataset.frame(run.facts[position].index) for position in positions]
-        draw_scenes(run, frames, positions, context.reference, out / "qualitative.png")
-
-
 def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
     from lab.evaluate.method_report import headline_columns, headline_rows
 
@@ -270,10 +242,8 @@ def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
         print_json({key: value for key, value in report.items() if key != "per_frame"})
         return
     print_line(f"{counted(report['frames'], 'frame')} of {report['split']}; test set {report['test_sha256']}")
-    for truth in report["methods"][0]["measures"]:
-        print_line(f"against {truth} truth:")
-        columns = headline_columns()
-        least = [name for name in reversed(columns[1:]) if name not in ("dense Macro-F1", "recovered F1 1 m")]
-        print_table(columns, headline_rows(report, truth), least)
+    columns = headline_columns()
+    least = [name for name in reversed(columns[1:]) if name not in ("dense Macro-F1", "recovered F1 1 m")]
+    print_table(columns, headline_rows(report), least)
     if out is not None:
         print_line(f"{out}: results.json, results.md and figures")

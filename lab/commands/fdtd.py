@@ -13,7 +13,6 @@ from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from lab.full_wave.reflectance import ReflectanceTable
-    from lab.walls.transmission import WallAnswer
 
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Picture to write (png, svg, pdf).")]
 

@@ -27,9 +27,6 @@ def tradeoff(
     out: Annotated[Path, typer.Option(metavar="DIR", help="A run that was stopped goes on in it.")] = Path(
         "runs/tradeoff"
     ),
-    networks: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="With rows of further networks, as `make results` leaves.")
-    ] = None,
     row: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only rows of this name or switch, and their profiles.")
     ] = None,
@@ -55,7 +52,7 @@ def tradeoff(
         _simulator(out, full, seed, as_json)
         return
     from lab.studies.report import busy_reason, load_per_core, write_report
-    from lab.tradeoff.row_figures import draw_front, draw_stages
+    from lab.tradeoff.row_figures import draw_front
     from lab.tradeoff.row_report import make_report, markdown
     from lab.tradeoff.row_runs import Plan, peak_memory_mib, run_plan
     from lab.tradeoff.rows import DEFAULT_SETTINGS, read_settings
@@ -63,7 +60,7 @@ def tradeoff(
 
     asked = [*(row or []), *(profile or [])]
     by_file = [name for name in dict.fromkeys(profile or []) if name not in profile_names()]
-    rows = _selected_rows(read_settings(DEFAULT_SETTINGS, networks, by_file), asked)
+    rows = _selected_rows(read_settings(DEFAULT_SETTINGS, by_file), asked)
     usual, often = FULL if full else QUICK
     plan = Plan(rows=rows, frames=count or places or usual, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
@@ -74,10 +71,9 @@ def tradeoff(
     running = [setting for setting in plan.rows if setting.name not in failed] if memory else []
     with progress_bar("memory", len(running)) as tick:
         memory_mib = peak_memory_mib(running, tick)
-    report = make_report(plan, results, memory_mib, _command(plan, networks, row or [], profile or []))
+    report = make_report(plan, results, memory_mib, _command(plan, row or [], profile or []))
     write_report(out, "tradeoff", report, markdown(report))
     draw_front(report, out / "front.png")
-    draw_stages(report, out / "stages.png")
     _show(report, out, as_json)
 
 
@@ -111,11 +107,10 @@ def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
     return [row for row in rows if row in asked or row.name in bases]
 
 
-def _command(plan: Plan, networks: Path | None, names: list[str], profiles: list[str]) -> str:
+def _command(plan: Plan, names: list[str], profiles: list[str]) -> str:
     """Return the command that repeats the run."""
     words = ["mirrorwave", "tradeoff", "--count", str(plan.frames), "--repeats", str(plan.repeats)]
     words += ["--seed", str(plan.seed)]
-    words += ["--networks", str(networks)] if networks else []
     words += [word for name in profiles for word in ("--profile", name)]
     return shlex.join([*words, *(word for name in names for word in ("--row", name))])
 
@@ -131,4 +126,4 @@ def _show(report: Report, out: Path, as_json: bool) -> None:
     print_table(COLUMNS, [cells(row) for row in report.rows], LEAST)
     if report.busy:
         print_line(f"the times do not count, the machine was busy: {report.busy}")
-    print_line(f"{out}: tradeoff.json, tradeoff.md, front.png, stages.png")
+    print_line(f"{out}: tradeoff.json, tradeoff.md, front.png")

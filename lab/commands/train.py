@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -16,7 +16,6 @@ from mirrorwave.console import print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
     from lab.training.objectives.objectives import ObjectiveConfig
-    from lab.training.schedules import ScheduleConfig
     from lab.training.train_dense import DenseTraining, EpochReport
     from msgs.values.radar import RangeAzimuthGrid
 
@@ -57,13 +56,12 @@ def dense(
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Train a network that tells direct from mirrored returns, on this CPU, a GPU, or several by torchrun."""
+    """Train a network that tells direct from mirrored returns, on this CPU or a GPU."""
     import msgspec
 
     from lab.training.data.samples import DataConfig, load_training_data
     from lab.training.data.selection import parse_selection
     from lab.training.families import FAMILIES, preset_network
-    from lab.training.ranks import joined_ranks, leave
     from lab.training.schedules import SCHEDULES
     from lab.training.train_dense import DenseTraining, TrainDenseConfig
     from lab.training.training_curves import draw_curves
@@ -86,14 +84,8 @@ def dense(
         directory=str(data), more=folders, limit=limit, selection=parse_selection(without or []), seed=seed,
         encoding=encoding, grid=_grid(data),
     )  # fmt: skip
-    with joined_ranks() as ranks:
-        training = DenseTraining(config, load_training_data(data_config), out, ranks)
-        if ranks.leads:
-            _run(training)
-        else:
-            training.run()
-    if not ranks.leads:
-        leave()
+    training = DenseTraining(config, load_training_data(data_config), out)
+    _run(training)
     summary = training.summary()
     draw_curves(training.reports, out / "curves.png")
     if json:

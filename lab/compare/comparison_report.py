@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from lab.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
+from lab.compare.sensors import FALSE_ALARM, SENSORS, Equal, Sensor, SpadSensor
 from lab.compare.sweeps import SWEEPS, Plan, SceneResult, Seen, Value
 from lab.measures.frame_scores import INTERVAL, bootstrap_weights
 from lab.studies.report import DRAWS, Interval, Provenance, machine, versions
 from mirrorwave.plots.markdown import table
 from models.physics.fresnel import coherent_power
-from models.physics.link_budget import half_range, map_noise_gain, radar_threshold, spad_threshold, two_way_field
+from models.physics.link_budget import half_range, radar_threshold, spad_threshold
 from msgs.values.units import db_from_ratio
 from msgs.values.wording import counted
 
@@ -24,8 +24,6 @@ MEASURES = {"f1_1m": "F1 within 1 m", "f1_2m": "F1 within 2 m", "found": "object
 REFERENCE = ("xband", "77ghz")
 #: Sweeps of range, and the one of roughness.
 RANGE_SWEEPS, ROUGHNESS = ("range", "range_glass", "range_metal"), "roughness"
-#: Values farther apart than this factor leave a reach between them open.
-WIDE = 1.5
 #: Two levels agree with their closed form where noise adds little: this far over the threshold.
 CLEAR_DB = 6.0
 
@@ -77,7 +75,7 @@ class Reach(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Report(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A run: what it was made with, rows, reaches, and what they say."""
+    """A run: what it was made with, rows and reaches."""
 
     viewpoints: int
     equal: Equal
@@ -88,7 +86,6 @@ class Report(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
     threshold_db: dict[str, float]
     rows: list[Row]
     reaches: list[Reach]
-    findings: list[str]
 
     def of(self, sweep: str, sensor: str | None = None) -> list[Row]:
         """Rows of a sweep that hold numbers, in order; of one sensor where it is named."""
@@ -104,7 +101,7 @@ def make_report(plan: Plan, results: Sequence[SceneResult], command: str) -> Rep
         for index in range(len(values))
         for sensor in plan.sensors
     ]
-    report = Report(
+    return Report(
         command=command,
         machine=machine(),
         versions=versions(),
@@ -116,9 +113,7 @@ def make_report(plan: Plan, results: Sequence[SceneResult], command: str) -> Rep
         threshold_db={name: threshold_db(SENSORS[name]) for name in plan.sensors},
         rows=rows,
         reaches=_reaches(plan, rows),
-        findings=[],
     )
-    return msgspec.structs.replace(report, findings=findings(report))
 
 
 def threshold_db(sensor: Sensor) -> float:
@@ -259,188 +254,9 @@ def _against(reach: Reach, reference: Reach | None) -> Reach:
     return msgspec.structs.replace(reach, reference=reference.sensor, ratio=ratio, ratio_at_least=reference.at_least)
 
 
-# --- what it says
-
-
-def findings(report: Report) -> list[str]:
-    """Return the findings, in sentences made of the rows: where each sensor is best and why."""
-    said = [_reach_sentence(report, sweep) for sweep in RANGE_SWEEPS]
-    said += [*_radar_sentences(report), *_roughness_sentences(report), *_window_sentences(report)]
-    said += [_walls_sentence(report, name) for name in ("xband", "77ghz")]
-    said += [_best_sentence(report, sweep) for sweep in ("material", "incidence", "places")]
-    said += [_failed_sentence(report, row) for row in report.rows if row.failed is not None]
-    return [sentence for sentence in said if sentence]
-
-
-def _reach_sentence(report: Report, sweep: str) -> str:
-    """Describe the reach of each sensor."""
-    mine = [reach for reach in report.reaches if (reach.sweep, reach.measure) == (sweep, "f1_1m")]
-    if not mine:
-        return ""
-    parts = []
-    for reach in mine:
-        name = report.sensors[reach.sensor]
-        if reach.half == 0.0:
-            parts.append(f"{name} recovers nothing{' beyond chance' if reach.best else ''}")
-            continue
-        ratio = ""
-        if reach.ratio is not None and reach.reference is not None and not _open(reach):
-            bound = "at least " if reach.ratio_at_least else ""
-            ratio = f" ({report.sensors[reach.reference]} {bound}{reach.ratio:.1f} times as far)"
-        parts.append(f"{name} {_where(reach, 'm')}{ratio}")
-    title = SWEEPS[sweep].title.removesuffix(" [m]")
-    return f"Reach over {title}, where F1 within 1 m falls below half of its best: {'; '.join(parts)}."
-
-
-def _where(reach: Reach, unit: str) -> str:
-    """A reach that is one; as a bracket where values lie too far apart to interpolate."""
-    if reach.at_least:
-        return f"beyond {reach.half:g} {unit}, where the sweep ends"
-    if reach.between is not None and _open(reach):
-        return f"between {reach.between[0]:g} and {reach.between[1]:g} {unit}"
-    return f"at {reach.half:.3g} {unit}"
-
-
-def _open(reach: Reach) -> bool:
-    return reach.between is not None and reach.between[1] > WIDE * reach.between[0]
-
-
-def _radar_sentences(report: Report) -> list[str]:
-    """Describe why X-band leads 77 GHz: the terms of the radar equation against what was measured."""
-    if not {"xband", "77ghz"} <= set(report.sensors):
-        return []
-    near, far = RADARS["xband"], RADARS["77ghz"]
-    near_setup, far_setup = near.setup(1.0, report.equal), far.setup(1.0, report.equal)
-    wavelength_db = 2.0 * db_from_ratio(near.wavelength_m / far.wavelength_m)
-    array_db = 2.0 * db_from_ratio(
-        float(two_way_field(near_setup, np.zeros(())) / two_way_field(far_setup, np.zeros(())))
-    )
-    chirps = (
-        near_setup.radar.chirps_per_beam
-        * map_noise_gain(far_setup)
-        / (far_setup.radar.chirps_per_beam * map_noise_gain(near_setup))
-    )
-    time_db = db_from_ratio(chirps)
-    said = [
-        f"But for the wall the radar equation gives X-band {wavelength_db + array_db + time_db:+.1f} dB over 77 GHz: "
-        f"{wavelength_db:+.1f} dB of effective aperture (wavelength squared), {array_db:+.1f} dB of arrays "
-        f"(4 x 8 both ways against 1 x 57 one way), {time_db:+.1f} dB of time and noise of a cell."
-    ]
-    for sweep in RANGE_SWEEPS:
-        levels = [
-            {row.value: row.snr_db for row in report.of(sweep, name) if clear(report, row)}
-            for name in ("xband", "77ghz")
-        ]
-        gaps = [levels[0][value] - levels[1][value] for value in levels[0] if value in levels[1]]  # type: ignore[operator]
-        if gaps:
-            said.append(
-                f"Measured over {SWEEPS[sweep].title.removesuffix(' [m]')} where both stand clear of noise: "
-                f"{np.median(gaps):+.1f} dB (median; values: {len(gaps)}), the wall's material and roughness included."
-            )
-    return said
-
-
 def clear(report: Report, row: Row) -> bool:
     """Return whether a level stands so far over its threshold that noise adds little to it."""
     return row.snr_db is not None and row.snr_db >= report.threshold_db[row.sensor] + CLEAR_DB
-
-
-def _times(longer: Reach, shorter: Reach) -> str:
-    """Return the ratio of two reaches, in words, where both are known well enough."""
-    if shorter.at_least or _open(shorter) or _open(longer):
-        return ""
-    return f": {'at least ' if longer.at_least else ''}{longer.half / shorter.half:.1f} times as far"
-
-
-def _roughness_sentences(report: Report) -> list[str]:
-    """Loss by roughness against the closed form, and where each sensor loses the mirror."""
-    said = []
-    for sensor, title in report.sensors.items():
-        off = {
-            float(row.value): _outside(row)
-            for row in report.of(ROUGHNESS, sensor)
-            if row.loss_db is not None and row.value and clear(report, row)
-        }
-        reach = next((candidate for candidate in report.reaches if _is(candidate, ROUGHNESS, sensor, "f1_1m")), None)
-        if reach is None or reach.half == 0.0:
-            continue
-        law = ""
-        if off:
-            worst = max(off, key=lambda value: off[value])
-            far = f"at most {off[worst]:.1f} dB (at {worst:g} mm) from" if off[worst] >= 0.05 else "within"
-            law = (
-                f"; its loss, clear of noise to {max(off):g} mm, lies {far} the band of exp(-(4 pi s cos / lambda)^2) "
-                "a bounce over the object's points"
-            )
-        said.append(f"Roughness: F1 of {title} falls below half of its best {_where(reach, 'mm')}{law}.")
-    return said
-
-
-def _outside(row: Row) -> float:
-    """Return how far a loss lies outside its closed form's band [dB]."""
-    return max((row.least_loss_db or 0.0) - (row.loss_db or 0.0), (row.loss_db or 0.0) - (row.most_loss_db or 0.0), 0.0)
-
-
-def _is(reach: Reach, sweep: str, sensor: str, measure: str) -> bool:
-    return (reach.sweep, reach.sensor, reach.measure) == (sweep, sensor, measure)
-
-
-def _window_sentences(report: Report) -> list[str]:
-    """Describe the share of a LiDAR's reach that its period sets, and the effect of the wall's own light."""
-    said = []
-    gated, free = ({row.value: row for row in report.of(ROUGHNESS, name)} for name in ("spad_gated", "spad"))
-    f1 = [row.f1_1m.value or 0.0 for row in (gated.get(0.0), free.get(0.0)) if row is not None and row.f1_1m]
-    if len(f1) == 2 and f1[0] > f1[1]:
-        said.append(
-            f"At a perfectly smooth concrete wall the LiDAR gated after the wall has F1 {f1[0]:.2f}, "
-            f"Table 2's, always armed, {f1[1]:.2f}: matt light of the wall takes the first photon."
-        )
-    for sweep in RANGE_SWEEPS:
-        reach = {
-            short_gate.sensor: short_gate
-            for short_gate in report.reaches
-            if (short_gate.sweep, short_gate.measure) == (sweep, "f1_1m")
-        }
-        short_gate, longer = reach.get("spad_gated"), reach.get("spad_long")
-        if short_gate is None or longer is None or not short_gate.half or not longer.half:
-            continue
-        said.append(
-            f"Window: over {SWEEPS[sweep].title.removesuffix(' [m]')} the LiDAR gated within Table 2's period of 10 m "
-            f"ends {_where(short_gate, 'm')}; with the period lengthened at equal average power {_where(longer, 'm')}"
-            f"{_times(longer, short_gate)}."
-        )
-    return said
-
-
-def _walls_sentence(report: Report, sensor: str) -> str:
-    """Describe the loss of a radar's level at walls of other materials, against metal."""
-    level_db = {row.value: row.snr_db for row in report.of("material", sensor) if row.snr_db is not None}
-    metal_db = level_db.pop("metal", None)
-    if metal_db is None or not level_db:
-        return ""
-    lost = ", ".join(f"{str(wall).replace('_', ' ')} {value - metal_db:+.1f} dB" for wall, value in level_db.items())
-    return f"Level of {report.sensors[sensor]} by wall, against metal (thin panes act by both faces): {lost}."
-
-
-def _best_sentence(report: Report, sweep: str) -> str:
-    """Name the sensor with the best F1 at each value."""
-    values = list(dict.fromkeys(row.value for row in report.of(sweep)))
-    parts = []
-    for value in values:
-        rows = [row for row in report.of(sweep) if row.value == value and row.f1_1m is not None]
-        f1 = {row.sensor: round(row.f1_1m.value or 0.0, 2) for row in rows if row.f1_1m is not None}
-        best = max(f1.values(), default=0.0)
-        name = value.replace("_", " ") if isinstance(value, str) else f"{value:g}"
-        # whoever is as good to the digits shown has won as well
-        winners = " and ".join(report.sensors[sensor] for sensor in f1 if f1[sensor] == best)
-        parts.append(f"{name}: {winners} {best:.2f}" if best else f"{name}: none")
-    return f"Best F1 within 1 m by {SWEEPS[sweep].title}: {'; '.join(parts)}." if parts else ""
-
-
-def _failed_sentence(report: Report, row: Row) -> str:
-    """Describe why scans of a row are missing."""
-    missing = report.viewpoints - row.scans
-    return f"{report.sensors[row.sensor]} failed at {missing} of {report.viewpoints} ({row.value}): {row.failed}."
 
 
 COLUMNS = (
@@ -516,8 +332,6 @@ def markdown(report: Report) -> str:
         ABOUT.format(false_alarm=FALSE_ALARM),
         "",
         f"{EQUAL_ABOUT[report.equal]}; energy of a scan: {energies}.",
-        "",
-        *(f"- {finding}" for finding in report.findings),
     ]
     lines += _reach_table(report)
     for sweep in dict.fromkeys(row.sweep for row in report.rows):

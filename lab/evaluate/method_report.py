@@ -47,6 +47,8 @@ GROUPED = ("dense_macro_f1", "recovered_1m_f1", "hidden_1m_f1", "recovered_chamf
 #: Counts whose precision and recall a curve shows.
 CURVES = ("los", "mirrored", "recovered_1m", "hidden_1m")
 RATES = ("precision", "recall", "f1")
+#: Truth points that a map can tell apart: the name of the truth in a report.
+TRUTH = "thinned"
 #: What the words of the report mean.
 DEFINITIONS = {
     "dense": "peaks against truth points of their class, Hungarian one-to-one within 2 m, counts summed over frames; "
@@ -84,12 +86,8 @@ class Context:
 def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context) -> dict[str, Any]:
     """All that was found, in plain values."""
     weights = bootstrap_weights(len(run.facts), context.draws, context.seed)
-    scores = {
-        method_run.method.name: {truth: run.scores(method_run, truth) for truth in run.truths}
-        for method_run in run.runs
-    }
-    first = next(iter(run.truths))
-    against = scores[context.reference][first]
+    scores = {method_run.method.name: run.scores(method_run) for method_run in run.runs}
+    against = scores[context.reference]
     return {
         **{name: getattr(context, name) for name in Context.__dataclass_fields__},
         "frames": len(run.facts),
@@ -100,7 +98,7 @@ def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context)
             for method_run in run.runs
         ],
         "differences": {
-            name: {key: _triple(value) for key, value in differences(own[first], against, weights).items()}
+            name: {key: _triple(value) for key, value in differences(own, against, weights).items()}
             for name, own in scores.items()
             if name != context.reference
         },
@@ -109,7 +107,7 @@ def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context)
 
 
 def _method(
-    method_run: MethodRun, scores: dict[str, FrameScores], points: list[SweepPoint], run: Run, weights: np.ndarray
+    method_run: MethodRun, scores: FrameScores, points: list[SweepPoint], run: Run, weights: np.ndarray
 ) -> dict[str, Any]:
     """One method's part of the report."""
     method = method_run.method
@@ -124,11 +122,8 @@ def _method(
             stage: {"median": float(np.median(column)), "p90": float(np.percentile(column, 90.0))}
             for stage, column in zip(("detect", "geometry"), times_ms.T, strict=True)
         },
-        "measures": {
-            truth: {name: _triple(value) for name, value in estimates(own, weights).items()}
-            for truth, own in scores.items()
-        },
-        "groups": _groups(run.facts, next(iter(scores.values())), weights),
+        "measures": {TRUTH: {name: _triple(value) for name, value in estimates(scores, weights).items()}},
+        "groups": _groups(run.facts, scores, weights),
         "sweep": [_sweep_point(point) for point in points],
     }
 
@@ -180,7 +175,7 @@ def _groups(facts: Sequence[FrameFacts], scores: FrameScores, weights: np.ndarra
     return groups
 
 
-def _per_frame(run: Run, scores: dict[str, dict[str, FrameScores]]) -> dict[str, Any]:
+def _per_frame(run: Run, scores: dict[str, FrameScores]) -> dict[str, Any]:
     """Rows from which every table can be made again; a distance is "inf" with one side empty, null with both."""
     return {
         "counted": COUNTED,
@@ -188,11 +183,8 @@ def _per_frame(run: Run, scores: dict[str, dict[str, FrameScores]]) -> dict[str,
         "facts": [vars(item) for item in run.facts],
         "milliseconds": {item.method.name: item.milliseconds for item in run.runs},
         "methods": {
-            name: {
-                truth: {"counts": own.counts.tolist(), "distances": _spelled(own.distances)}
-                for truth, own in kinds.items()
-            }
-            for name, kinds in scores.items()
+            name: {TRUTH: {"counts": own.counts.tolist(), "distances": _spelled(own.distances)}}
+            for name, own in scores.items()
         },
     }
 
@@ -202,11 +194,11 @@ def _spelled(distances: np.ndarray) -> list[Any]:
     return [[["inf" if math.isinf(x) else x for x in of] for of in row] for row in rows]
 
 
-def headline_rows(report: dict[str, Any], truth: str = "thinned") -> list[list[object]]:
+def headline_rows(report: dict[str, Any]) -> list[list[object]]:
     """Lines of the table, a method each."""
     rows: list[list[object]] = []
     for method in report["methods"]:
-        cells = [interval_text(method["measures"][truth][name]) for _, name in HEADLINES]
+        cells = [interval_text(method["measures"][TRUTH][name]) for _, name in HEADLINES]
         times = method["milliseconds"]
         spent = [f"{times[stage]['median']:.3g} ({times[stage]['p90']:.3g})" for stage in ("detect", "geometry")]
         name = method["name"] + (" (told truth)" if method["privileged"] else "")
@@ -239,11 +231,14 @@ def markdown(report: dict[str, Any]) -> str:
         f"{counted(report['threads'], 'thread')} a network on {counted(report['cpu_count'], 'core')}; "
         "times are medians (90th percentile) "
         "of the same run, methods interleaved frame by frame.",
+        "",
+        f"## Against {TRUTH} truth",
+        "",
+        *table(headline_columns(), headline_rows(report)),
+        "",
+        "## Methods",
+        "",
     ]
-    for truth in report["methods"][0]["measures"]:
-        lines += ["", f"## Against {truth} truth", ""]
-        lines += table(headline_columns(), headline_rows(report, truth))
-    lines += ["", "## Methods", ""]
     lines += table(
         ["method", "asked for", "threshold"], [[m["name"], f"`{m['spec']}`", m["threshold"]] for m in report["methods"]]
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from lab.evaluate.methods import Method, peaks_above
 from lab.measures.frame_scores import FrameAnswer, FrameScores, FrameTruth, score_frames, sweep_thresholds
 from lab.training.data.frames import DataSet, Frame, FrameLabels
-from msgs.files.array_files import load_arrays
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.units import s_from_ns
@@ -60,23 +58,15 @@ class SweepPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Methods over frames: facts and truths by kind (`thinned`, `all`) of each frame, then each method's answers.
-
-    The first kind of truth is the one that groups, curves, differences and figures are made with.
-    """
+    """Methods over frames: facts and truth of each frame, then each method's answers."""
 
     facts: list[FrameFacts]
-    truths: dict[str, list[FrameTruth]]
+    truth: list[FrameTruth]
     runs: list[MethodRun]
 
-    @property
-    def truth(self) -> list[FrameTruth]:
-        """Truths of the first kind."""
-        return next(iter(self.truths.values()))
-
-    def scores(self, run: MethodRun, truth: str) -> FrameScores:
-        """Rows of one method against one kind of truth."""
-        return score_frames(zip(run.answers, self.truths[truth], strict=True))
+    def scores(self, run: MethodRun) -> FrameScores:
+        """Rows of one method against the truth."""
+        return score_frames(zip(run.answers, self.truth, strict=True))
 
 
 def checked_frames(data: DataSet, indices: Iterable[int], methods: list[Method]) -> Iterator[Frame]:
@@ -100,13 +90,12 @@ def checked_frames(data: DataSet, indices: Iterable[int], methods: list[Method])
 def run_methods(
     methods: list[Method],
     frames: Iterable[Frame],
-    truth_of: dict[str, Callable[[Frame], FrameTruth]],
     sweeping: bool = False,
     tick: Tick = lambda: None,
 ) -> Run:
     """Every method on every frame, one after the other on the same frame so that all share the machine's moods."""
     runs = [MethodRun(method) for method in methods]
-    truths: dict[str, list[FrameTruth]] = {kind: [] for kind in truth_of}
+    truth: list[FrameTruth] = []
     facts: list[FrameFacts] = []
     for frame in frames:
         if not facts:
@@ -114,14 +103,13 @@ def run_methods(
             for run in runs:
                 run.method.place(run.method.answer(run.method.detect(frame)))
         facts.append(facts_of(frame))
-        for kind, make in truth_of.items():
-            truths[kind].append(make(frame))
+        truth.append(truth_of_labels(frame))
         for run in runs:
             _step(run, frame, sweeping)
         tick()
     if not facts:
         raise ValueError("frames must hold at least one, got none")
-    return Run(facts=facts, truths=truths, runs=runs)
+    return Run(facts=facts, truth=truth, runs=runs)
 
 
 def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
@@ -156,18 +144,13 @@ def facts_of(frame: Frame) -> FrameFacts:
 def truth_of_labels(frame: Frame) -> FrameTruth:
     """The truth a data set holds of a frame; raises `ValueError` where the true place of an image is missing."""
     labels = frame.labels
-    mirrored = labels.path_class == PathClass.MIRRORED
-    if frame.places_m is None and not np.isfinite(labels.hidden_xy_m[mirrored]).all():
-        raise ValueError(f"frame {frame.index}: hidden_xy_m of mirrored points must be finite")
-    return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)
-
-
-def make_truth(labels: FrameLabels, points_m: np.ndarray, frame: Frame) -> FrameTruth:
-    """Truth from labels; where no object is known, everything mirrored counts as hidden."""
-    points = np.asarray(points_m, np.float64)
+    points = np.asarray(xy_from_polar(labels.range_m, labels.azimuth_rad), np.float64)
     if frame.places_m is not None:
         places_m = frame.places_m.astype(np.float64)
         return FrameTruth(points_m=points, path_class=labels.path_class, places_m=places_m, hidden_m=places_m)
+    if not np.isfinite(labels.hidden_xy_m[labels.path_class == PathClass.MIRRORED]).all():
+        raise ValueError(f"frame {frame.index}: hidden_xy_m of mirrored points must be finite")
+    # where no object is known, everything mirrored counts as hidden
     return truth_of_points(labels, points, frame.hidden if frame.objects else None)
 
 
@@ -198,40 +181,3 @@ def _again(run: MethodRun, peaks: Peaks, threshold: float) -> FrameAnswer:
     """A frame's answer at another threshold."""
     kept = peaks_above(peaks, threshold)
     return answer_of(kept, *run.method.place(kept))
-
-
-def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:
-    """Truth before thinning: scenes of the data set traced again.
-
-    Raises `ValueError` where a frame has no scene, or its scene does not give the labels the data set holds.
-    """
-    from lab.evaluate.unthinned_truth import DrawnScene, labelled_paths
-
-    gains: list[np.ndarray] = []
-    for path in sorted(data.directory.glob("shard-*.npz")):
-        gains += load_arrays(path, ("gain_db",)).values()
-    gains_db = np.concatenate([*gains, np.zeros(0)])
-
-    def truth(frame: Frame) -> FrameTruth:
-        where = f"{data.directory}: frame {frame.index}"
-        if not frame.scene_yaml or frame.index >= len(gains_db):
-            raise ValueError(f"{where}: scene_yaml and gain_db must be known for the truth before thinning")
-        drawn = DrawnScene(
-            scene_yaml=frame.scene_yaml, index=frame.index, gain_db=float(gains_db[frame.index]), series=data.series
-        )
-        paths, range_m = labelled_paths(drawn)
-        if not np.array_equal(range_m, frame.labels.range_m):
-            raise ValueError(f"{where}: scene traced again must give the labels of the data set, gives others")
-        labels = FrameLabels(
-            range_m=0.5 * paths.length_m,
-            azimuth_rad=paths.azimuth_rad,
-            path_class=paths.kind,
-            order=paths.order,
-            hidden_xy_m=paths.point_m[:, :2],
-            power_mw=np.full(len(paths), np.nan),
-            object_index=paths.object_index,
-            object_class=np.full(len(paths), ""),
-        )
-        return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)
-
-    return truth

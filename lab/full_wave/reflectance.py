@@ -15,13 +15,11 @@ import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
 import msgspec
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from lab.full_wave.media import Layers
 from lab.full_wave.rough import RoughParams, cell_size, is_conductor, quiet_width, rough_profile, scatter
@@ -183,30 +181,6 @@ class ReflectanceTable:
         *("specular_share", "error_db", "lobe_share", "lobe_spread", "reflected_share"),
     )
 
-    def specular_gain(
-        self,
-        wall: str,
-        frequency_hz: float,
-        cos_theta: np.ndarray,
-        roughness_m: float = 0.0,
-        polarisation: Polarisation = "te",
-    ) -> np.ndarray:
-        """Return alpha of Eq. (2), the power ratio of one bounce in the mirror direction (shape of cos_theta).
-
-        The smooth wall's r by a spline over angle; what roughness leaves, in dB, linearly over cos^2 and over s^2, in
-        which Kirchhoff's factor is straight. ValueError outside the table, and where a cell needed is absent, with why.
-        """
-        at = self._index(wall, frequency_hz, polarisation)
-        cos_theta = np.asarray(cos_theta, np.float64)
-        smooth = self._smooth_power(at, self._angle_deg(cos_theta, self.smooth_angle_deg))
-        if roughness_m == 0.0:
-            return smooth
-        levels_m = self.roughness_m[at[1]]
-        if not 0.0 < roughness_m <= levels_m[-1]:
-            raise ValueError(f"roughness_m must lie in 0..{levels_m[-1]:g} at {wall}, got {roughness_m!r}")
-        loss_db = self._roughness_db(at, self._angle_deg(cos_theta, self.rough_angle_deg), roughness_m)
-        return smooth * 10.0 ** (0.1 * loss_db)
-
     def compare(self) -> list[Comparison]:
         """Return the FDTD minus |r_exact|^2 exp(-g^2), one row a wall, band, polarisation and roughness that was
         run.
@@ -263,72 +237,6 @@ class ReflectanceTable:
                 yield Comparison(
                     wall, band_hz, polarisation, float(roughness_m), angles_deg, difference_db, error_db, absent
                 )
-
-    def _smooth_power(self, at: tuple[int, int, int], angle_deg: np.ndarray) -> np.ndarray:
-        field = self._splines[at](angle_deg)
-        return np.square(field[..., 0]) + np.square(field[..., 1])
-
-    @cached_property
-    def _splines(self) -> dict[tuple[int, int, int], CubicSpline]:
-        """Splines of the real and imaginary part of r over angle, of every smooth wall that was run."""
-        splines = {}
-        for at in np.ndindex(*self.smooth_r.shape[:3]):
-            r = self.smooth_r[at].astype(np.complex128)
-            if np.isfinite(r).all():
-                splines[at] = CubicSpline(self.smooth_angle_deg, np.stack([r.real, r.imag], axis=-1))
-        return splines
-
-    def _roughness_db(self, at: tuple[int, int, int], angle_deg: np.ndarray, roughness_m: float) -> np.ndarray:
-        """Return the loss by roughness [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent
-        cell.
-        """
-        levels = np.concatenate([[0.0], np.square(self.roughness_m[at[1]])])
-        upper = int(np.clip(np.searchsorted(levels, roughness_m**2), 1, len(levels) - 1))
-        share = (roughness_m**2 - levels[upper - 1]) / (levels[upper] - levels[upper - 1])
-        loss_db = np.zeros_like(angle_deg)
-        for level, weight in ((upper - 2, 1.0 - share), (upper - 1, share)):
-            if level >= 0 and weight > 0.0:
-                loss_db = loss_db + weight * self._level_db(at, level, angle_deg)
-        return loss_db
-
-    def _level_db(self, at: tuple[int, int, int], level: int, angle_deg: np.ndarray) -> np.ndarray:
-        """Return the loss by one roughness level [dB] over angle."""
-        angles_deg, status = self.rough_angle_deg, self.status[(*at, level)]
-        needed = np.zeros(len(angles_deg), bool)
-        right = np.clip(np.searchsorted(angles_deg, angle_deg), 1, len(angles_deg) - 1)
-        needed[right] = needed[right - 1] = True
-        missing = np.flatnonzero(needed & (status != MEASURED))
-        if missing.size:
-            wall, band_hz, polarisation = self.walls[at[0]], self.bands_hz[at[1]], POLARISATIONS[at[2]]
-            roughness_m, reason = self.roughness_m[at[1], level], STATUS[status[missing[0]]]
-            raise ValueError(
-                f"no value for {wall} at {band_hz / 1e9:g} GHz, {polarisation}, roughness {1e3 * roughness_m:g} mm, "
-                f"{angles_deg[missing[0]]:g} deg: {reason}"
-            )
-        # rising in its abscissa, as interpolation wants it
-        place = np.square(np.sin(np.radians(angles_deg)))
-        share_db = 10.0 * np.log10(np.where(needed, self.specular_share[(*at, level)], 1.0))
-        return np.interp(np.square(np.sin(np.radians(angle_deg))), place, share_db)
-
-    def _index(self, wall: str, frequency_hz: float, polarisation: str) -> tuple[int, int, int]:
-        if wall not in self.walls:
-            raise ValueError(f"wall must be one of {', '.join(self.walls)}, got {wall!r}")
-        if polarisation not in POLARISATIONS:
-            raise ValueError(f"polarisation must be te or tm, got {polarisation!r}")
-        near = [index for index, band in enumerate(self.bands_hz) if abs(frequency_hz / band - 1.0) < 1e-3]
-        if not near:
-            bands = ", ".join(f"{band / 1e9:g}" for band in self.bands_hz)
-            raise ValueError(f"frequency_hz must be one of {bands} GHz, got {frequency_hz / 1e9:g} GHz")
-        return self.walls.index(wall), near[0], POLARISATIONS.index(polarisation)
-
-    def _angle_deg(self, cos_theta: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-        """Return the angles [deg] of cosines; ValueError outside the table's."""
-        least = math.cos(math.radians(angles_deg[-1]))
-        if not np.all((cos_theta >= least - 1e-12) & (cos_theta <= 1.0 + 1e-12)):
-            raise ValueError(
-                f"cos_theta must lie in {least:.4f}..1 (0..{angles_deg[-1]:g} deg from the normal), got {cos_theta!r}"
-            )
-        return np.minimum(np.degrees(np.arccos(np.minimum(cos_theta, 1.0))), angles_deg[-1])
 
 
 def table_entries() -> list[Entry]:

@@ -115,7 +115,8 @@ def pick(budget_ms: float, remeasure: bool = False, note: Callable[[str], None] 
                 reasons = [busy_reason(load)]
                 if trial.others_cores > OTHERS_SHARE * cores:
                     reasons.append(
-                        f"other processes used {trial.others_cores:.1f} of {cores} cores (limit {OTHERS_SHARE * cores:g})"
+                        f"other processes used {trial.others_cores:.1f} of {cores} cores "
+                        f"(limit {OTHERS_SHARE * cores:g})"
                     )
                 busy = " and ".join(filter(None, reasons))
                 if busy:

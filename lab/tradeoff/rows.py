@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,6 @@ STAGES = ("ra_former", "dense_predictor", "geometry")
 BASE = "default"
 #: Switch of the rows that are named profiles.
 PROFILE = "profile"
-#: Stands in settings for the folder of further networks.
-NETWORKS = "$NETWORKS"
 
 
 class Setting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -53,10 +51,8 @@ class _SettingsFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     rows: list[Setting]
 
 
-def read_settings(
-    path: Path = DEFAULT_SETTINGS, networks: Path | None = None, profile_files: Sequence[str] = ()
-) -> list[Setting]:
-    """All rows: the profiles, the default first, then those of a file; without `networks` none that asks for them.
+def read_settings(path: Path = DEFAULT_SETTINGS, profile_files: Sequence[str] = ()) -> list[Setting]:
+    """All rows: the profiles, the default first, then those of a file.
 
     `profile_files`: further profiles. Raises `ValueError` naming the file and the row where two rows share a name, one
     sets what no node has, or is laid over no profile.
@@ -70,8 +66,8 @@ def read_settings(
     for row in own:
         if row.over not in bases:
             raise ValueError(f"{path}: {row.name}: over must be one of {', '.join(bases)}, got {row.over!r}")
-    wanted = [row for row in own if networks is not None or not _asks_for_networks(row.params)]
-    return [*bases.values(), *(_laid_over(bases[row.over], row, str(networks)) for row in wanted)]
+    laid_over = [msgspec.structs.replace(row, params=merged(bases[row.over].params, row.params)) for row in own]
+    return [*bases.values(), *laid_over]
 
 
 def profiles() -> list[Setting]:
@@ -83,20 +79,3 @@ def profile_setting(name: str) -> Setting:
     """Return a profile by its name or file; `ValueError` names what is wrong."""
     row = {"switch": PROFILE, "value": name, "params": checked_profile(name)}
     return convert_at(row, Setting, str(profile_path(name)))
-
-
-def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:
-    """A row with everything said that it sets, and the folder of further networks put in."""
-    return msgspec.structs.replace(row, params=_filled(merged(base.params, row.params), networks))
-
-
-def _asks_for_networks(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_asks_for_networks, value.values()))
-    return isinstance(value, str) and NETWORKS in value
-
-
-def _filled(value: Any, networks: str) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _filled(inner, networks) for key, inner in value.items()}
-    return value.replace(NETWORKS, networks) if isinstance(value, str) else value

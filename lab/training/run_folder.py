@@ -39,13 +39,18 @@ class EpochOfRun(Protocol):
         """Whether it is the best so far."""
 
 
-def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
-    """Write the resolved configuration, or require that the run's own is the same; only one process `leads`."""
+def usual_device() -> torch.device:
+    """Return the device of a run: the GPU where torch has one."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def adopt_config(run_dir: Path, config: object) -> None:
+    """Write the resolved configuration, or require that the run's own is the same."""
     path, content = run_dir / CONFIG, json_lines(config)
     if path.exists():
         if path.read_bytes() != content and not _says(path, config):
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
-    elif leads:
+    else:
         run_dir.mkdir(parents=True, exist_ok=True)
         write_whole(path, content)
 

@@ -17,8 +17,17 @@ from lab.training.exported_weights import SETTLING_BATCHES, load_exported, settl
 from lab.training.families import FAMILIES, NetworkChoice
 from lab.training.objectives.objectives import ObjectiveConfig, objective_of
 from lab.training.pretrained import load_initial
-from lab.training.ranks import Ranks
-from lab.training.run_folder import BEST, LAST, SUMMARY, adopt_config, load_config, load_json, load_state, save_epoch
+from lab.training.run_folder import (
+    BEST,
+    LAST,
+    SUMMARY,
+    adopt_config,
+    load_config,
+    load_json,
+    load_state,
+    save_epoch,
+    usual_device,
+)
 from lab.training.schedules import ScheduleConfig, optimiser_of
 from lab.training.scoring import DEFAULT_THRESHOLD, DetectionTally
 from msgs.files.checksums import json_lines
@@ -58,8 +67,6 @@ class RunConfig:
 
     training: TrainDenseConfig
     data: DataConfig
-    #: What made the run, if not `train dense`.
-    command: str = ""
 
     def __post_init__(self) -> None:
         config, encoding = self.training.network.resolved, self.data.encoding
@@ -117,14 +124,14 @@ class DenseTraining:
     killed resumes and ends with the same weights as an uninterrupted one.
     """
 
-    def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path, ranks: Ranks | None = None) -> None:
+    def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path) -> None:
         self.run_config = RunConfig(training=config, data=data.config)
-        self.config, self.data, self.run_dir, self.ranks = config, data, run_dir, ranks or Ranks()
+        self.config, self.data, self.run_dir, self.device = config, data, run_dir, usual_device()
         self._check_batches()
         torch.set_num_threads(config.threads)
         torch.manual_seed(config.seed)
         family = FAMILIES[config.network.family]
-        self.network = config.network.build().to(self.ranks.device, memory_format=torch.channels_last)
+        self.network = config.network.build().to(self.device, memory_format=torch.channels_last)
         self.former = SampleFormer(data.config, data.setup)
         self.objective = objective_of(config.objective, config.network.resolved)
         self.steps_per_epoch = len(data.train) // config.schedule.batch_size
@@ -135,10 +142,9 @@ class DenseTraining:
             # before the folder is taken: a file that is refused leaves it free
             self._start(Path(config.init))
         run_dir.mkdir(parents=True, exist_ok=True)
-        adopt_config(run_dir, self.run_config, self.ranks.leads)
+        adopt_config(run_dir, self.run_config)
         if goes_on:
             self._resume()
-        self._shared = self.ranks.shared(self.network)
 
     def _start(self, path: Path) -> None:
         """Fill the network with the weights of a checkpoint or of an exported file."""
@@ -151,14 +157,12 @@ class DenseTraining:
         size = self.config.schedule.batch_size
         batches = shuffled_batches(self.data.train, self.former, size, (self.config.seed, 0))
         first = islice(batches, SETTLING_BATCHES)
-        settle_norms(self.network, (torch.from_numpy(inputs).to(self.ranks.device) for _, inputs, _ in first))
+        settle_norms(self.network, (torch.from_numpy(inputs).to(self.device) for _, inputs, _ in first))
 
     def _check_batches(self) -> None:
-        size, ranks = self.config.schedule.batch_size, self.ranks.count
+        size = self.config.schedule.batch_size
         if len(self.data.train) < size:
             raise ValueError(f"schedule.batch_size must be at most the {len(self.data.train)} scenes, got {size}")
-        if size % ranks:
-            raise ValueError(f"schedule.batch_size must be a multiple of the {ranks} processes, got {size}")
 
     def run(
         self,
@@ -171,10 +175,9 @@ class DenseTraining:
         """
         for epoch in range(len(self.reports), self.config.schedule.epochs):
             train_loss = self._train_epoch(epoch, on_step)
-            if self.ranks.leads:
-                self.reports.append(self._validate(epoch, train_loss))
-                self._save()
-                report(self.reports[-1])
+            self.reports.append(self._validate(epoch, train_loss))
+            self._save()
+            report(self.reports[-1])
 
     def summary(self) -> RunSummary:
         """Return the result of the run so far; raises `ValueError` before the first epoch."""
@@ -194,17 +197,15 @@ class DenseTraining:
 
     def _train_epoch(self, epoch: int, on_step: Callable[[int, int], None]) -> float:
         config = self.config
-        self._shared.train()
+        self.network.train()
         losses = []
         # the epoch's own seed: a resumed run draws the same numbers
-        torch.manual_seed(config.seed + 1_000_003 * epoch + self.ranks.rank)
+        torch.manual_seed(config.seed + 1_000_003 * epoch)
         batches = shuffled_batches(
             self.data.train,
             self.former,
             config.schedule.batch_size,
             (config.seed, epoch),
-            self.ranks.rank,
-            self.ranks.count,
         )
         for step, (scenes, inputs, labels) in enumerate(batches):
             self.optimiser.zero_grad()
@@ -216,7 +217,7 @@ class DenseTraining:
             self.optimiser.step()
             self.schedule.step()
             on_step(step + 1, self.steps_per_epoch)
-        return self.ranks.mean(float(np.mean(losses)))
+        return float(np.mean(losses))
 
     def _refuse_non_finite(self, loss: float, epoch: int, step: int, scenes: np.ndarray) -> None:
         if not np.isfinite(loss):
@@ -226,11 +227,9 @@ class DenseTraining:
             )
 
     def _answer(self, inputs: np.ndarray) -> torch.Tensor:
-        network = self._shared if self._shared.training else self.network
-        device = self.ranks.device
-        batch = torch.from_numpy(inputs).to(device).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(device.type, torch.bfloat16, enabled=self.config.mixed_precision):
-            answer = network(batch)
+        batch = torch.from_numpy(inputs).to(self.device).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.mixed_precision):
+            answer = self.network(batch)
         return answer.float()
 
     def _validate(self, epoch: int, train_loss: float) -> EpochReport:
@@ -251,7 +250,7 @@ class DenseTraining:
 
     def evaluate(self) -> tuple[float, DetectionTally]:
         """Return the mean loss of a batch and detection scores over the validation maps."""
-        self._shared.eval()
+        self.network.eval()
         tally = DetectionTally(self.data.config.grid, WATCHED_THRESHOLDS)
         losses, size = [], self.config.schedule.batch_size
         with torch.no_grad():
@@ -273,7 +272,7 @@ class DenseTraining:
         )
 
     def _resume(self) -> None:
-        state = load_state(self.run_dir / LAST, self.ranks.device)
+        state = load_state(self.run_dir / LAST, self.device)
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])

@@ -97,7 +97,8 @@ def _draw_band(panel: Any, table: ReflectanceTable, band: float) -> None:
     from models.physics.fresnel import coherent_power
 
     fine_deg = np.linspace(0.0, 85.0, 171)
-    smooth = table.specular_gain("concrete", band, np.cos(np.radians(fine_deg)))
+    at = table.walls.index("concrete"), table.bands_hz.index(band), 0
+    smooth = np.interp(fine_deg, table.smooth_angle_deg, np.square(np.abs(table.smooth_r[at])))
     rows = [
         comparison
         for comparison in table.compare()

@@ -255,15 +255,12 @@ def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) ->
 
 
 def shuffled_batches(
-    scans: Sequence[Scan], former: SampleFormer, batch_size: int, seed: tuple[int, ...], rank: int = 0, ranks: int = 1
+    scans: Sequence[Scan], former: SampleFormer, batch_size: int, seed: tuple[int, ...]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, list[PointLabels]]]:
-    """Yield one epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
-
-    Of several ranks each takes its part of every batch, and all together the batch of a single process.
-    """
+    """Yield one epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out."""
     order = np.random.default_rng(seed).permutation(len(scans))
     for start in range(0, len(order) - batch_size + 1, batch_size):
-        own_batch = order[start : start + batch_size][rank::ranks]
-        # each scene has its own draws, whichever rank forms it
+        own_batch = order[start : start + batch_size]
+        # each scene has its own draws
         samples = [former.sample(scans[scene], np.random.default_rng((*seed, int(scene)))) for scene in own_batch]
         yield own_batch, former.encode(samples), [sample.labels for sample in samples]

@@ -43,15 +43,6 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     only_objects: tuple[str, ...] = ()
     only_places: tuple[str, ...] = ()
 
-    @property
-    def left_out(self) -> tuple[Selection, ...]:
-        """For each excluded kind, the selection of the scenes that have it: the corresponding test sets."""
-        return tuple(
-            Selection(**{f"only_{criterion}s": (kind,)})
-            for criterion in KINDS
-            for kind in getattr(self, f"without_{criterion}s")
-        )
-
     def takes(self, facts: SceneFacts) -> bool:
         """Return whether one scene is selected."""
         for criterion, kinds_of in KINDS.items():

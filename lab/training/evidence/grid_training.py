@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lab.training.run_folder import BEST, CURVES, LAST, load_state, save_state
+from lab.training.run_folder import BEST, CURVES, LAST, load_state, save_state, usual_device
 from lab.training.schedules import ScheduleConfig
 from msgs.files.checksums import json_lines
 from msgs.files.whole_files import write_whole
@@ -60,9 +60,9 @@ class GridEpoch:
 class GridTraining(ABC):
     """One run: network, optimiser and order, resumable after every epoch."""
 
-    def __init__(self, network: nn.Module, schedule: GridSchedule, run_dir: Path, device: str | None = None) -> None:
+    def __init__(self, network: nn.Module, schedule: GridSchedule, run_dir: Path) -> None:
         self.schedule, self.run_dir = schedule, run_dir
-        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self.device = usual_device()
         torch.set_num_threads(schedule.threads)
         self.network = network.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.AdamW(

@@ -58,7 +58,6 @@ def test_all_files_are_written_and_say_the_same(
     assert msgspec.json.decode((out / "compare.json").read_bytes(), type=Report) == report
     text = (out / "compare.md").read_text()
     assert text == markdown(report)
-    assert all(one in text for one in report.findings)
     assert (out / "compare.png").stat().st_size > 10_000
     assert_readable_at_page_width(saved_figures[-1])
 
@@ -131,7 +130,6 @@ def test_a_wall_unknown_to_a_sensor_keeps_its_row(made: tuple[Path, list[SceneRe
     assert row.failed is not None
     assert "plywood" in row.failed
     assert row_of(made[2], "material", "plywood", "xband").failed is None
-    assert f"77 GHz radar failed at 1 of 1 (plywood): {row.failed}." in made[2].findings
     assert "| plywood | 77ghz | failed |" in markdown(made[2])
 
 
@@ -165,7 +163,7 @@ HIT, MISS = (4, 0, 0), (0, 0, 4)
 
 def made_up(sweep: str, seen: dict[str, list[list[tuple[int, int, int]]]]) -> Report:
     """A report of counts [value][viewpoint] of each sensor."""
-    values = {"range": [8.0, 10.0, 60.0], "material": ["metal", "wood"]}[sweep]
+    values = [8.0, 10.0, 60.0]
     first = next(iter(seen.values()))
     plan = Plan(seed=0, viewpoints=len(first[0]), equal="power", sensors=list(seen), values={sweep: values})  # type: ignore[dict-item]
 
@@ -194,12 +192,8 @@ def test_a_reach_names_its_bracket_and_what_it_is_held_against() -> None:
     one = reach_of(report, "spad")
     assert (one.half, one.between, one.reference, one.ratio_at_least) == (9.0, (8.0, 10.0), "77ghz", True)
     assert one.ratio == pytest.approx(60.0 / 9.0)
-    assert (
-        "77 GHz radar beyond 60 m, where the sweep ends; SPAD, Table 2 at 9 m (77 GHz radar at least 6.7 times"
-        in (report.findings[0])
-    )
-    wide = made_up("range", {"77ghz": [[HIT], [HIT], [MISS]]})
-    assert "77 GHz radar between 10 and 60 m." in wide.findings[0]
+    # one viewpoint has no interval
+    assert row_of(report, "range", 8.0, "spad").f1_1m == Interval(value=1.0, low=None, high=None)
 
 
 def test_a_lucky_point_is_no_reach() -> None:
@@ -208,14 +202,6 @@ def test_a_lucky_point_is_no_reach() -> None:
     report = made_up("range", {"xband": lucky, "77ghz": [[HIT] * 12, [MISS] * 12, [MISS] * 12]})
     assert (reach_of(report, "xband").half, reach_of(report, "xband").at_least) == (0.0, False)
     assert reach_of(report, "77ghz").ratio is None
-    assert "X-band radar recovers nothing beyond chance; 77 GHz radar at 9 m." in report.findings[0]
-
-
-def test_who_ties_wins_as_well_and_one_viewpoint_has_no_interval() -> None:
-    report = made_up("material", {"xband": [[HIT], [MISS]], "77ghz": [[HIT], [MISS]], "spad": [[MISS], [MISS]]})
-    assert "metal: X-band radar and 77 GHz radar 1.00; wood: none." in report.findings[-1]
-    assert row_of(report, "material", "metal", "xband").f1_1m == Interval(value=1.0, low=None, high=None)
-    assert "| metal | xband | 1.00 | 1.00 | 1.00 |" in markdown(report)
 
 
 def test_a_damaged_result_is_named(tmp_path: Path) -> None:

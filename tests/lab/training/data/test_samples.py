@@ -138,17 +138,6 @@ def test_epoch_visits_every_scene_once_and_repeats_with_its_seed() -> None:
     assert any((a[1] != b[1]).any() for a, b in zip(first, other, strict=True))
 
 
-def test_ranks_share_a_batch_without_overlap() -> None:
-    """Two ranks together see, sample for sample, what one alone would."""
-    former = SampleFormer(DataConfig(encoding=ENCODING, grid=GRID))
-    alone = list(shuffled_batches(scans(8), former, 4, (1, 0)))
-    parts = [list(shuffled_batches(scans(8), former, 4, (1, 0), rank, 2)) for rank in (0, 1)]
-    for whole, even, odd in zip(alone, *parts, strict=True):
-        np.testing.assert_array_equal(whole[0][0::2], even[0])
-        np.testing.assert_array_equal(whole[1][0::2], even[1])
-        np.testing.assert_array_equal(whole[1][1::2], odd[1])
-
-
 @pytest.mark.slow
 def test_validation_is_seen_as_it_is_and_the_same_scene_leaks_nowhere(tmp_path: Path) -> None:
     """Layout: a data set of 4 scenes; the same again as a further one, which holds scenes held out in the first."""

@@ -48,14 +48,6 @@ def test_scenes_that_are_taken(selection: Selection, kept: list[int]) -> None:
         assert found.tolist() == kept
 
 
-def test_left_out_and_taken_make_up_the_whole() -> None:
-    selection = Selection(without_relays=("container",), without_objects=("bus",))
-    left_out = selection.left_out
-    assert left_out == (Selection(only_relays=("container",)), Selection(only_objects=("bus",)))
-    for index, facts in enumerate(SCENES):
-        assert selection.takes(facts) is not any(other.takes(facts) for other in left_out), index
-
-
 def test_unknown_kinds_and_empty_selections_are_refused() -> None:
     with pytest.raises(ValueError, match="without relay must be one of brick_wall, container, facade, got 'hedge'"):
         select(SCENES, range(5), Selection(without_relays=("hedge",)))
