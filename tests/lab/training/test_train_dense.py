@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +17,6 @@ from lab.training.schedules import ScheduleConfig
 from lab.training.train_dense import DenseTraining, EpochReport, TrainDenseConfig, load_best
 from models.perception.find.encoding import Encoding
 from msgs.values.radar import RangeAzimuthGrid
-from sim_player.dataset.writer import write_dataset
 from tests.lab.training.data.map_scans import map_scan
 
 GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
@@ -159,20 +156,3 @@ def test_learning_rate_follows_its_schedule(kind: str) -> None:
     assert (factors[0], max(factors), factors[-1]) == pytest.approx(wanted, abs=2e-3)
     if kind == "one_cycle":
         assert int(np.argmax(factors)) == 15
-
-
-@pytest.mark.slow
-def test_two_processes_train_one_network(tmp_path: Path) -> None:
-    """Layout: torchrun starts two processes on this CPU for two epochs of the two training scenes of four."""
-    write_dataset(tmp_path / "data", count=4, seed=1)
-    # standalone: they meet at a port that is free
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    arguments = ["--data", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--epochs", "2", "--json"]
-    arguments += ["--batch-size", "2"]
-    done = subprocess.run(
-        [*command, "-m", "mirrorwave.cli", "train", "dense", *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "run" / SUMMARY).read_text())["epochs"] == 2
-    # one process prints, and nothing but the summary
-    assert json.loads(done.stdout)["epochs"] == 2
