@@ -116,8 +116,7 @@ site: setup-dev  ## the pages under docs/ as a site in build/site; a broken link
 reference: setup  ## commands, parameters and messages as pages in docs/reference, written from the code
 	$(BIN)/python -m mirrorwave.reference docs/reference
 
-bench: setup-dev  ## the committed benchmarks, printed
-	$(BIN)/python -m benchmarks.perception.ra_forming
+bench: setup-dev  ## the live graph, measured for a minute
 	$(BIN)/python -m benchmarks.live.live_graph --duration 60
 
 faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/results/README.md (half an hour)
@@ -169,7 +168,7 @@ fdtd-figures: setup
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 
 full-wave: setup-dev  ## rays against a full-wave solution: docs/results/full-wave.md (half an hour; goes on if stopped)
-	$(BIN)/python -m benchmarks.full_wave --seeds 24 --table docs/results/full-wave.md --figure docs/images/full-wave.png
+	$(BIN)/python -m benchmarks.full_wave --table docs/results/full-wave.md --figure docs/images/full-wave.png
 
 compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/explain/sensors.md (half an hour; goes on if stopped)
 	$(BIN)/mirrorwave compare --viewpoints 6 --workers 2 --out runs/compare

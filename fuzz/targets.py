@@ -72,15 +72,19 @@ def execute(target: Target, parts: Parts, folder: Path) -> bool:
     try:
         target.run(parts, box)
     except target.refusals as error:
-        from mirrorwave.console import error_line
-
-        line = error_line(error)
-        assert line.strip(), f"{type(error).__name__} says nothing"
-        assert "Traceback" not in line, line
+        _require_plain_words(error)
         box.check()
         return False
     box.check()
     return True
+
+
+def _require_plain_words(error: Exception) -> None:
+    from mirrorwave.console import error_line
+
+    line = error_line(error)
+    assert line.strip(), f"{type(error).__name__} says nothing"
+    assert "Traceback" not in line, line
 
 
 def part(parts: Parts, at: int) -> bytes:

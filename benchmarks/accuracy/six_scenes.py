@@ -4,7 +4,7 @@ Cases: at rest over noise seeds (the seed also draws the speckle of walls and ve
 radar moving, beams with random phases. A moving object is compared with where it was when its beams were measured.
 Usage: python -m benchmarks.accuracy.six_scenes [--profile NAME] [--seeds 10] [--first-seed 0] [--scans 1] [--effects
 basic]
-       [--json]   or, in place of a profile, [--model FILE] [--refine WAY] [--confidence FILE]
+       [--json]
 The places are a development set: thresholds were chosen while looking at them. For places never seen:
 `mirrorwave eval --objects`.
 """
@@ -23,17 +23,9 @@ import numpy as np
 
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.profiles import DEFAULT, read_profile
-from models.perception.chain import Chain
-from models.perception.find.detectors import NetworkDetector
-from models.perception.find.maps_to_peaks import DetectionStage
-from models.perception.find.onnx_model import DEFAULT_MODEL
-from models.perception.form.beams_to_maps import FormingStage
-from models.perception.mirrors.confidence import load_confidence
-from models.perception.track.views_over_scans import ViewStage
 from models.scores.point_metrics import match_objects
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import BevFrame, SceneTruth
-from msgs.values.radar import RadarSetup
 from nodes.player import Params, scene_player
 from sim_player.player import ScenePlayer
 
@@ -75,19 +67,8 @@ class Row(msgspec.Struct, kw_only=True):
     flagged: int = 0
 
 
-def chain_of(way: argparse.Namespace, setup: RadarSetup) -> Chain:
-    """The chain as asked for."""
-    if not (way.model or way.refine or way.confidence):
-        return SharedParts.of(read_profile(way.profile or DEFAULT), setup).chain()
-    confidence = load_confidence(Path(way.confidence)) if way.confidence else None
-    detector = NetworkDetector(setup, Path(way.model or DEFAULT_MODEL), refine=way.refine or True)
-    chain = Chain(FormingStage(), DetectionStage(lambda _: detector), ViewStage(confidence=confidence))
-    chain.set_up(setup)
-    return chain
-
-
 def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:
-    chain = chain_of(way, player.setup)
+    chain = SharedParts.of(read_profile(way.profile), player.setup).chain()
     for scan in range(scans):
         for index in range(len(player.setup.beams)):
             beam = player.beam(scan, index)
@@ -129,10 +110,7 @@ def total(rows: list[Row]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--profile", help="all node parameters of a profile; default the default one")
-    parser.add_argument("--model", default="", help="a network in place of a profile's parameters")
-    parser.add_argument("--refine", default="", help="where its peaks are placed; default the detector's")
-    parser.add_argument("--confidence", default="", help="a file; default none")
+    parser.add_argument("--profile", default=DEFAULT, help="all node parameters of a profile")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--scans", type=int, default=1)
@@ -140,8 +118,6 @@ def main() -> None:
     parser.add_argument("--cases", nargs="*", choices=list(CASES), default=list(CASES))
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    if arguments.profile and (arguments.model or arguments.refine or arguments.confidence):
-        parser.error("--profile and --model, --refine, --confidence exclude each other")
     rows = []
     for case in arguments.cases:
         for scene in SCENES:
@@ -153,8 +129,7 @@ def main() -> None:
         print(total(rows))
     else:
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
-        method = arguments.profile or arguments.model or DEFAULT
-        print(json.dumps({"machine": machine, "method": method, "rows": msgspec.to_builtins(rows)}))
+        print(json.dumps({"machine": machine, "method": arguments.profile, "rows": msgspec.to_builtins(rows)}))
 
 
 if __name__ == "__main__":

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import get_args
+from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from benchmarks.full_wave.line_source import LineEcho, thread_amplitude
@@ -14,7 +12,6 @@ from benchmarks.full_wave.scenes import RADAR, THREAD_PERMITTIVITY, MiniScene
 from benchmarks.full_wave.waves import Waves
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.table import WEIGHTS
-from sim_player.scene.description import DiffuseLobe
 from sim_player.trace.effect_names import PATH_EFFECTS
 
 #: The chirp's sweep; the full wave is read at so many frequencies.
@@ -116,73 +113,6 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
     return Comparison(
         groups, remainder, *profiles(echo.spectrum(PICTURE_HZ), rays(EFFECTS, PICTURE_HZ).field.sum(axis=0))
     )
-
-
-@dataclass(frozen=True)
-class Roughness:
-    """A rough wall over its draws: field of the mirror and power of all else, over the smooth wall's mirror."""
-
-    about: str
-    draws: int
-    #: Mean field over draws, full wave and Kirchhoff's factor as the product has it [dB].
-    mean_db: float
-    kirchhoff_db: float
-    #: Standard error of the mean field, as a change of its level [dB].
-    mean_error_db: float
-    #: Mean power, which holds what is scattered into the gate [dB].
-    power_db: float
-    #: Power between the gate and the wall's ends: full wave with its standard error, and each lobe that the product
-    #: has [dB].
-    diffuse_db: float
-    diffuse_error_db: float
-    lobes_db: dict[str, float]
-
-
-#: Draws of a wall's patches over which the power of a lobe is the mean.
-PATCH_DRAWS = 24
-
-
-def roughness(draws: list[tuple[MiniScene, Waves]]) -> Roughness:
-    """Compare the draws of a rough wall with the product's laws."""
-    scene, waves = draws[0]
-    nothing = np.zeros(len(SWEEP_HZ), complex)
-    world = scene.world(None)
-    smooth = ray_field(world, EFFECTS - {"rough_wall_loss", "diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
-    rays = ray_field(world, EFFECTS - {"diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
-    at_m = float(smooth.delay_m[0])
-    between = (
-        at_m + 2.0 * GATE_M,
-        (2.0 * float(np.hypot(*np.concatenate([world.wall_a, world.wall_b]).T).min())) - 2.0 * GATE_M,
-    )
-    flash = np.array([gated(waves.walls, at_m, at_m) / smooth.field[0] for _, waves in draws])
-    rest = np.array([gated(waves.walls, *between) / smooth.field[0] for _, waves in draws])
-    power = np.mean(np.abs(rest) ** 2, axis=1)
-    return Roughness(
-        scene.about,
-        len(draws),
-        db(rms(flash.mean(axis=0))),
-        db(rms(rays.field[0] / smooth.field[0])),
-        db(1.0 + rms(flash.std(axis=0)) / np.sqrt(len(draws)) / rms(flash.mean(axis=0))),
-        db(rms(flash)),
-        db(rms(rest)),
-        0.5 * db(1.0 + float(power.std() / power.mean()) / np.sqrt(len(draws))),
-        {lobe: _lobe_db(scene, waves, lobe, smooth.field[0], between) for lobe in get_args(DiffuseLobe)},
-    )
-
-
-def _lobe_db(
-    scene: MiniScene, waves: Waves, lobe: DiffuseLobe, mirror: np.ndarray, between: tuple[float, float]
-) -> float:
-    """Return the mean power of the product's patches in a gate over the smooth mirror's."""
-    surfaces = tuple(msgspec.structs.replace(surface, diffuse_lobe=lobe) for surface in scene.surfaces)
-    total = 0.0
-    for seed in range(PATCH_DRAWS):
-        world = replace(scene, surfaces=surfaces).world(None, seed)
-        rays = ray_field(world, EFFECTS, waves.grid, SWEEP_HZ, np.zeros(len(SWEEP_HZ), complex))
-        patches = rays.take(np.isin(rays.name, "diffuse"))
-        weight = gate_weight(patches.delay_m, *between)[:, None]
-        total += float(np.mean(np.sum(np.abs(weight * patches.field / mirror) ** 2, axis=0)))
-    return 0.5 * db(total / PATCH_DRAWS)
 
 
 def clusters(rays: RayField) -> list[tuple[float, float]]:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from benchmarks.full_wave.comparison import NAMED_DB, Comparison, Group, Roughness
-from benchmarks.full_wave.lobe import LobeRow
+from benchmarks.full_wave.comparison import NAMED_DB, Comparison, Group
 from benchmarks.full_wave.scenes import MiniScene
 from mirrorwave.plots.markdown import table
 from mirrorwave.plots.style import (
@@ -29,8 +26,6 @@ from mirrorwave.plots.style import (
 
 #: Groups this far below the strongest of their run are beyond the aim, and drawn hollow.
 CONSIDERED_DB = -30.0
-#: Draws of the rough wall that have rows of their own.
-SHOWN_DRAWS = 4
 #: Errors are drawn as far as this.
 MAX_ERROR_DB = 4.0
 #: Aims for the level: diffracted groups, all others.
@@ -67,33 +62,6 @@ REMAINDERS = """`rays`: difference of all rays to the full wave over the full wa
 outside all gates, below the strongest gate, and where it is strongest: echoes that the tracer does not have. `without`:
 the difference when one effect is left out.
 """
-LOBES = """### The lobe over all angles
-
-A plane wave square on rough concrete (`benchmarks/full_wave/lobe.py`): power that leaves between two angles from the
-normal, over the smooth mirror, and what the lobes in the plane have over it. A surface names its lobe in
-`diffuse_lobe`: `kirchhoff`, the default, or `lambert`.
-"""
-
-
-PLACES = """### What it changes
-
-{places} random places, all effects, with Kirchhoff's lobe on every wall in place of Lambert's (`python -m
-benchmarks.simulator.diffuse_lobe --places {places} --seed {seed}`). Cells are clear if either lobe lifts them 10 dB
-over noise rms. In {maps_over_1_db} of {places} maps clear cells move by more than 1 dB.
-"""
-VERDICT = """The full wave decides for Kirchhoff's lobe at all angles: it is the default. Not measured:
-correlation lengths of real walls (drawn from 5 to 100 mm), the lobe out of the plane (space and plane share one
-expression), slopes beyond 0.2.
-"""
-
-
-@dataclass(frozen=True)
-class RoughWalls:
-    """All that is known of rough walls: their draws, the lobe over angle, and what the other lobe changes in places."""
-
-    walls: list[Roughness]
-    lobe: list[LobeRow]
-    places: dict[str, Any]
 
 
 def row_of(group: Group) -> tuple[str, ...]:
@@ -113,13 +81,9 @@ def as_table(found: list[Comparison]) -> Table:
     return table
 
 
-def page(wanted: list[MiniScene], found: list[Comparison], rough: RoughWalls, options: argparse.Namespace) -> str:
+def page(wanted: list[MiniScene], found: list[Comparison], options: argparse.Namespace) -> str:
     """Return the page of results in Markdown."""
-    command = f"python -m benchmarks.full_wave --cells {options.cells:g} --seed {options.seed} --seeds {options.seeds}"
-    draws = [scene.name for scene in wanted if scene.name.startswith("rough")]
-    draws = [name for name in draws if int(name.partition("-")[2]) >= options.seed + SHOWN_DRAWS]
-    wanted = [scene for scene in wanted if scene.name not in draws]
-    found = [comparison for comparison in found if comparison.remainder.scene not in draws]
+    command = f"python -m benchmarks.full_wave --cells {options.cells:g}"
     parts = [INTRODUCTION.format(command=command, named=NAMED_DB)]
     parts += ["## Scenes\n", _markdown(("scene", "what", "cells", "steps"), _scene_rows(wanted, options.cells))]
     groups = [group for comparison in found for group in comparison.groups]
@@ -127,9 +91,6 @@ def page(wanted: list[MiniScene], found: list[Comparison], rough: RoughWalls, op
     parts += ["\n## Path groups\n", _markdown((*HEADS, "without"), rows)]
     head = ("scene", "target", "rays dB", "left over dB", "at m", "without")
     parts += ["\n## Whole runs\n", REMAINDERS, _markdown(head, _remainder_rows(found))]
-    if rough.walls:
-        parts += ["\n## Rough walls\n", _rough_text(rough.walls), LOBES, _lobe_text(rough.lobe)]
-        parts += [PLACES.format(**rough.places), _places_text(rough.places), VERDICT]
     return "\n".join(parts)
 
 
@@ -152,51 +113,6 @@ def _remainder_rows(found: list[Comparison]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _rough_text(rough: list[Roughness]) -> str:
-    return "\n".join(_wall_text(wall) for wall in rough)
-
-
-def _wall_text(wall: Roughness) -> str:
-    lobes = ", ".join(f"{level_db:.1f} ({lobe.capitalize()})" for lobe, level_db in wall.lobes_db.items())
-    rows = [
-        (
-            "mirror, mean field of the draws",
-            f"{wall.mean_db:.2f} +- {wall.mean_error_db:.2f}",
-            f"{wall.kirchhoff_db:.2f} (Kirchhoff)",
-        ),
-        ("mirror, mean power in its gate", f"{wall.power_db:.2f}", ""),
-        ("back from 20 to 33 deg, power", f"{wall.diffuse_db:.1f} +- {wall.diffuse_error_db:.1f}", lobes),
-    ]
-    head = f"{wall.about[0].upper()}{wall.about[1:]}; mean of {wall.draws} draws, dB over the smooth wall's mirror.\n"
-    return head + "\n" + _markdown(("what", "full wave", "rays"), rows)
-
-
-def _lobe_text(lobe: list[LobeRow]) -> str:
-    rows: list[tuple[str, ...]] = [
-        (
-            f"{row.roughness_mm:g}",
-            f"{row.angles_deg[0]:g}-{row.angles_deg[1]:g}",
-            f"{row.wave_db:.1f} +- {row.error_db:.1f}",
-            f"{row.lambert_db:+.1f}",
-            f"{row.kirchhoff_db:+.1f}",
-        )
-        for row in lobe
-    ]
-    return _markdown(("rms height mm", "deg", "full wave dB", "Lambert dB", "Kirchhoff dB"), rows)
-
-
-def _places_text(places: dict[str, Any]) -> str:
-    shown = (
-        ("share of clear cells that move by over 1 dB", "share_over_1_db", "{:.0%}"),
-        ("power of all diffuse echoes, dB", "diffuse_db", "{:+.1f}"),
-        ("of those 20 deg and more off the normal, dB", "oblique_db", "{:+.1f}"),
-    )
-    rows = [
-        (what, *(form.format(places[name][share]) for share in ("p10", "p50", "p90"))) for what, name, form in shown
-    ]
-    return _markdown(("change from Lambert to Kirchhoff", "10 %", "median", "90 %"), rows)
-
-
 def _without(group: Group) -> str:
     return ", ".join(
         f"{name} none" if value is None else f"{name} {value:+.2f}" for name, value in group.without.items()
@@ -209,7 +125,7 @@ def _markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def draw(path: Path, wanted: list[MiniScene], found: list[Comparison]) -> None:
     """Draw the fields over delay, one panel a run that has groups, and below them the error of every group."""
-    runs = [comparison for comparison in found if not comparison.remainder.scene.startswith(("rough", "wall"))]
+    runs = [comparison for comparison in found if not comparison.remainder.scene.startswith("wall")]
     rows = -(-len(runs) // 3)
     figure = new_figure(PAGE_INCH, 1.55 * rows + 2.8)
     grid = figure.add_gridspec(rows + 1, 3, height_ratios=[1.0] * rows + [1.7])
@@ -226,9 +142,7 @@ def draw(path: Path, wanted: list[MiniScene], found: list[Comparison]) -> None:
     panels[0].set_ylabel("dB", fontsize=8)
     panels[-1].set_xlabel("round trip (m)", fontsize=8)
     errors = figure.add_subplot(grid[rows, :])
-    _draw_errors(
-        errors, [group for run in found for group in run.groups if not run.remainder.scene.startswith("rough")]
-    )
+    _draw_errors(errors, [group for run in found for group in run.groups])
     legend_of_figure(figure, handles_of(panels[0], errors), 5)
     save(figure, path)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.full_wave.line_source import ABSORBER, CONDUCTOR_PERMITTIVITY, LineGrid
-from lab.full_wave.rough import SUB_COLUMNS, is_conductor, rough_profile
+from lab.full_wave.rough import is_conductor
 from models.physics.curved_mirror import arc_from_ends
 from models.physics.materials import permittivity
 from msgs.values.radar import RadarParams
@@ -22,8 +22,6 @@ from sim_player.scene.world import World, prepare
 RADAR = RadarParams()
 #: Of walls, in wavelengths.
 THICKNESS = 5.0
-#: Families of rough walls, by their rms height.
-ROUGH_M = {"rough": 2e-3, "rougher": 4e-3}
 #: Size of the sphere that stands for a thread in the product's scene, the least one: it blocks no path but its own.
 THREAD_SIZE_M = 0.05
 #: A target is one node of this: so weak that its echo of its own echo in a wall lies 40 dB below its mirror image.
@@ -43,24 +41,6 @@ class Box:
         return _overlap(x_m, self.low_m[0], self.high_m[0], cell_m) * _overlap(
             y_m, self.low_m[1], self.high_m[1], cell_m
         )
-
-
-@dataclass(frozen=True)
-class RoughBox:
-    """A box whose front, at low x, has random heights."""
-
-    box: Box
-    roughness_m: float
-    correlation_m: float
-    seed: int
-
-    def share(self, x_m: np.ndarray, y_m: np.ndarray, cell_m: float) -> np.ndarray:
-        """Return the share of every cell that is solid, [nx, ny]; the mean over columns within each cell."""
-        (front, low), (back, high) = self.box.low_m, self.box.high_m
-        inside = ((np.arange(SUB_COLUMNS) + 0.5) / SUB_COLUMNS - 0.5) * cell_m
-        heights = rough_profile(high - low, self.roughness_m, self.correlation_m, self.seed, y_m[..., None] + inside)
-        columns = [_overlap(x_m, front + heights[..., column], back, cell_m) for column in range(SUB_COLUMNS)]
-        return np.mean(columns, axis=0) * _overlap(y_m, low, high, cell_m)
 
 
 @dataclass(frozen=True)
@@ -84,7 +64,7 @@ class ArcShell:
         return radial * np.clip((half_turn - np.abs(turn)) * away / cell_m + 0.5, 0.0, 1.0)
 
 
-Solid = Box | RoughBox | ArcShell
+Solid = Box | ArcShell
 
 
 @dataclass(frozen=True)
@@ -132,8 +112,8 @@ class MiniScene:
         x, y = (grid.cell_m * round(value / grid.cell_m) for value in self.targets[target])
         return x, y
 
-    def world(self, target_m: Point | None, seed: int = 0) -> World:
-        """Return the product's world, with one isotropic centre of 1 m^2 where a target stands; `seed` of its patches.
+    def world(self, target_m: Point | None) -> World:
+        """Return the product's world, with one isotropic centre of 1 m^2 where a target stands.
 
         Walls keep their diffuse patches; their structure, small metal parts in space, has no counterpart in the plane.
         """
@@ -144,7 +124,7 @@ class MiniScene:
                 primitive="sphere", size_m=(THREAD_SIZE_M,), z_m=low_m, x_m=target_m[0], y_m=target_m[1]
             )
             objects = (sphere,)
-        world = prepare(Scene(name=self.name, surfaces=self.surfaces, objects=objects), seed)
+        world = prepare(Scene(name=self.name, surfaces=self.surfaces, objects=objects), 0)
         keep = world.speck_length_m > 0.0
         specks = {name: getattr(world, name)[keep] for name in vars(world) if name.startswith("speck_")}
         return replace(world, **specks, **(_isotropic(target_m) if target_m is not None else {}))
@@ -221,14 +201,6 @@ def _arc(name: str, radius: float, about: str) -> MiniScene:
     return MiniScene(name, about, (surface,), solids, "concrete", *box, _m(213)[0], {"lit": _at(35, 12)})
 
 
-def _rough(family: str, roughness_m: float, seed: int) -> MiniScene:
-    low, high = (40, -30), (40, 30)
-    solid = RoughBox(_box(*low, 40 + THICKNESS, 30), roughness_m, 0.03, seed)
-    surface = _wall(low, high, roughness_mm=1e3 * roughness_m, correlation_mm=30.0)
-    name, about = f"{family}-{seed}", f"a rough wall: rms height {1e3 * roughness_m:g} mm, correlation 30 mm"
-    return MiniScene(name, about, (surface,), (solid,), "concrete", _at(-2, -32), _at(46, 32), _m(113)[0])
-
-
 _SINGLE = MiniScene(
     "wall",
     "one concrete wall whose ends echo after all else",
@@ -279,8 +251,8 @@ _STREET = MiniScene(
 )
 
 
-def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
-    """Return all scenes; the rough wall once for each of `seeds` draws from `seed` on."""
+def scenes() -> tuple[MiniScene, ...]:
+    """Return all scenes."""
     return (
         _SINGLE,
         _facade("facade", "concrete", THICKNESS, "a concrete facade with two ends", "lit", "border"),
@@ -290,5 +262,4 @@ def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
         _arc("arc", -60.0, "a concrete arc that bulges towards the radar, radius 1.8 m"),
         _arc("hollow", 80.0, "a concrete arc that is hollow towards the radar, radius 2.4 m"),
         _facade("sheet", "metal", 0.1, "a metal sheet with two ends", "border"),
-        *(_rough(family, roughness_m, seed + draw) for family, roughness_m in ROUGH_M.items() for draw in range(seeds)),
     )

@@ -18,8 +18,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks.perception.ra_forming import machine
 from contrib.calibrate.drive import DriveParams, solve_drive
+from lab.studies.report import machine
 from mirrorwave.console import progress_bar
 from models.vehicle.mounting import Mounting
 from msgs.recording.mcap import RecordingWriter

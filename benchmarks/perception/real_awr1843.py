@@ -13,7 +13,7 @@ which says nothing about the row's axis.
 - Raw profile: the strongest moving range bin of a frame, over all channels, without the row, the tracker or its time.
 - Receivers agree: phase steps from receiver to receiver in one chirp less those in the next, 90 % quantile. They are
   of one direction, whichever transmitter sends. `as_500_frames` is the same for frames of twice as many bytes.
-Usage: python -m benchmarks.perception.real_awr1843 [--data DIR] [--out DIR] [--json]
+Usage: python -m benchmarks.perception.real_awr1843 [--data DIR] [--json]
 """
 
 from __future__ import annotations
@@ -251,35 +251,12 @@ def measure(folder: Path) -> dict[str, Any]:
     }
 
 
-def draw(result: dict[str, Any], out: Path) -> None:
-    """Range and azimuth of the track over time, with the raw profile."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.5, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, sharex=True)
-    course = {name: [each[name] for each in result["course"]] for name in result["course"][0]}
-    upper.plot(course["t_s"], course["raw_m"], ".", ms=2, color="#999999", label="strongest moving bin")
-    upper.plot(course["t_s"], course["track_m"], color="#0072B2", label="track")
-    upper.set(ylabel="range [m]")
-    upper.legend()
-    lower.plot(course["t_s"], course["azimuth_deg"], color="#0072B2")
-    lower.set(xlabel="time [s]", ylabel="azimuth, left positive [deg]")
-    figure.savefig(out, dpi=110, metadata={"Software": None})
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_data_option(parser)
-    parser.add_argument("--out", type=Path, help="folder for track.png and result.json")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     arguments = parser.parse_args()
     result = measure(capture_folder(parser, arguments.data, FOLDER))
-    if arguments.out is not None:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        draw(result, arguments.out / "track.png")
-        (arguments.out / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     course = result.pop("course")
     if arguments.json:
         print(json.dumps(result))

@@ -19,11 +19,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmarks.perception.ra_forming import machine
 from lab.full_wave.cpml import SPEED_OF_LIGHT_MPS
 from lab.full_wave.rough import RoughParams
 from lab.full_wave.scattering import reflect
 from lab.full_wave.smooth import SMOOTH_WALLS, SmoothWall
+from lab.studies.report import machine
 from models.physics.fresnel import slab_reflection, slab_transmission
 from models.physics.materials import permittivity
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import torch
@@ -16,32 +14,6 @@ from msgs.files.whole_files import whole, write_whole
 LAST, BEST, CONFIG, CURVES, SUMMARY = "last.pt", "best.pt", "config.json", "curves.json", "summary.json"
 
 Config = TypeVar("Config")
-
-
-class Stateful(Protocol):
-    """A network, an optimiser, a schedule."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return its tensors and plain values."""
-
-
-class EpochOfRun(Protocol):
-    """What the reports of all trainings have, each a dataclass."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def epoch(self) -> int:
-        """Its number."""
-
-    @property
-    def is_best(self) -> bool:
-        """Whether it is the best so far."""
-
-
-def usual_device() -> torch.device:
-    """Return the device of a run: the GPU where torch has one."""
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def adopt_config(run_dir: Path, config: object) -> None:
@@ -85,19 +57,6 @@ def save_state(path: Path, state: dict[str, Any]) -> None:
     """Save tensors and plain values whole or not at all."""
     with whole(path) as part:
         torch.save(state, part)
-
-
-def save_epoch(run_dir: Path, parts: Mapping[str, Stateful], reports: Sequence[EpochOfRun]) -> None:
-    """Write what an epoch has left: the network if it is the best, the curves, the states of all `parts`.
-
-    The states come last of all: a run killed before them repeats the epoch.
-    """
-    state: dict[str, Any] = {name: part.state_dict() for name, part in parts.items()}
-    state["reports"] = [asdict(report) for report in reports]
-    if reports[-1].is_best:
-        save_state(run_dir / BEST, {"network": state["network"], "epoch": reports[-1].epoch})
-    write_whole(run_dir / CURVES, json_lines(reports))
-    save_state(run_dir / LAST, state)
 
 
 def load_state(path: Path, device: torch.device | str = "cpu") -> Any:

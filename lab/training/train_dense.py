@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,19 +16,10 @@ from lab.networks.compact_unet import CompactUNet
 from lab.training.data.samples import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
 from lab.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
 from lab.training.families import FAMILIES, NetworkChoice
+from lab.training.loop import TrainingLoop
 from lab.training.objectives.objectives import ObjectiveConfig, objective_of
 from lab.training.pretrained import load_initial
-from lab.training.run_folder import (
-    BEST,
-    LAST,
-    SUMMARY,
-    adopt_config,
-    load_config,
-    load_json,
-    load_state,
-    save_epoch,
-    usual_device,
-)
+from lab.training.run_folder import BEST, LAST, SUMMARY, adopt_config, load_config, load_json, load_state
 from lab.training.schedules import ScheduleConfig, optimiser_of
 from lab.training.scoring import DEFAULT_THRESHOLD, DetectionTally
 from msgs.files.checksums import json_lines
@@ -117,16 +109,13 @@ class NonFiniteLossError(ValueError):
     """A loss that is not finite, with the batch that caused it."""
 
 
-class DenseTraining:
-    """One run: network, optimiser and schedule, resumable after every epoch.
-
-    `run_dir` receives the resolved configuration, the curves, the last state and the best network. A run that was
-    killed resumes and ends with the same weights as an uninterrupted one.
-    """
+class DenseTraining(TrainingLoop[EpochReport]):
+    """One run; `run_dir` receives the resolved configuration and the summary too."""
 
     def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path) -> None:
         self.run_config = RunConfig(training=config, data=data.config)
-        self.config, self.data, self.run_dir, self.device = config, data, run_dir, usual_device()
+        super().__init__(run_dir, config.schedule.epochs, config.schedule.clip_norm, EpochReport)
+        self.config, self.data = config, data
         self._check_batches()
         torch.set_num_threads(config.threads)
         torch.manual_seed(config.seed)
@@ -136,15 +125,12 @@ class DenseTraining:
         self.objective = objective_of(config.objective, config.network.resolved)
         self.steps_per_epoch = len(data.train) // config.schedule.batch_size
         self.optimiser, self.schedule = optimiser_of(self.network, config.schedule, family.head, self.steps_per_epoch)
-        self.reports: list[EpochReport] = []
-        goes_on = (run_dir / LAST).exists()
-        if config.init and not goes_on:
+        if config.init and not (run_dir / LAST).exists():
             # before the folder is taken: a file that is refused leaves it free
             self._start(Path(config.init))
         run_dir.mkdir(parents=True, exist_ok=True)
         adopt_config(run_dir, self.run_config)
-        if goes_on:
-            self._resume()
+        self.resume()
 
     def _start(self, path: Path) -> None:
         """Fill the network with the weights of a checkpoint or of an exported file."""
@@ -168,16 +154,13 @@ class DenseTraining:
         self,
         report: Callable[[EpochReport], None] = lambda _: None,
         on_step: Callable[[int, int], None] = lambda done, steps: None,
-    ) -> None:
+    ) -> EpochReport:
         """Train the remaining epochs, reporting each; `on_step` is called for every batch (done, total).
 
         Raises `NonFiniteLossError` naming epoch, batch and scenes if a loss is not finite.
         """
-        for epoch in range(len(self.reports), self.config.schedule.epochs):
-            train_loss = self._train_epoch(epoch, on_step)
-            self.reports.append(self._validate(epoch, train_loss))
-            self._save()
-            report(self.reports[-1])
+        self._on_step = on_step
+        return super().run(report)
 
     def summary(self) -> RunSummary:
         """Return the result of the run so far; raises `ValueError` before the first epoch."""
@@ -195,9 +178,9 @@ class DenseTraining:
             unconverged=max(scores) - max(earlier) > CONVERGED_RISE,
         )
 
-    def _train_epoch(self, epoch: int, on_step: Callable[[int, int], None]) -> float:
+    def train_epoch(self, epoch: int) -> float:
+        """Train one epoch and return its mean loss."""
         config = self.config
-        self.network.train()
         losses = []
         # the epoch's own seed: a resumed run draws the same numbers
         torch.manual_seed(config.seed + 1_000_003 * epoch)
@@ -208,15 +191,12 @@ class DenseTraining:
             (config.seed, epoch),
         )
         for step, (scenes, inputs, labels) in enumerate(batches):
-            self.optimiser.zero_grad()
             loss = self.objective.loss(self._answer(inputs), labels)
             losses.append(loss.item())
             self._refuse_non_finite(losses[-1], epoch, step, scenes)
-            loss.backward()
-            nn.utils.clip_grad_norm_(self.network.parameters(), config.schedule.clip_norm)
-            self.optimiser.step()
+            self.descend(loss)
             self.schedule.step()
-            on_step(step + 1, self.steps_per_epoch)
+            self._on_step(step + 1, self.steps_per_epoch)
         return float(np.mean(losses))
 
     def _refuse_non_finite(self, loss: float, epoch: int, step: int, scenes: np.ndarray) -> None:
@@ -232,7 +212,8 @@ class DenseTraining:
             answer = self.network(batch)
         return answer.float()
 
-    def _validate(self, epoch: int, train_loss: float) -> EpochReport:
+    def judge(self, epoch: int, train_loss: float) -> EpochReport:
+        """Return the scores on the validation scenes."""
         loss, tally = self.evaluate()
         published = tally.counts[DEFAULT_THRESHOLD]
         threshold = max(tally.counts, key=tally.macro_f1)
@@ -248,6 +229,19 @@ class DenseTraining:
             is_best=tally.macro_f1(threshold) > max((r.best_macro_f1 for r in self.reports), default=-1.0),
         )
 
+    def save(self) -> None:
+        """Write the summary, then the rest."""
+        write_whole(self.run_dir / SUMMARY, json_lines(self.summary()))
+        super().save()
+
+    def state(self) -> dict[str, Any]:
+        """Return the schedule's state."""
+        return {"schedule": self.schedule.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take over the schedule's state."""
+        self.schedule.load_state_dict(state["schedule"])
+
     def evaluate(self) -> tuple[float, DetectionTally]:
         """Return the mean loss of a batch and detection scores over the validation maps."""
         self.network.eval()
@@ -262,21 +256,6 @@ class DenseTraining:
                 for map_answer, truth in zip(answer.cpu().numpy(), labels, strict=True):
                     tally.add(self.objective.points(map_answer, WATCHED_THRESHOLDS[0]), truth)
         return float(np.mean(losses)), tally
-
-    def _save(self) -> None:
-        write_whole(self.run_dir / SUMMARY, json_lines(self.summary()))
-        save_epoch(
-            self.run_dir,
-            {"network": self.network, "optimiser": self.optimiser, "schedule": self.schedule},
-            self.reports,
-        )
-
-    def _resume(self) -> None:
-        state = load_state(self.run_dir / LAST, self.device)
-        self.network.load_state_dict(state["network"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.schedule.load_state_dict(state["schedule"])
-        self.reports = [EpochReport(**report) for report in state["reports"]]
 
 
 def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:

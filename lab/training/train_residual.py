@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +12,9 @@ from torch import Tensor, nn
 
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.data.residual_samples import FoldedImages, SampleConfig, recovered_scores
+from lab.training.loop import TrainingLoop
 from lab.training.pretrained import load_initial
-from lab.training.run_folder import BEST, LAST, adopt_config, load_config, load_state, save_epoch
+from lab.training.run_folder import BEST, adopt_config, load_config, load_state
 from models.perception.mirrors.recovery import ReflectionState
 from models.perception.mirrors.residual_model import ResidualFrame, bounded, image_frames, in_frames
 
@@ -74,16 +74,16 @@ class ResidualEpoch:
     is_best: bool
 
 
-class ResidualTraining:
-    """One run: network and optimiser, resumable after every epoch.
+class ResidualTraining(TrainingLoop[ResidualEpoch]):
+    """One run; `run_dir` receives the resolved configuration too.
 
-    `run_dir` receives the resolved configuration, the curves, the last state and the best network. A run that was
-    killed resumes and ends with the same weights as an uninterrupted one. Raises `ValueError` if
-    there is nothing to train or validate on.
+    Raises `ValueError` if there is nothing to train or validate on.
     """
 
     def __init__(self, config: ResidualRunConfig, train: FoldedImages, validation: FoldedImages, run_dir: Path) -> None:
-        self.run_config, self.config, self.run_dir = config, config.training, run_dir
+        self.run_config, self.config = config, config.training
+        super().__init__(run_dir, self.config.epochs, self.config.clip_norm, ResidualEpoch)
+        self.device = torch.device("cpu")
         reach_m = self.config.reach_m
         samples = train.select(train.within(reach_m))
         for name, count in (("train", len(samples)), ("validation", int(validation.within(reach_m).sum()))):
@@ -99,35 +99,19 @@ class ResidualTraining:
         self.target = _tensor(frames.from_radar(samples.target_m))
         self.weight = _tensor(np.where(samples.state[:, 5] > 0.5, self.config.unreliable_weight, 1.0))
         self.without = recovered_scores(validation, np.zeros_like(validation.folded_m), reach_m)
-        self.reports: list[ResidualEpoch] = []
         run_dir.mkdir(parents=True, exist_ok=True)
         adopt_config(run_dir, config)
-        if (run_dir / LAST).exists():
-            self._resume()
-        elif self.config.init:
+        if not self.resume() and self.config.init:
             load_initial(self.network, Path(self.config.init))
 
-    def run(self, report: Callable[[ResidualEpoch], None]) -> ResidualEpoch:
-        """Train the remaining epochs, reporting each; return the best one.
-
-        Raises `ValueError` naming the batch whose loss is not finite.
-        """
-        for epoch in range(len(self.reports), self.config.epochs):
-            train_loss = self._train_epoch(epoch)
-            self.reports.append(self._validate(epoch, train_loss))
-            self._save()
-            report(self.reports[-1])
-        return min(self.reports, key=lambda entry: entry.recovered_l1_m)
-
-    def _train_epoch(self, epoch: int) -> float:
-        self.network.train()
+    def train_epoch(self, epoch: int) -> float:
+        """Train one epoch and return its mean loss; `ValueError` names the batch whose loss is not finite."""
         # the epoch's own seed: a resumed run draws the same numbers
         order = torch.from_numpy(np.random.default_rng((self.config.seed, epoch)).permutation(len(self.target)))
         losses = [self._step(batch, epoch, index) for index, batch in enumerate(order.split(self.config.batch_size))]
         return float(np.mean(losses))
 
     def _step(self, batch: Tensor, epoch: int, index: int) -> float:
-        self.optimiser.zero_grad()
         answer = self.network(*(tensor[batch] for tensor in self.inputs))
         loss = residual_loss(answer, self.target[batch], self.weight[batch])
         if not torch.isfinite(loss):
@@ -135,12 +119,11 @@ class ResidualTraining:
             raise ValueError(
                 f"loss must be finite, got {loss.item()} in epoch {epoch}, batch {index}, of scenes {scenes}"
             )
-        loss.backward()
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip_norm)
-        self.optimiser.step()
+        self.descend(loss)
         return loss.item()
 
-    def _validate(self, epoch: int, train_loss: float) -> ResidualEpoch:
+    def judge(self, epoch: int, train_loss: float) -> ResidualEpoch:
+        """Return the scores on the validation scenes."""
         offsets_m = network_offsets(self.network, self.validation, self.config.frame)
         scores = recovered_scores(self.validation, offsets_m, self.config.reach_m)
         return ResidualEpoch(
@@ -152,15 +135,6 @@ class ResidualTraining:
             recovered_f1_without=self.without.f1,
             is_best=scores.l1_m < min((entry.recovered_l1_m for entry in self.reports), default=np.inf),
         )
-
-    def _save(self) -> None:
-        save_epoch(self.run_dir, {"network": self.network, "optimiser": self.optimiser}, self.reports)
-
-    def _resume(self) -> None:
-        state = load_state(self.run_dir / LAST)
-        self.network.load_state_dict(state["network"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.reports = [ResidualEpoch(**report) for report in state["reports"]]
 
 
 def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:

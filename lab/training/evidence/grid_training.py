@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from abc import abstractmethod
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lab.training.run_folder import BEST, CURVES, LAST, load_state, save_state, usual_device
+from lab.training.loop import TrainingLoop
 from lab.training.schedules import ScheduleConfig
-from msgs.files.checksums import json_lines
-from msgs.files.whole_files import write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,22 +54,20 @@ class GridEpoch:
     is_best: bool
 
 
-class GridTraining(ABC):
-    """One run: network, optimiser and order, resumable after every epoch."""
+class GridTraining(TrainingLoop[GridEpoch]):
+    """One run on arrays in memory."""
 
     def __init__(self, network: nn.Module, schedule: GridSchedule, run_dir: Path) -> None:
-        self.schedule, self.run_dir = schedule, run_dir
-        self.device = usual_device()
+        super().__init__(run_dir, schedule.epochs, schedule.clip_norm, GridEpoch)
+        self.schedule = schedule
         torch.set_num_threads(schedule.threads)
         self.network = network.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.AdamW(
             network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.weight_decay
         )
-        self.reports: list[GridEpoch] = []
         self._spent_s = 0.0
         run_dir.mkdir(parents=True, exist_ok=True)
-        if (run_dir / LAST).exists():
-            self._resume()
+        self.resume()
 
     @property
     @abstractmethod
@@ -87,31 +82,27 @@ class GridTraining(ABC):
     def validate(self) -> tuple[float, dict[str, float]]:
         """Return what chooses the network, the lower the better, and further scores."""
 
-    def run(self, report: Callable[[GridEpoch], None] = lambda _: None) -> GridEpoch:
-        """Train the remaining epochs, reporting each, and return the best.
+    def is_over(self, epoch: int) -> bool:
+        """Return whether an epoch would begin after the run's last minute."""
+        return self._share(epoch, 0.0) >= 1.0
 
-        Raises `ValueError` naming epoch and step if a loss is not finite.
-        """
-        for epoch in range(len(self.reports), self.schedule.epochs):
-            if self._share(epoch, 0) >= 1.0:
-                break
-            started = time.monotonic()
-            train_loss = self._epoch(epoch, started)
-            self._spent_s += time.monotonic() - started
-            loss = math.inf
-            scores: dict[str, float] = {}
-            if self._share(epoch + 1, 0.0) >= self.schedule.validated_from:
-                self.network.eval()
-                loss, scores = self.validate()
-            best = loss < min((entry.loss for entry in self.reports), default=math.inf)
-            self.reports.append(
-                GridEpoch(
-                    epoch=epoch, train_loss=train_loss, seconds=self._spent_s, loss=loss, scores=scores, is_best=best
-                )
-            )
-            self._save()
-            report(self.reports[-1])
-        return min(self.reports, key=lambda entry: entry.loss)
+    def judge(self, epoch: int, train_loss: float) -> GridEpoch:
+        """Return the scores on the validation scans; none before they are asked for."""
+        loss, scores = math.inf, dict[str, float]()
+        if self._share(epoch + 1, 0.0) >= self.schedule.validated_from:
+            loss, scores = self.validate()
+        best = loss < min((entry.loss for entry in self.reports), default=math.inf)
+        return GridEpoch(
+            epoch=epoch, train_loss=train_loss, seconds=self._spent_s, loss=loss, scores=scores, is_best=best
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Return the time that training took so far."""
+        return {"spent_s": self._spent_s}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take over that time."""
+        self._spent_s = float(state["spent_s"])
 
     def _share(self, epoch: int, since_s: float, step: float = 0.0) -> float:
         share = (epoch + step) / self.schedule.epochs
@@ -119,8 +110,9 @@ class GridTraining(ABC):
             share = max(share, (self._spent_s + since_s) / (60.0 * self.schedule.minutes))
         return share
 
-    def _epoch(self, epoch: int, started: float) -> float:
-        self.network.train()
+    def train_epoch(self, epoch: int) -> float:
+        """Train one epoch and return its mean loss; `ValueError` names epoch and step of a loss that is not finite."""
+        started = time.monotonic()
         schedule, size = self.schedule, self.schedule.batch_size
         # the epoch's own seed: a resumed run draws the same numbers
         rng = np.random.default_rng((schedule.seed, epoch))
@@ -133,34 +125,18 @@ class GridTraining(ABC):
                 break
             for group in self.optimiser.param_groups:
                 group["lr"] = schedule.learning_rate * schedule.factor_at(share)
-            self.optimiser.zero_grad()
             index = order[step * size : (step + 1) * size]
             loss = self.batch_loss(index, bool(rng.random() < 0.5))
-            loss.backward()
-            nn.utils.clip_grad_norm_(self.network.parameters(), schedule.clip_norm)
-            self.optimiser.step()
+            self.descend(loss)
             losses.append(loss.detach())
             if step % 100 == 99 and not torch.isfinite(losses[-1]):
                 raise ValueError(f"loss must be finite, got {losses[-1].item()} in epoch {epoch}, step {step}")
-        return float(torch.stack(losses).mean()) if losses else math.nan
+        mean = float(torch.stack(losses).mean()) if losses else math.nan
+        self._spent_s += time.monotonic() - started
+        return mean
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Return the network's answers, in training with half the bits."""
         mixed = self.network.training and self.schedule.mixed_precision
         with torch.autocast(self.device.type, torch.bfloat16, enabled=mixed):
             return self.network(inputs.contiguous(memory_format=torch.channels_last))
-
-    def _save(self) -> None:
-        state: dict[str, Any] = {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
-        state |= {"reports": [asdict(report) for report in self.reports], "spent_s": self._spent_s}
-        if self.reports[-1].is_best:
-            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        write_whole(self.run_dir / CURVES, json_lines(self.reports))
-        save_state(self.run_dir / LAST, state)
-
-    def _resume(self) -> None:
-        state = load_state(self.run_dir / LAST, self.device)
-        self.network.load_state_dict(state["network"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.reports = [GridEpoch(**report) for report in state["reports"]]
-        self._spent_s = float(state["spent_s"])

@@ -15,7 +15,7 @@ from benchmarks.full_wave.waves import Waves, solve
 from models.physics.curved_mirror import arc_points
 
 #: A wall 20 wavelengths in front of the radar.
-SMALL = scenes(0)[0]
+SMALL = scenes()[0]
 
 
 @pytest.fixture(scope="module")
