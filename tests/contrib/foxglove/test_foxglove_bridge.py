@@ -28,7 +28,7 @@ from msgs.bus.topics import TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
 from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
+from msgs.values.perception import BevFrame, HiddenObject, Track
 from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from tests.fuzz.cases import peaks, ra_map, view
@@ -304,15 +304,6 @@ def test_a_flood_of_objects_is_cut_and_counted() -> None:
     entities = {entity["id"]: entity for entity in bodies(frame)["/hidden_objects/scene"]["entities"]}
     assert len(entities["objects"]["cubes"]) == MAX_PRIMITIVES
     assert {"key": "cubes left out", "value": "5"} in entities["objects"]["metadata"]
-
-
-def test_the_grid_lies_as_the_view_s_does() -> None:
-    frame = view(1, 10)
-    grid: BevGrid = frame.grid
-    drawn = bodies(frame)["/hidden_objects/visibility"]
-    cells = np.frombuffer(base64.b64decode(drawn["data"]), np.uint8).reshape(-1, drawn["row_stride"])
-    np.testing.assert_array_equal(cells, frame.visibility)
-    assert (drawn["pose"]["position"]["x"], drawn["pose"]["position"]["y"]) == (grid.x_min_m, grid.y_min_m)
 
 
 # what ships

@@ -191,5 +191,6 @@ def test_the_visibility_grid_starts_at_its_corner() -> None:
     frame = view(1, 10)
     grid = BevGrid(x_min_m=3.0, y_min_m=-7.0, cell_m=0.25, rows=6, columns=5)
     body = bodies(msgspec.structs.replace(frame, grid=grid))["/hidden_objects/visibility"]
+    np.testing.assert_array_equal(np.frombuffer(body["data"], np.uint8).reshape(6, 5), frame.visibility)
     assert body["pose"]["position"] == {"x": 3.0, "y": -7.0, "z": 0.0}
     assert (body["cell_size"], body["column_count"], body["row_stride"]) == ({"x": 0.25, "y": 0.25}, 5, 5)

@@ -185,11 +185,6 @@ def test_a_secret_of_somebody_else_is_refused(keys: Path) -> None:
         load_own(keys / "car.key_secret")
 
 
-def test_a_missing_file_is_an_os_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        load_own(tmp_path / "car.key_secret")
-
-
 @pytest.mark.parametrize(
     ("spoil", "rule"),
     [

@@ -18,7 +18,6 @@ from contrib.two_machines.keys import generate, load_own
 from contrib.two_machines.security_checks import (
     Grade,
     Risk,
-    all_findings,
     check_files,
     check_graph,
     check_keys,
@@ -348,10 +347,3 @@ def test_what_cannot_be_looked_at_is_said() -> None:
 
     process: Any = SimpleNamespace(pid=1, cmdline=list, net_connections=refuse)
     assert only(check_listeners(process)).status is Grade.WARNING
-
-
-def test_all_checks_run_on_a_quiet_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(tmp_path))
-    monkeypatch.chdir(tmp_path)
-    checks = [risk.check for risk in all_findings(None, "d")]
-    assert checks == ["user", "zeromq", "run directory", "files", "graph"]

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -61,14 +62,14 @@ MADE = ("--row", "beams", "--row", "network: UNet")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Report]]:
     out = tmp_path_factory.mktemp("tradeoff")
     settings = out / "rows.yaml"
     absent = "{switch: network, value: UNet, over: unfiltered, params: {dense_predictor: {model: none/here/unet.onnx}}}"
     settings.write_text(f"{DEFAULT_SETTINGS.read_text()}\n  - {absent}\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lab.tradeoff.rows.DEFAULT_SETTINGS", settings)
-        return out, run(out, *MADE)
+        yield out, run(out, *MADE)
 
 
 def test_every_committed_row_sets_what_its_nodes_know() -> None:

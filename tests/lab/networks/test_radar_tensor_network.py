@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,11 +22,6 @@ def network(config: RadarTensorNetworkConfig = TINY) -> RadarTensorNetwork:
     return RadarTensorNetwork(config)
 
 
-def test_compact_one_is_as_large_as_ours() -> None:
-    """CompactUNet has 0.96 M parameters."""
-    assert 0.9e6 < sum(p.numel() for p in RadarTensorNetwork(COMPACT).parameters()) < 1.1e6
-
-
 @pytest.mark.parametrize("config", [FULL, COMPACT, replace(COMPACT, anchor_stride=4), replace(TINY, anchor_stride=1)])
 def test_answers_every_anchor(config: RadarTensorNetworkConfig) -> None:
     stride = config.anchor_stride
@@ -41,14 +34,6 @@ def test_no_pooling_before_the_stages() -> None:
     """The first stage works at the anchors' own resolution: that of the map, with an anchor on every cell."""
     net = network(replace(TINY, anchor_stride=1))
     assert net.stages[0](net.stem(torch.zeros(1, 3, 32, 16))).shape == (1, 4, 32, 16)
-
-
-def test_gradients_reach_every_parameter() -> None:
-    net = network()
-    net(torch.randn(2, 3, 32, 16)).square().sum().backward()
-    for name, parameter in net.named_parameters():
-        assert parameter.grad is not None, name
-        assert parameter.grad.abs().sum() > 0, name
 
 
 @pytest.mark.slow
@@ -72,23 +57,3 @@ def test_learns_one_map() -> None:
         cells, path_class = found.cells, found.path_class
     assert path_class.tolist() == [0, 1]
     np.testing.assert_allclose(cells, [[9.3, 4.6], [21.8, 11.1]], atol=0.5)
-
-
-@pytest.mark.parametrize("anchor_stride", [1, 2])
-def test_onnx_agrees(anchor_stride: int, onnx_difference: Callable[..., float]) -> None:
-    net = network(replace(TINY, anchor_stride=anchor_stride))
-    assert onnx_difference(net, torch.randn(1, 3, 32, 16)) < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"range_bins": 500}, "multiples of 8, got 500 and 256"),
-        ({"columns": 248, "anchor_stride": 2}, "multiples of 16, got 512 and 248"),
-        ({"blocks": (2, 2)}, r"one number a stage \(4\), got \(2, 2\)"),
-        ({"anchor_stride": 0}, "anchor_stride must be at least 1, got 0"),
-    ],
-)
-def test_shapes_that_do_not_fit_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        RadarTensorNetworkConfig(**change)
