@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +26,7 @@ from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.array_table import stored_columns, stored_tables
 from msgs.values.perception import TruthObject
+from sim_player.dataset.executors import map_jobs
 
 #: Scans of one file.
 SAMPLES_PER_FILE = 40
@@ -91,21 +90,11 @@ def make_files(
                 yield path
             else:
                 jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), task, path, seed))
-    if workers == 1 or not jobs:
-        yield from (_make_file(*job) for job in jobs)
-        return
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
-    try:
-        for done in as_completed([pool.submit(_make_file, *job) for job in jobs]):
-            yield done.result()
-    finally:
-        # a reader who has enough waits for the files under way alone
-        pool.shutdown(cancel_futures=True)
+    yield from map_jobs(_make_file, jobs, workers=workers)
 
 
-def _make_file(
-    directory: Path, indices: Sequence[int], task: FieldTask | EvidenceTask, path: Path, seed: int | None
-) -> Path:
+def _make_file(job: tuple[Path, Sequence[int], FieldTask | EvidenceTask, Path, int | None]) -> Path:
+    directory, indices, task, path, seed = job
     data = _data_set(directory)
     frames = (_frame(data, index, seed) for index in indices)
     arrays = _field_arrays(frames, task) if isinstance(task, FieldTask) else _evidence_arrays(frames, task, directory)

@@ -59,15 +59,12 @@ class FrameLabels(ArrayTable):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scan:
-    """One scene of a shard as stored: beam profiles complex64 [beams, bins] or map values [range, azimuth]."""
+class _LabelledScene:
+    """Truth and facts of one scene."""
 
     index: int
-    profiles: np.ndarray | None
-    values: np.ndarray | None
     #: Of a beam for profiles, of a cell for values; per bin.
-    noise_power_mw: float
-    missing_beams: tuple[int, ...]
+    noise_power_mw: float = 0.0
     labels: FrameLabels
     place: str = ""
     relays: tuple[str, ...] = ()
@@ -81,37 +78,31 @@ class Scan:
     truth: tuple[TruthObject, ...] | None = None
     #: True positions [M, 2] of all images together if they do not pair with them; None: those of the labels.
     places_m: np.ndarray | None = None
-    #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
-    ego: VehicleState | None = None
     #: Pose of the radar in its frame at the start of the drive; None: the data set does not say.
     pose: Pose2 | None = None
     #: Walls in the radar's frame, exact and as a poor map has them; empty: the data set does not say.
     walls: tuple[PriorWall, ...] = ()
     map_walls: tuple[PriorWall, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scan(_LabelledScene):
+    """One scene of a shard as stored: beam profiles complex64 [beams, bins] or map values [range, azimuth]."""
+
+    profiles: np.ndarray | None
+    values: np.ndarray | None
+    missing_beams: tuple[int, ...]
+    #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
+    ego: VehicleState | None = None
     #: Radial speed of each bin of the profiles, [beams, bins], NaN in noise; None: not measured.
     radial_speed_mps: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame:
+class Frame(_LabelledScene):
     """A formed map with its truth and the facts of its scene."""
 
-    index: int
     ra_map: RangeAzimuthMap
-    labels: FrameLabels
-    place: str
-    relays: tuple[str, ...]
-    objects: tuple[str, ...]
-    hidden: tuple[int, ...]
-    scene_yaml: str
-    sequence: str
-    places_m: np.ndarray | None = None
-    truth: tuple[TruthObject, ...] | None = None
-    #: Of a beam for profiles, of a cell for values; per bin.
-    noise_power_mw: float = 0.0
-    pose: Pose2 | None = None
-    walls: tuple[PriorWall, ...] = ()
-    map_walls: tuple[PriorWall, ...] = ()
 
 
 #: A finite number of an array.
@@ -177,23 +168,8 @@ class DataSet:
     def frame(self, index: int, transform: Callable[[Scan], Scan] = lambda scan: scan) -> Frame:
         """Return one scene as a map with its truth; `transform` may replace its radar by another."""
         scan = transform(self.scan(index))
-        names = (
-            "index",
-            "labels",
-            "place",
-            "relays",
-            "objects",
-            "hidden",
-            "scene_yaml",
-            "sequence",
-            "places_m",
-            "truth",
-            "noise_power_mw",
-            "pose",
-            "walls",
-            "map_walls",
-        )
-        return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
+        known = {field.name: getattr(scan, field.name) for field in fields(_LabelledScene)}
+        return Frame(ra_map=scan_map(scan, self._interpolator), **known)
 
     def frames(self, indices: Iterable[int], transform: Callable[[Scan], Scan] = lambda scan: scan) -> Iterator[Frame]:
         """Yield scenes one after the other, as `frame` makes them."""
@@ -347,16 +323,9 @@ def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     if "places_m" in arrays:
         _check_offset(path, "place_offset", arrays.get("place_offset", np.zeros(0)), scenes, len(arrays["places_m"]))
     per_scene = (
-        "profiles",
-        "values",
-        "facts",
-        "scene_yaml",
-        "sequence",
-        "missing_beams",
-        "odometry",
-        "pose",
+        "profiles", "values", "facts", "scene_yaml", "sequence", "missing_beams", "odometry", "pose",
         "radial_speed_cmps",
-    )
+    )  # fmt: skip
     lengths = dict.fromkeys(per_scene, scenes)
     lengths |= {field.name: points for field in fields(FrameLabels)}
     for name, length in lengths.items():
@@ -401,13 +370,6 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         noise_power_mw=float(arrays["noise_power_mw"][scene]),
         missing_beams=tuple(int(beam) for beam in missing),
         labels=_labels(arrays, slice(*arrays["offset"][scene : scene + 2])),
-        place=facts.place,
-        relays=facts.relays,
-        objects=facts.objects,
-        hidden=facts.hidden,
-        truth=facts.truth,
-        walls=facts.walls,
-        map_walls=facts.map_walls,
         scene_yaml=str(arrays["scene_yaml"][scene]) if "scene_yaml" in arrays else "",
         sequence=str(arrays["sequence"][scene]) if "sequence" in arrays else "",
         places_m=arrays["places_m"][slice(*arrays["place_offset"][scene : scene + 2])]
@@ -416,6 +378,7 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         ego=_ego(path, arrays["odometry"][scene], scene) if "odometry" in arrays else None,
         pose=Pose2(*arrays["pose"][scene].tolist()) if "pose" in arrays else None,
         radial_speed_mps=_speeds(path, arrays, scene),
+        **msgspec.structs.asdict(facts),
         **measured,
     )
 
