@@ -24,12 +24,15 @@ GATE_M, TAPER_M = 0.15, 0.03
 PULSE_M = 0.1
 #: An echo names its gate where it lies this little below the gate's strongest.
 NAMED_DB = 20.0
-EFFECTS = frozenset({*PATH_EFFECTS, *WEIGHTS}) - {"ground_bounce", "object_interreflection", "vegetation", "atmosphere"}
+#: Those that the plane has: patches of a rough wall have random phases.
+EFFECTS = frozenset({*PATH_EFFECTS, *WEIGHTS}) - {
+    "ground_bounce", "object_interreflection", "vegetation", "atmosphere", "diffuse_scattering",
+}  # fmt: skip
 
 
 #: Echoes weaker than this below the strongest get no gate of their own: they would tie strong ones together.
 GATED_DB = 50.0
-#: What walls alone return; diffuse patches have random phases and are compared by power.
+#: What walls alone return.
 WALL_GROUPS = ("flash", "end", "radar twice mirrored")
 
 
@@ -85,7 +88,7 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
     def rays(effects: frozenset[str], frequency_hz: np.ndarray = SWEEP_HZ) -> RayField:
         amplitude = thread_amplitude(waves.empty, frequency_hz, THREAD_PERMITTIVITY)
         field = ray_field(world, effects, waves.grid, frequency_hz, amplitude)
-        field = field.take(np.isin(field.name, "diffuse", invert=True) & (field.delay_m < recorded_m))
+        field = field.take(field.delay_m < recorded_m)
         return field.take(np.isin(field.name, WALL_GROUPS, invert=target is not None))
 
     everything = rays(EFFECTS)

@@ -6,25 +6,20 @@ the antenna's height. In its weights the spherical 1 / L becomes the cylindrical
 
     flash of a wall, radar in a corner: factors H(L) for lambda sqrt(P) / (4 pi L), the field of the image source
     object by routes out and back: factors F H(L_o) H(L_b) for sqrt(P lambda^2 sigma / (4 pi)^3) / (L_o L_b)
-    patch ds of a rough wall: the same with F = sqrt(k w / 4), w = pi |r|^2 (1 - rho) cos^2 ds
 
-F is the scattering amplitude of the target, w an echo width (2 pi times power per angle over density), here that of
-Lambert's law in the plane, cos / 2 per radian; of Kirchhoff's lobe its form in the plane. The grid's wave number and
-line source stand for those of free space.
+F is the scattering amplitude of the target. The grid's wave number and line source stand for those of free space.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import hankel2
 
 from benchmarks.full_wave.line_source import LineGrid
 from models.physics.mirror import mirrored
-from models.physics.rough_lobe import RoughLobe
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.paths.conversion import weights
 from sim_player.paths.ray_tracing import trace_echoes
@@ -36,7 +31,6 @@ from sim_player.trace.effect_names import bit
 #: Bends and arcs turn a route by other angles than walls along the axes do.
 TURNS = bit("edge_diffraction") | bit("curved_wall")
 BENT_BY_MIRROR = bit("mirrored_diffraction")
-DIFFUSE = bit("diffuse_scattering")
 
 
 @dataclass(frozen=True)
@@ -72,10 +66,7 @@ def ray_field(
     unit_weight = echo_amplitude(world.radar, np.ones(1), np.ones(1))
     of_object = (factor * echoes.out_m * echoes.back_m / unit_weight) * there_and_back
     flash = factor / flash_weight(view, echoes.out_m + echoes.back_m) * round_trip
-    is_object, is_diffuse = echoes.object_index >= 0, (echoes.needs & DIFFUSE) > 0
-    field = np.where(
-        is_object, of_object * amplitude[:, None], np.where(is_diffuse, of_object * _plane(view, echoes), flash)
-    )
+    field = np.where(echoes.object_index >= 0, of_object * amplitude[:, None], flash)
     return RayField(field.T, _names(world, echoes), _delay_m(out_rad + back_rad, frequency_hz))
 
 
@@ -138,25 +129,6 @@ def _nearest_m(point: np.ndarray, others: np.ndarray) -> float:
     return float(np.linalg.norm(others - point, axis=1).min())
 
 
-def _plane(view: Snapshot, echoes: Echoes) -> np.ndarray:
-    """Return F in the plane over the square root of RCS of the product's patches, which are as high as they are lit.
-
-    The product's RCS is 4 |r|^2 (1 - rho) cos^2 h ds: Lambert's law in space, cos / pi per steradian.
-    """
-    world, wall = view.world, np.maximum(echoes.surface, 0)
-    height_m = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * echoes.out_m)
-    wave_per_m = 2.0 * np.pi / world.radar.wavelength_m
-    plane_of_space = np.full(len(echoes), np.pi / 4.0)
-    for index, surface in enumerate(world.scene.surfaces):
-        own = (world.wall_surface[wall] == index) & ((echoes.needs & DIFFUSE) > 0)
-        if surface.diffuse_lobe == "kirchhoff" and own.any():
-            cosine = np.minimum(np.abs(np.sum(echoes.depart[own, :2] * view.normal[wall[own]], axis=1)), 1.0)
-            lobe = RoughLobe(1e-3 * surface.roughness_mm, 1e-3 * surface.correlation_mm, world.radar.wavelength_m)
-            space = lobe.backscatter(cosine, 0.5 * height_m[own] / echoes.out_m[own])
-            plane_of_space[own] = replace(lobe, in_plane=True).backscatter(cosine) / np.maximum(space, 1e-300)
-    return np.asarray(np.sqrt(wave_per_m / 4.0 * plane_of_space / height_m))
-
-
 def _delay_m(phase_rad: np.ndarray, frequency_hz: np.ndarray) -> np.ndarray:
     """Return the group delay of every echo as a length [m]."""
     slope = (phase_rad[-1] - phase_rad[0]) / (2.0 * np.pi * (frequency_hz[-1] - frequency_hz[0]))
@@ -173,18 +145,12 @@ def _names(world: World, echoes: Echoes) -> list[str]:
     return ["end" if name == "flash" and away < NODE_M else name for name, away in zip(names, apart, strict=True)]
 
 
-_NAMED = ("edge_diffraction", "mirrored_diffraction", "second_relay", "diffuse_scattering", "non_cofocal")
+_NAMED = ("edge_diffraction", "mirrored_diffraction", "second_relay", "non_cofocal")
 
 
 def _name(needs: set[str], of_object: bool, same: bool, order: int) -> str:
     if not of_object:
-        return (
-            "diffuse"
-            if "diffuse_scattering" in needs
-            else "radar twice mirrored"
-            if "second_relay" in needs
-            else "flash"
-        )
+        return "radar twice mirrored" if "second_relay" in needs else "flash"
     if "mirrored_diffraction" in needs:
         return "mirrored, bent" if same else "mirrored, bent, mixed"
     if "edge_diffraction" in needs:

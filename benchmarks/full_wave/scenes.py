@@ -115,7 +115,7 @@ class MiniScene:
     def world(self, target_m: Point | None) -> World:
         """Return the product's world, with one isotropic centre of 1 m^2 where a target stands.
 
-        Walls keep their diffuse patches; their structure, small metal parts in space, has no counterpart in the plane.
+        The structure of walls, small metal parts in space, has no counterpart in the plane.
         """
         objects = ()
         if target_m is not None:

@@ -356,7 +356,8 @@ def _check_kinds(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> Scan:
-    measured = {name: arrays[name][scene] if name in arrays else None for name in ("profiles", "values")}
+    names = ("profiles", "values")
+    measured: dict[str, Any] = {name: arrays[name][scene] if name in arrays else None for name in names}
     for name, array in measured.items():
         if array is not None and not np.isfinite(array).all():
             raise ValueError(f"{path}: {name} of scene {scene} must be finite")
