@@ -265,7 +265,6 @@ class Proxy:
 QUEUE_S = 0.2
 _TUNSETIFF, _IFF_TAP, _IFF_NO_PI = 0x400454CA, 0x0002, 0x1000
 _TUN = "/dev/net/tun"
-_ETHERNET_HEADER = 14
 
 
 def why_no_namespaces() -> str:
