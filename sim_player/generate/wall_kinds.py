@@ -17,8 +17,9 @@ from typing import Literal
 import numpy as np
 from msgspec.structs import replace
 
-from models.physics.materials import band_note
-from sim_player.scene.description import Point, Scene, SceneRadar, Surface, check_scene
+from models.physics.materials import band_note, is_volume, wall_layers
+from msgs.values.radar import PRESETS
+from sim_player.scene.description import Point, Surface
 
 
 @dataclass(frozen=True)
@@ -97,13 +98,13 @@ class Line:
 @lru_cache(maxsize=64)
 def known(material: str, preset: Preset) -> bool:
     """Return whether a material was measured in the band of a radar: places draw no interpolated ones."""
-    wall = Surface(role="relay", material=material, polyline_m=((9.0, -1.0), (9.0, 1.0)), thickness_mm=100.0)
-    scene = Scene(name=material, radar=SceneRadar(preset=preset), surfaces=(wall,))
+    carrier_hz = PRESETS[preset].radar.carrier_hz
     try:
-        check_scene(scene)
+        if not is_volume(material):
+            wall_layers(material, 0.1, carrier_hz)
     except ValueError:
         return False
-    return not band_note(material, scene.setup.radar.carrier_hz)
+    return not band_note(material, carrier_hz)
 
 
 def kinds_at(preset: Preset) -> tuple[RelayKind, ...]:

@@ -15,10 +15,10 @@ from sim_player.paths.truth import visible_paths
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("recipe", [Recipe(), Recipe(places="street_v1"), Recipe(effects=("los_objects",))])
+@pytest.mark.parametrize("recipe", [Recipe(), Recipe(effects="basic"), Recipe(effects=("los_objects",))])
 def test_labels_come_back_and_lie_among_all_echoes(recipe: Recipe, tmp_path: Path) -> None:
     """Planned, basic and chosen effects: thinned ranges are equal to the last bit, and each is one of all."""
-    count = 8 if recipe.places == "street_v1" else 2
+    count = 8 if recipe.effects == "basic" else 2
     folder = write_dataset(tmp_path / "data", count, 3, recipe).parent
     shard, series = read_shard(folder / "shard-00000.npz"), json.loads((folder / "series.json").read_text())
     for index in range(count):

@@ -24,7 +24,6 @@ from sim_player.dataset.labelled_scan import noise_power_mw, profile_noise
 from sim_player.dataset.shards import Recipe, draw_scene, read_shard
 from sim_player.dataset.writer import write_dataset
 from sim_player.generate.places import random_place
-from sim_player.generate.streets import random_street
 from sim_player.generate.wall_kinds import known
 
 SETUP = RadarSetup()
@@ -34,7 +33,7 @@ BEAMS = len(SETUP.beams)
 @pytest.fixture(scope="module")
 def hard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two shifted streets."""
-    recipe = Recipe(places="street_v1", shift="hard", scenes_per_shard=2)
+    recipe = Recipe(effects="basic", shift="hard", scenes_per_shard=2)
     return write_dataset(tmp_path_factory.mktemp("hard"), 2, 5, recipe).parent
 
 
@@ -133,7 +132,7 @@ def test_shards_say_which_beams_are_missing(hard: Path) -> None:
 
 def test_same_seed_same_bytes(tmp_path: Path, hard: Path) -> None:
     """One scene first, then both: the folder knows its own series again."""
-    recipe = Recipe(places="street_v1", shift="hard", scenes_per_shard=2)
+    recipe = Recipe(effects="basic", shift="hard", scenes_per_shard=2)
     write_dataset(tmp_path, 1, 5, recipe)
     again = write_dataset(tmp_path, 2, 5, recipe).parent
     assert (again / "shard-00000.npz").read_bytes() == (hard / "shard-00000.npz").read_bytes()
@@ -141,13 +140,13 @@ def test_same_seed_same_bytes(tmp_path: Path, hard: Path) -> None:
 
 def test_series_without_shift_are_as_they_were(tmp_path: Path, hard: Path) -> None:
     """No new key in series.json, no new array in a shard; the hard series has the places of the plain one."""
-    recipe = Recipe(places="street_v1", scenes_per_shard=2)
+    recipe = Recipe(effects="basic", scenes_per_shard=2)
     assert "shift" not in recipe.described(5)
     plain = read_shard(write_dataset(tmp_path, 2, 5, recipe).parent / "shard-00000.npz")
     assert not {"missing_beams", "beam_gain"} & plain.keys()
     shifted, _ = draw_scene(msgspec.structs.replace(recipe, shift="hard"), 5, 1)
-    assert shifted.objects == random_street(5, 1).objects
-    assert shifted != random_street(5, 1)
+    assert shifted.objects == random_place(5, 1).objects
+    assert shifted != random_place(5, 1)
     with pytest.raises(ValueError, match=r"holds another data set: shift None, wanted \{.*hard"):
         write_dataset(tmp_path, 2, 5, msgspec.structs.replace(recipe, shift="hard"))
 
