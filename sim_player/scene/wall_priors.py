@@ -65,7 +65,13 @@ def scene_walls(
     ]
     to_vehicle = start_from_vehicle.inverse()
     walls = [to_vehicle.apply(ends_m) for ends_m in pieces if ends_m is not None]
-    nearest = sorted((ends_m for ends_m in walls if _fits_message(ends_m)), key=_distance_m)[:MAX_PRIOR_WALLS]
+    fitting = (
+        ends_m
+        for ends_m in walls
+        if MIN_WALL_LENGTH_M <= float(np.hypot(*(ends_m[1] - ends_m[0]))) <= MAX_WALL_LENGTH_M
+        and (np.abs(ends_m) <= MAX_WALL_DISTANCE_M).all()
+    )
+    nearest = sorted(fitting, key=_distance_m)[:MAX_PRIOR_WALLS]
     return WallPriors(
         stamp_ns=stamp_ns,
         source="scene",
@@ -120,11 +126,6 @@ def _drawn(ends_m: np.ndarray, errors: MapErrors | None, seed: list[int]) -> np.
     # ends keep their order, however short the wall
     reach_m = np.maximum(0.5 * length_m + errors.end_std_m * np.array(along), 0.5 * MIN_WALL_LENGTH_M)
     return middle_m + np.array([[-reach_m[0]], [reach_m[1]]]) * turned
-
-
-def _fits_message(ends_m: np.ndarray) -> bool:
-    length_m = float(np.hypot(*(ends_m[1] - ends_m[0])))
-    return MIN_WALL_LENGTH_M <= length_m <= MAX_WALL_LENGTH_M and bool((np.abs(ends_m) <= MAX_WALL_DISTANCE_M).all())
 
 
 def _distance_m(ends_m: np.ndarray) -> float:
