@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -60,12 +60,6 @@ class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     engine: Engine = "auto"
     #: Expected detections a scan below which a contribution is skipped; 0: none is.
     budget: float = BUDGET
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.budget < math.inf:
-            raise ValueError(f"options.budget must be finite and not negative, got {self.budget!r}")
-        if self.engine not in get_args(Engine):
-            raise ValueError(f"options.engine must be of {', '.join(get_args(Engine))}, got {self.engine!r}")
 
 
 #: Options that nobody set.

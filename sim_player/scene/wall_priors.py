@@ -9,13 +9,11 @@ from typing import Literal, get_args
 import msgspec
 import numpy as np
 
-from msgs.values.arrays import require_within
 from msgs.values.environment import (
     MAX_PRIOR_WALLS,
     MAX_WALL_DISTANCE_M,
     MAX_WALL_LENGTH_M,
     MIN_WALL_LENGTH_M,
-    WALL_STD_LIMITS,
     PriorWall,
     WallPriors,
 )
@@ -34,11 +32,6 @@ class MapErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     angle_std_rad: float = math.radians(0.5)
     end_std_m: float = 0.5
     missing_share: float = 0.2
-
-    def __post_init__(self) -> None:
-        for name, (least, largest) in WALL_STD_LIMITS.items():
-            require_within(f"map_errors.{name}", least, largest, getattr(self, name))
-        require_within("map_errors.missing_share", 0.0, 1.0, self.missing_share)
 
 
 #: Straight walls stand for an arc within this distance.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -154,19 +153,3 @@ def test_series_without_shift_are_as_they_were(tmp_path: Path, hard: Path) -> No
 def test_clutter_stands_at_millimetre_waves_too() -> None:
     assert known("vegetation", "77ghz")
     domain_shifted_scene(random_place(4, 3, "77ghz"), np.random.default_rng(2))
-
-
-@pytest.mark.parametrize(
-    ("values", "rule"),
-    [
-        ({"posts": (3, 2)}, r"shift\.posts must be two numbers 0 <= low <= high, got 3, 2"),
-        ({"beam_gain": (0.6, 1.1)}, r"shift\.beam_gain must not exceed 1, got 1\.1"),
-        ({"beam_phase_deg": float("nan")}, r"shift\.beam_phase_deg must be finite"),
-        ({"roughness_factor": (float("nan"), 2.0)}, r"shift\.roughness_factor must be"),
-    ],
-)
-def test_bands_that_cannot_be(values: dict[str, Any], rule: str) -> None:
-    with pytest.raises(ValueError, match=rule):
-        ShiftParams(**values)
-    with pytest.raises(ValueError, match="shift must be one of none, hard, got 'soft'"):
-        Recipe(shift="soft")  # type: ignore[arg-type]

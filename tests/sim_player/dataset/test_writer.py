@@ -427,6 +427,7 @@ def test_another_series_folder_is_refused(tmp_path: Path) -> None:
         ({"purpose": "peaks", "effects": ("squint",)}, "purpose must be samples unless effects are auto, got 'peaks'"),
         ({"places": "nowhere"}, "places must be one of any, street, .*, got 'nowhere'"),
         ({"preset": "spad"}, "preset must be one of xband, 77ghz, got 'spad'"),
+        ({"shift": "soft"}, "shift must be one of none, hard, got 'soft'"),
         ({"preset": "77ghz", "shift": "hard"}, "shift must be none for preset 77ghz: .* got 'hard'"),
         ({"budget_db": 0.0}, "budget_db must be negative"),
         ({"budget_db": float("nan")}, "budget_db must be negative"),

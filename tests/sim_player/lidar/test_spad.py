@@ -312,19 +312,6 @@ def test_cut_and_split_of_meshes() -> None:
     assert area.sum() == pytest.approx(2.0, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"budget": -1.0}, "options.budget must be finite and not negative, got -1.0"),
-        ({"budget": math.nan}, "options.budget must be finite and not negative, got nan"),
-        ({"engine": "fast"}, "options.engine must be of auto, closed, events, got 'fast'"),
-    ],
-)
-def test_options_are_refused(changes: dict, complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        SpadOptions(**changes)
-
-
 @pytest.mark.parametrize("index", [-1, 3])
 def test_paths_off_the_grid_are_refused(index: int) -> None:
     one = np.array([0], np.uint8)
