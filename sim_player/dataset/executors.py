@@ -130,8 +130,8 @@ def _slurm(
         raise ValueError("executor slurm needs Slurm's commands on this machine, srun is not found")
     pool = submitit.AutoExecutor(folder=scratch, cluster=cluster)
     plain = ("timeout_min", "cpus_per_task")
-    named = {key if key in plain else f"slurm_{key}": value for key, value in options.items()}
-    pool.update_parameters(slurm_array_parallelism=workers, **named)
+    parameters = {key if key in plain else f"slurm_{key}": value for key, value in options.items()}
+    pool.update_parameters(slurm_array_parallelism=workers, **parameters)
     tasks = pool.map_array(partial(_caught, function), jobs)
     try:
         for task in submitit.helpers.as_completed(tasks, poll_frequency=10.0 if cluster == "slurm" else 0.2):

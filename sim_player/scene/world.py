@@ -449,7 +449,7 @@ def _builds(
     volumes, place = np.unique(wall_surface[wall_stack < 0], return_inverse=True)
     wall_build = wall_stack.astype(np.int32)
     wall_build[wall_stack < 0] = len(stacks) + place
-    rows = []
+    rows: list[np.ndarray] = []
     for layers in stacks:
         permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
         if np.isinf(thicknesses).any():
