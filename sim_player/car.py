@@ -47,14 +47,17 @@ class SimulatedCar:
 
     def __init__(self, database: Database, mapping: CanMapping, start_ns: int = 0) -> None:
         by_name = {message.name: message for message in database.messages}
-        names = dict.fromkeys(_message_names(mapping))
+        quantities = _rules(mapping)
+        signs = [rule.negative_while.message for rule in quantities.values() if rule.negative_while is not None]
+        # in the order in which the mapping names them
+        names = dict.fromkeys([rule.message for rule in quantities.values()] + signs)
         for name in names:
             if name not in by_name:
                 raise ValueError(f"messages.{name}: the DBC has no message {name!r}")
         rules = mapping.messages
         self._quantities = [
             (name, Quantity(name.replace(" ", "_"), rule, by_name[rule.message], _DIMENSIONS[name]))
-            for name, rule in _rules(mapping).items()
+            for name, rule in quantities.items()
         ]
         self._senders = [_Sender(by_name[name], rules.get(name, MessageRule()), start_ns) for name in names]
 
@@ -133,13 +136,6 @@ def _rules(mapping: CanMapping) -> dict[str, QuantityRule]:
         return mapping.quantities
     sides = {"left wheels": wheels.side(wheels.left), "right wheels": wheels.side(wheels.right)}
     return {**mapping.quantities, **sides}
-
-
-def _message_names(mapping: CanMapping) -> list[str]:
-    """Return the messages of a mapping in the order in which it names them."""
-    rules = _rules(mapping).values()
-    signs = [rule.negative_while.message for rule in rules if rule.negative_while is not None]
-    return [rule.message for rule in rules] + signs
 
 
 _DIMENSIONS = {**DIMENSIONS, "left wheels": Dimension.SPEED, "right wheels": Dimension.SPEED}

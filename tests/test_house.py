@@ -33,7 +33,7 @@ ROOMS = {
 }
 #: Rooms of the simulator, each of which knows those before it alone.
 WORLD = (
-    *("bodies", "scene", "maps", "generate", "trace", "signal", "effects", "paths", "planner", "player", "drive"),
+    *("bodies", "scene", "maps", "generate", "trace", "signal", "effects", "paths", "planner", "drive", "player"),
     *("lidar", "dataset"),
 )
 #: Python files in one folder, `__init__.py` apart.

@@ -24,7 +24,8 @@ from mirrorwave.console import progress_bar
 from models.vehicle.mounting import Mounting
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.frames import Pose2
-from sim_player.drive import Drive, DrivePlayer
+from sim_player.drive import Drive
+from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene, Surface
 
 TRUE, PRIOR = Pose2(1.4, 0.2, math.radians(2.0)), Pose2(1.2, 0.0, 0.0)
@@ -64,16 +65,17 @@ def winding(duration_s: float, seed: int) -> Drive:
     time_s = np.arange(-3.0, duration_s + 3.0, 0.05)
     speed_rad, turn_rad = np.random.default_rng([seed, 22]).uniform(0.0, 2.0 * np.pi, 2)
     speed_mps = 4.0 + 2.0 * np.sin(2.0 * np.pi * time_s / 7.0 + speed_rad)
-    return Drive(time_s, speed_mps, 0.25 * np.sin(2.0 * np.pi * time_s / 9.0 + turn_rad))
+    return Drive(time_s, speed_mps, 0.25 * np.sin(2.0 * np.pi * time_s / 9.0 + turn_rad), TRUE)
 
 
 def record(path: Path, seed: int, scans: int, chirps: int) -> None:
     """The drive as a recording: set-up, states, beams."""
     duration_s = scans * 0.3
-    player = DrivePlayer(yard(), winding(duration_s, seed), TRUE, seed, START_NS, chirps)
+    drive = winding(duration_s, seed)
+    player = ScenePlayer(yard(), seed, start_ns=START_NS, chirps_per_beam=chirps, drive=drive)
     with RecordingWriter(path, {"scene": "yard", "seed": str(seed)}) as writer:
         writer.write("radar/setup", player.setup, publisher="player", sequence=0, sent_ns=0)
-        for number, state in enumerate(player.states(duration_s, noise=NOISE, late_s=LATE_S)):
+        for number, state in enumerate(drive.states(duration_s, START_NS, seed, NOISE, LATE_S)):
             writer.write("vehicle/state", state, publisher="player", sequence=number, sent_ns=state.stamp_ns)
         beams = len(player.setup.beams)
         with progress_bar("scans", scans) as advance:

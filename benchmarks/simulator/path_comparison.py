@@ -11,6 +11,7 @@ import numpy as np
 
 from lab.foreign.export import ExportedSurface, SurfaceKind
 from lab.foreign.one_way import OneWayPaths, as_routes, meets_own_object, surface_columns
+from sim_player.bodies.triangles import first_hit, search_tree
 from sim_player.effects.curved_wall import arc_routes
 from sim_player.effects.second_relay import two_wall_routes
 from sim_player.effects.table import PATHS
@@ -296,28 +297,13 @@ def route_vertices(view: Snapshot, route: Routes) -> np.ndarray:
 def mesh_blocker(surfaces: tuple[ExportedSurface, ...], vertices_m: np.ndarray) -> SurfaceKind | None:
     """Return the kind of the first exported surface that cuts a path between its vertices [N, 3]; double precision."""
     for surface in surfaces:
+        tree = search_tree(surface.mesh.corners_m)
         for start, end in pairwise(vertices_m):
-            if _cuts(surface.mesh.corners_m, start, end):
+            length_m = float(np.linalg.norm(end - start))
+            ray = tuple((end - start) / length_m)
+            if first_hit(*tree, 0, tuple(start), ray, SELF_M)[0] < length_m - SELF_M:
                 return surface.kind
     return None
-
-
-def _cuts(corners_m: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
-    """Return whether a triangle [F, 3, 3] cuts a segment away from its ends (Moeller and Trumbore)."""
-    ray = end - start
-    first, second = corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0]
-    across = np.cross(ray, second)
-    determinant = np.einsum("fi,fi->f", first, across)
-    parallel = np.abs(determinant) < 1e-12
-    inverse = 1.0 / np.where(parallel, 1.0, determinant)
-    offset = start - corners_m[:, 0]
-    u = np.einsum("fi,fi->f", offset, across) * inverse
-    turned = np.cross(offset, first)
-    v = turned @ ray * inverse
-    along = np.einsum("fi,fi->f", second, turned) * inverse
-    margin = SELF_M / np.linalg.norm(ray)
-    inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (along > margin) & (along < 1.0 - margin)
-    return bool((inside & ~parallel).any())
 
 
 def edge_distance_m(surfaces: tuple[ExportedSurface, ...], vertices_m: np.ndarray) -> float:

@@ -1,7 +1,7 @@
 """Physics anchors: what the simulator says where a textbook knows the answer.
 
 Run from the root of the checkout: python -m benchmarks.simulator.physics_anchors [--json]
-The tests in tests/sim_player/bodies/test_mesh_rcs.py assert the same anchors.
+The tests in tests/lab/full_wave/test_shot_rays.py assert the same anchors.
 """
 
 from __future__ import annotations

@@ -7,9 +7,8 @@ level), and the paths that are left by one that is asked for beats.
 `--alone N` drops each effect alone in the first N scenes: bound minus actual change, both laws. Times are processor
 times of this process at the kernel level: `all` is tracing and signal of everything, `auto` planning (tracing included)
 and signal of what is left.
-`--rows FILE` keeps the rows of scenes that are done (JSON lines), and goes on where it ended.
 Usage: python -m benchmarks.simulator.planner_law [--scenes 500] [--alone 60] [--seed 3]
-                                        [--preset xband] [--rows FILE.jsonl] [--out FILE.json] [--pictures DIR]
+                                        [--preset xband] [--out FILE.json]
 """
 
 from __future__ import annotations
@@ -43,7 +42,6 @@ Preset = Literal["xband", "77ghz"]
 BUDGETS_DB = (-10.0, -20.0, -30.0)
 #: Single effects that change less are told apart from rounding no more.
 LEAST_DB = -80.0
-SCANS = 100
 
 
 def timed(call: Callable[[], Any]) -> tuple[float, Any]:
@@ -142,7 +140,6 @@ def _plan_row(place: Place, purpose: Purpose, budget_db: float) -> dict[str, Any
         "plan_s": answer_s - place.everything[0],
         "select_s": select_s - answer_s,
         "auto_s": answer_s + signal_s,
-        "kept_s": signal_s,
         "kept": len(plan.echoes),
         "squints": int(plan.squints.sum()),
         "overlaps": int(plan.overlaps.sum()),
@@ -205,8 +202,6 @@ def _summary_of(rows: list[dict[str, Any]], position: int, purpose: Purpose, bud
 
     both = list(zip(mine, rows, strict=True))
     ratios = [row["all_s"] / one["auto_s"] for one, row in both]
-    # a recording at rest, every scan made anew against a plan that is kept
-    recorded = [SCANS * row["all_s"] / (one["auto_s"] + (SCANS - 1) * one["kept_s"]) for one, row in both]
     return {
         "purpose": purpose.value,
         "budget_db": budget_db,
@@ -221,8 +216,6 @@ def _summary_of(rows: list[dict[str, Any]], position: int, purpose: Purpose, bud
         "planning_share": median(one["plan_s"] / row["all_s"] for one, row in both),
         "ratio_median": median(ratios),
         "ratio_p10_p90": np.percentile(ratios, [10, 90]).tolist(),
-        "ratio_large": median([ratio for ratio, row in zip(ratios, rows, strict=True) if row["paths"] > 1500] or [0.0]),
-        "ratio_recording": median(recorded),
         **{
             name: median(one[name] / max(row["paths"], 1) for one, row in both)
             for name in ("kept", "squints", "overlaps")
@@ -246,57 +239,18 @@ def _slack(alone: list[dict[str, Any]], purpose: Purpose) -> dict[str, Any]:
     }
 
 
-def draw_worst(rows: list[dict[str, Any]], seed: int, preset: Preset, out: Path, count: int = 10) -> None:
-    """The scenes nearest to their budget of -20 dB for samples: map of all, and where the planned one is off."""
-    from mirrorwave.plots.scene import draw_scene
-    from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, save
-
-    rank = sorted(range(len(rows)), key=lambda index: -rows[index]["plans"][1]["left_db"])[:count]
-    figure = new_figure(10.0, 2.3 * len(rank) + 0.8)
-    axes = figure.subplots(len(rank), 3, squeeze=False, width_ratios=(1.0, 1.2, 1.2))
-    for (first, second, third), index in zip(axes, rank, strict=True):
-        place = Place(seed, index, preset)
-        setup, scene = place.setup, place.world.scene
-        plan = plan_world(place.world, setup, -20.0)
-        planned = planned_profiles(plan, setup, index) + place.noise(plan)
-        ratio = cells_of(setup).off(place.reference, planned, place.rms)[len(setup.beams) :]
-        grid = cells_of(setup).values(place.reference)[len(setup.beams) :]
-        draw_scene(first, scene)
-        first.set_title(f"{scene.name}: {rows[index]['plans'][1]['left_db']:.1f} dB off", fontsize=8)
-        first.set_xlabel("y, left [m]", fontsize=8)
-        first.set_ylabel("x, forward [m]", fontsize=8)
-        extent = (0.0, 512 * setup.radar.range_bin_m, -60.0, 60.0)
-        level_db = 20.0 * np.log10(np.maximum(np.abs(grid) / place.rms, 1e-3))
-        for axis, image, limits, name in (
-            (second, level_db, (0.0, 80.0), "all effects: level over noise [dB]"),
-            (third, 20.0 * np.log10(np.maximum(ratio, 1e-6)), (-80.0, -20.0), "off by [dB], budget -20 dB"),
-        ):
-            shown = axis.imshow(image, aspect="auto", extent=extent, origin="lower", vmin=limits[0], vmax=limits[1])
-            figure.colorbar(shown, ax=axis).ax.tick_params(labelsize=8)
-            axis.set_title(name, fontsize=9)
-            axis.set_xlabel("range [m]", fontsize=8)
-            axis.set_ylabel("azimuth [deg]", fontsize=8)
-    for axis in axes.ravel():
-        axis.tick_params(labelsize=8)
-    legend_of_figure(figure, handles_of(*axes[:, 0]), columns=3)
-    out.mkdir(parents=True, exist_ok=True)
-    save(figure, out / "planner_worst.png")
-
-
 def report(found: dict[str, Any]) -> None:
     """Print it."""
     for one in found["plans"]:
         low, high = one["ratio_p10_p90"]
-        ratios = f"all / auto {one['ratio_median']:.2f} (p10..p90 {low:.2f}..{high:.2f}; over 1,500 paths"
         print(
             f"{one['purpose']:7s} budget {one['budget_db']:4.0f} dB  violations {one['violations']} of "
             f"{2 * found['scenes']}, over its bound {one['over_bound']}  median {one['left_median_db']:.1f} worst "
             f"{one['left_worst_db']:.1f} (evaluated {one['evaluated_worst_db']:.1f}) dB  level over threshold moves "
             f"{one['moved_worst_db']:.2f} dB at most, {one['crossings_median']:.0f} cells cross\n"
-            f"    {one['answered']} evaluated, "
-            f"planning / all {one['planning_share']:.2f}  {ratios} {one['ratio_large']:.2f}; {SCANS} scans "
-            f"{one['ratio_recording']:.0f})  left: "
-            f"paths {one['kept']:.2f}, squint {one['squints']:.2f}, overlap {one['overlaps']:.2f}"
+            f"    {one['answered']} evaluated, planning / all {one['planning_share']:.2f}  all / auto "
+            f"{one['ratio_median']:.2f} (p10..p90 {low:.2f}..{high:.2f})  left: paths {one['kept']:.2f}, "
+            f"squint {one['squints']:.2f}, overlap {one['overlaps']:.2f}"
         )
         print("    used of present: " + ", ".join(f"{k} {u}/{p}" for k, (u, p) in one["used"].items()))
     for one in found["alone"]:
@@ -308,39 +262,25 @@ def report(found: dict[str, Any]) -> None:
             print("    " + ", ".join(f"{name} {value:.1f}" for name, (value, _) in one["by_effect"].items()))
 
 
-def all_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """Rows of all scenes; those that are there already are read."""
-    done = []
-    if arguments.rows and arguments.rows.exists():
-        done = [json.loads(line) for line in arguments.rows.read_text().splitlines()][: arguments.scenes]
-    for index in track(range(len(done), arguments.scenes), transient=True):
-        done.append(scene_rows(arguments.seed, index, arguments.preset, index < arguments.alone))
-        if arguments.rows:
-            with arguments.rows.open("a") as file:
-                file.write(json.dumps(done[-1]) + "\n")
-    return done
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=500)
     parser.add_argument("--alone", type=int, default=60)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--preset", choices=("xband", "77ghz"), default="xband")
-    parser.add_argument("--rows", type=Path)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--pictures", type=Path)
     arguments = parser.parse_args()
     scene_rows(arguments.seed, 0, arguments.preset, False)  # compiles and fills the kernels
-    rows = all_rows(arguments)
+    rows = [
+        scene_rows(arguments.seed, index, arguments.preset, index < arguments.alone)
+        for index in track(range(arguments.scenes), transient=True)
+    ]
     found = summary(rows)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
     found |= {"machine": machine, "seed": arguments.seed, "preset": arguments.preset, "effects": sorted(ALL_EFFECTS)}
     report(found)
     if arguments.out:
         arguments.out.write_text(json.dumps({"summary": found, "rows": rows}))
-    if arguments.pictures:
-        draw_worst(rows, arguments.seed, arguments.preset, arguments.pictures)
 
 
 if __name__ == "__main__":

@@ -223,7 +223,7 @@ class SpadSensor:
         photons += confocal_photons(
             spad, mirror.to_wall_m, matt, mirror.beyond_m, mirror.cos_incidence, mirror.cos_incidence, area_m2, albedo
         )
-        earlier = direct_photons(spad, mirror.to_wall_m, matt, mirror.cos_incidence) if self.options.merge else 0.0
+        earlier = direct_photons(spad, mirror.to_wall_m, matt, mirror.cos_incidence)
         return float(photon_snr(spad, mirror.range_m, photons, earlier, mirror.to_wall_m))
 
     def energy_j(self, equal: Equal) -> float:

@@ -176,7 +176,7 @@ def _parts(setting: bytes) -> SharedParts:
 def image_truth(player: ScenePlayer, scan: int = 0, stamp_ns: int | None = None) -> list[ImageTruth]:
     """Return the visible truth of each object of a scene at a time; None: when a scan begins."""
     at_ns = player.stamp_ns(scan) if stamp_ns is None else stamp_ns
-    paths = player.paths(s_from_ns(at_ns - player.setup.stamp_ns), scan)
+    paths = player.paths(s_from_ns(at_ns - player.setup.stamp_ns))
     images = object_images(player.setup, paths, len(player.scene.objects))
     return [
         ImageTruth(direct=bool(direct), mirrored=bool(mirrored), snr_db=_known(snr_db), single_snr_db=_known(single))

@@ -28,13 +28,13 @@ class ForeignPlayer(ScenePlayer):
         self._foreign: Paths | None = None
         super().__init__(scene, seed, setup, effects="all")
 
-    def paths(self, time_s: float, scan: int = 0) -> Paths:
+    def paths(self, time_s: float) -> Paths:
         """Return all paths; at any time the same."""
         if self._foreign is None:
-            self._foreign = self._trace()
+            self._foreign = self._trace_foreign()
         return self._foreign
 
-    def _trace(self) -> Paths:
+    def _trace_foreign(self) -> Paths:
         if self.scene.moves:
             raise ValueError(f"scene {self.scene.name}: a foreign world is at rest, this one moves")
         view = snapshot(clear_of_bodies(self._world))
@@ -45,4 +45,4 @@ class ForeignPlayer(ScenePlayer):
 
     def _all_beats(self) -> np.ndarray:
         """Return the echoes of every beam, complex128 [beams, samples]."""
-        return beam_beats(self.setup, self.paths(0.0), self.signal(0), self.scene.radar.front_end)
+        return beam_beats(self.setup, self.paths(0.0), self.signal, self.scene.radar.front_end)

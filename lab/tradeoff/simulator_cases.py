@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
+from lab.full_wave.shot_rays import mesh_field
 from lab.full_wave.smooth import SMOOTH_WALLS
 from msgs.values.radar import RadarSetup
-from sim_player.bodies.mesh_rcs import mesh_field
 from sim_player.bodies.meshes import primitive_mesh
 from sim_player.effects.table import ALL_EFFECTS, PATHS, WEIGHTS, check_effects
 from sim_player.generate.places import random_place

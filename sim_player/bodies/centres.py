@@ -24,15 +24,15 @@ from typing import Any
 import numpy as np
 
 from sim_player.bodies.fields import FACE_CORNERS
-from sim_player.bodies.mesh_rcs import (
-    _any_free,
-    _reflection_table,
-    _search_tree,
+from sim_player.bodies.meshes import Mesh, components, cylinder, directed_edges
+from sim_player.bodies.triangles import (
+    any_free,
     covered,
     cut_triangles,
+    reflection_table,
+    search_tree,
     triangle_areas,
 )
-from sim_player.bodies.meshes import Mesh, cylinder
 
 CELL_M, WHOLE_M = 0.15, 0.5
 #: Longest side of a triangle, and how straight its phase is to be for a radar at the distance of the start: 0.1 m at
@@ -117,7 +117,7 @@ def joined_bodies(bodies: list[Body], wavelength_m: float) -> Bodies:
     for body in bodies:
         root = -1
         if len(body.blocking_m):
-            corners, bounds, first, count = _search_tree(body.blocking_m)
+            corners, bounds, first, count = search_tree(body.blocking_m)
             root = nodes
             trees.append((corners, bounds, first + np.where(count > 0, tree_faces, nodes), count))
             tree_faces, nodes = tree_faces + len(corners), nodes + len(bounds)
@@ -133,17 +133,14 @@ def joined_bodies(bodies: list[Body], wavelength_m: float) -> Bodies:
         return np.concatenate([np.zeros((0, *shape), kind), *(getattr(body, name) for body in bodies)])
 
     span = np.concatenate(spans)
-    position_m, face_normal, face_m = (
-        joined("position_m", 3),
-        joined("face_normal", 3),
-        joined("face_m", FACE_CORNERS, 3),
-    )
+    position_m, face_normal = joined("position_m", 3), joined("face_normal", 3)
+    face_m = joined("face_m", FACE_CORNERS, 3)
     owner = np.repeat(np.arange(len(span)), span[:, 1])
     shift = np.cumsum([0, *(len(body.face_m) for body in bodies)])
     numbered = [np.where(body.sequence >= 0, body.sequence + shift[i], -1) for i, body in enumerate(bodies)]
     extent = [np.ptp(body.blocking_m.reshape(-1, 3), axis=0).max() if len(body.blocking_m) else 1.0 for body in bodies]
     empty = np.zeros((0, 3, 3)), np.zeros((0, 2, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
-    tables = np.array([_reflection_table(material, wavelength_m) for material in materials])
+    tables = np.array([reflection_table(material, wavelength_m) for material in materials])
     return (
         position_m,
         joined("size_m", 2),
@@ -213,14 +210,9 @@ def _cylinder(mesh: Mesh, wavelength_m: float, diameter_m: float, height_m: floa
 
 def _joined(first: Body, second: Body) -> Body:
     """Return the centres of two bodies of which the first has no triangles."""
-    return replace(
-        second,
-        position_m=np.concatenate([first.position_m, second.position_m]),
-        normal=np.concatenate([first.normal, second.normal]),
-        peak_rcs_m2=np.concatenate([first.peak_rcs_m2, second.peak_rcs_m2]),
-        size_m=np.concatenate([first.size_m, second.size_m]),
-        span=np.concatenate([first.span, second.span]),
-    )
+    names = "position_m", "normal", "peak_rcs_m2", "size_m", "span"
+    joined: dict[str, Any] = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names}
+    return replace(second, **joined)
 
 
 def _faceted(mesh: Mesh, wavelength_m: float, range_m: float) -> Body:
@@ -238,21 +230,30 @@ def _faceted(mesh: Mesh, wavelength_m: float, range_m: float) -> Body:
     if not convex:
         pieces, normal = _visible(mesh, pieces, normal, two_sided)
         faces, turned = _mirrors(mesh, hollow)
-        body = replace(_with_faces(body, faces, turned), blocking_m=mesh.corners_m, hollow=hollow)
         sequences, at_m = _sequences(faces, turned, two_sided, ROUNDING * size_m)
-        body = replace(body, sequence=sequences)
+        padded = [np.concatenate([face, np.tile(face[-1], (FACE_CORNERS - len(face), 1))]) for face in faces]
+        body = replace(
+            body,
+            face_m=np.array(padded).reshape(-1, FACE_CORNERS, 3),
+            face_corners=np.array([len(face) for face in faces], np.int64),
+            face_normal=turned,
+            blocking_m=mesh.corners_m,
+            hollow=hollow,
+            sequence=sequences,
+        )
     if len(pieces) > MAX_PIECES:
         pieces, normal = _merged(pieces, normal)
     if len(body.sequence) and size_m <= WHOLE_M:
-        apex = at_m[0]
-        return _one_centre(body, pieces, normal, apex, wavelength_m)
+        return _one_centre(body, pieces, normal, at_m[0], wavelength_m)
     cells = _cells_of(body, pieces, normal, wavelength_m, 1.01 * WHOLE_M if size_m <= WHOLE_M else CELL_M)
     return _with_corners(cells, at_m, wavelength_m) if len(body.sequence) else cells
 
 
 def _one_sided(mesh: Mesh) -> tuple[bool, bool]:
     """Return whether a mesh hides nothing of itself, and whether all of it lies on one side of each of its faces."""
-    planes = np.unique(np.round(np.column_stack([mesh.normals, _offsets(mesh)]), 6), axis=0)
+    planes = np.unique(
+        np.round(np.column_stack([mesh.normals, np.einsum("fi,fi->f", mesh.normals, mesh.corners_m[:, 0])]), 6), axis=0
+    )
     if len(planes) > 4096:
         return False, False
     above = mesh.vertices_m @ planes[:, :3].T - planes[:, 3]
@@ -262,13 +263,9 @@ def _one_sided(mesh: Mesh) -> tuple[bool, bool]:
     return flat or (mesh.closed and bool(high.all())), len(planes) <= 2 * MAX_MIRRORS and bool((low | high).all())
 
 
-def _offsets(mesh: Mesh) -> np.ndarray:
-    return np.einsum("fi,fi->f", mesh.normals, mesh.corners_m[:, 0])
-
-
 def _visible(mesh: Mesh, pieces: np.ndarray, normal: np.ndarray, two_sided: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the pieces that something outside can see, and their normals."""
-    tree, step = _search_tree(mesh.corners_m), 10.0 * ROUNDING * float(mesh.extent_m.max())
+    tree, step = search_tree(mesh.corners_m), 10.0 * ROUNDING * float(mesh.extent_m.max())
     height = (np.arange(LOOKS) + 0.5) / LOOKS
     turn = np.pi * (3.0 - math.sqrt(5.0)) * np.arange(LOOKS)
     level = np.sqrt(1.0 - height**2)
@@ -278,9 +275,9 @@ def _visible(mesh: Mesh, pieces: np.ndarray, normal: np.ndarray, two_sided: bool
     local = np.stack([first, np.cross(normal, first), normal], axis=1)
     sequences = np.einsum("la,kai->kli", looks, local)
     middle = pieces.mean(axis=1)
-    visible = _any_free(*tree, middle + step * normal, sequences)
+    visible = any_free(*tree, middle + step * normal, sequences)
     if two_sided:
-        visible |= _any_free(*tree, middle - step * normal, -sequences)
+        visible |= any_free(*tree, middle - step * normal, -sequences)
     return pieces[visible], normal[visible]
 
 
@@ -377,9 +374,11 @@ def _one_centre(body: Body, pieces: np.ndarray, normal: np.ndarray, apex: np.nda
 def _with_corners(body: Body, at_m: np.ndarray, wavelength_m: float) -> Body:
     """Return a body with a centre at each point to which ways by several faces belong, [Q, 3]."""
     _, first, label = np.unique(np.round(at_m, 6), axis=0, return_index=True, return_inverse=True)
-    label = np.asarray(label).ravel()
+    label = label.ravel()
     order, count = np.argsort(label, kind="stable"), np.bincount(label)
-    area = _face_areas(body)[body.sequence[:, 0]]
+    # corners of a face beyond their number repeat the last one
+    around = np.cross(body.face_m[:, 1:-1] - body.face_m[:, :1], body.face_m[:, 2:] - body.face_m[:, :1]).sum(axis=1)
+    area = 0.5 * np.linalg.norm(around, axis=1)[body.sequence[:, 0]]
     peak = 4.0 * np.pi * (np.bincount(label, area) / wavelength_m) ** 2
     starts = np.cumsum(count) - count
     spans = np.column_stack([np.zeros((len(count), 2), np.int64), starts, count])
@@ -394,19 +393,6 @@ def _with_corners(body: Body, at_m: np.ndarray, wavelength_m: float) -> Body:
         span=spans,
     )
     return replace(_joined(corners, body), sequence=body.sequence[order])
-
-
-def _face_areas(body: Body) -> np.ndarray:
-    """Return the areas of the plane faces, [P]; corners beyond their number repeat the last one."""
-    around = np.cross(body.face_m[:, 1:-1] - body.face_m[:, :1], body.face_m[:, 2:] - body.face_m[:, :1]).sum(axis=1)
-    return np.asarray(0.5 * np.linalg.norm(around, axis=1))
-
-
-def _with_faces(body: Body, faces: list[np.ndarray], normal: np.ndarray) -> Body:
-    """Return a body with plane faces, each an array of corners."""
-    corners = np.array([len(face) for face in faces], np.int64)
-    padded = [np.concatenate([face, np.tile(face[-1], (FACE_CORNERS - len(face), 1))]) for face in faces]
-    return replace(body, face_m=np.array(padded).reshape(-1, FACE_CORNERS, 3), face_corners=corners, face_normal=normal)
 
 
 def _mirrors(mesh: Mesh, hollow: bool) -> tuple[list[np.ndarray], np.ndarray]:
@@ -439,19 +425,12 @@ def _mirrors(mesh: Mesh, hollow: bool) -> tuple[list[np.ndarray], np.ndarray]:
 
 def _plane_parts(mesh: Mesh) -> list[np.ndarray]:
     """Return the triangles of each plane part of a mesh that hangs together by edges."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(mesh.faces)
-    edges = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    _, label = np.unique(edges, axis=0, return_inverse=True)
-    order = np.argsort(np.asarray(label).ravel(), kind="stable")
+    label = np.unique(np.sort(directed_edges(mesh.faces), axis=1), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(label, kind="stable")
     first, second = order[:-1] // 3, order[1:] // 3
-    sorted_label = np.asarray(label).ravel()[order]
     flat = np.abs(np.einsum("ei,ei->e", mesh.normals[first], mesh.normals[second])) > 1.0 - 1e-9
-    joins = (sorted_label[:-1] == sorted_label[1:]) & flat
-    graph = coo_array((np.ones(joins.sum(), np.int8), (first[joins], second[joins])), shape=(count, count))
-    number, part = connected_components(graph, directed=False)
+    joins = (label[order[:-1]] == label[order[1:]]) & flat
+    number, part = components(len(mesh.faces), first[joins], second[joins])
     by_part = np.argsort(part, kind="stable")
     parts = np.split(by_part, np.cumsum(np.bincount(part, minlength=number))[:-1])
     largest = sorted(parts, key=lambda members: -float(mesh.areas_m2[members].sum()))
@@ -468,19 +447,19 @@ def _hull(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
     order = np.lexsort((flat[:, 1], flat[:, 0]))
     slack = 1e-9 * float(np.ptp(flat)) ** 2
 
+    def turn(a: int, b: int, c: int) -> float:
+        first, second = flat[b] - flat[a], flat[c] - flat[a]
+        return float(first[0] * second[1] - first[1] * second[0])
+
     def half(rows: np.ndarray) -> list[int]:
         kept: list[int] = []
         for row in rows:
-            while len(kept) >= 2 and _turn(flat[kept[-2]], flat[kept[-1]], flat[row]) <= slack:
+            while len(kept) >= 2 and turn(kept[-2], kept[-1], row) <= slack:
                 kept.pop()
             kept.append(int(row))
         return kept[:-1]
 
     return np.asarray(points[half(order) + half(order[::-1])])
-
-
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def _polygon_area(corners: np.ndarray) -> float:

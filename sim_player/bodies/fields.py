@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from models.compiled import compiled
-from sim_player.bodies.mesh_rcs import _ahead, _cross, _dot, _first_hit, _lookup, _radiated, _reflected, _row, _sinc
+from sim_player.bodies.triangles import ahead, cross, dot, first_hit, lookup, radiated_field, reflected, row, sinc
 
 #: Largest number of corners of a face, and of such a face cut by two beams.
 FACE_CORNERS, CUT_CORNERS = 12, 48
@@ -37,11 +37,11 @@ def body_echo(bodies, centre, wavenumber, there, here):  # type: ignore[no-untyp
     routes gives the same.
     """
     size = bodies[1]
-    source, receiver = _ahead((0.0, 0.0, 0.0), -there.length_m, there.arrive), (0.0, 0.0, 0.0)
+    source, receiver = ahead((0.0, 0.0, 0.0), -there.length_m, there.arrive), (0.0, 0.0, 0.0)
     same = there.length_m == here.length_m and (
         there.arrive[0] == here.arrive[0] and there.arrive[1] == here.arrive[1] and there.arrive[2] == here.arrive[2]
     )
-    receiver = source if same else _ahead((0.0, 0.0, 0.0), -here.length_m, here.arrive)
+    receiver = source if same else ahead((0.0, 0.0, 0.0), -here.length_m, here.arrive)
     if size[centre, 0] > 0.0:
         return _round_field(bodies, centre, source, receiver, wavenumber)
     field = _flat_field(bodies, centre, source, receiver, wavenumber)
@@ -50,7 +50,7 @@ def body_echo(bodies, centre, wavenumber, there, here):  # type: ignore[no-untyp
 
 @compiled(error_model="numpy")
 def _unit(a):  # type: ignore[no-untyped-def]
-    length = math.sqrt(_dot(a, a))
+    length = math.sqrt(dot(a, a))
     return a[0] / length, a[1] / length, a[2] / length
 
 
@@ -60,23 +60,23 @@ def _upright(towards):  # type: ignore[no-untyped-def]
     flat = math.hypot(towards[0], towards[1])
     # straight from above: as `mesh_field` has it
     if flat < 1e-9:
-        return _cross(towards, (0.0, 1.0, 0.0))
+        return cross(towards, (0.0, 1.0, 0.0))
     return -towards[2] * towards[0] / flat, -towards[2] * towards[1] / flat, flat
 
 
 @compiled(error_model="numpy")
 def _detour(point, end):  # type: ignore[no-untyped-def]
     """Return how much longer the way from an end to a point is than that to the origin, free of cancellation."""
-    far = math.sqrt(_dot(end, end))
-    away = _ahead(end, -1.0, point)
-    return (_dot(point, point) - 2.0 * _dot(end, point)) / (math.sqrt(_dot(away, away)) + far)
+    far = math.sqrt(dot(end, end))
+    away = ahead(end, -1.0, point)
+    return (dot(point, point) - 2.0 * dot(end, point)) / (math.sqrt(dot(away, away)) + far)
 
 
 @compiled(error_model="numpy")
 def _between(first, last):  # type: ignore[no-untyped-def]
     """Return the mean of e^{j phase} over a line of linear phase."""
     middle = 0.5 * (first + last)
-    return (math.cos(middle) + 1j * math.sin(middle)) * _sinc(0.5 * (last - first))
+    return (math.cos(middle) + 1j * math.sin(middle)) * sinc(0.5 * (last - first))
 
 
 @compiled(error_model="numpy")
@@ -99,16 +99,16 @@ def triangle_mean(phases):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _mirrored(field, direction, normal, cosine, te, tm):  # type: ignore[no-untyped-def]
     """Return the direction and the field after a bounce."""
-    out = _ahead(direction, 2.0 * cosine, normal)
-    return out, _reflected(field, direction, out, normal, _lookup(te, cosine), _lookup(tm, cosine))
+    out = ahead(direction, 2.0 * cosine, normal)
+    return out, reflected(field, direction, out, normal, lookup(te, cosine), lookup(tm, cosine))
 
 
 @compiled(error_model="numpy")
 def _sent_back(field, direction, normal, towards, te, tm):  # type: ignore[no-untyped-def]
     """Return what a face with a field upon it radiates, for each of its m^2, in units of sqrt(4 pi) / lambda."""
-    cosine = min(-_dot(normal, direction), 1.0)
+    cosine = min(-dot(normal, direction), 1.0)
     out, field_out = _mirrored(field, direction, normal, cosine, te, tm)
-    return _radiated(field, field_out, direction, out, normal, towards, _upright(towards))
+    return radiated_field(field, field_out, direction, out, normal, towards, _upright(towards))
 
 
 @compiled(error_model="numpy")
@@ -122,9 +122,9 @@ def _sent(source, normal, towards, te, tm):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _free(trees, root, start, end, nearest):  # type: ignore[no-untyped-def]
     """Return whether no face of a body stands between two points."""
-    onward = _ahead(end, -1.0, start)
-    length = math.sqrt(_dot(onward, onward))
-    distance, _ = _first_hit(trees[0], trees[1], trees[2], trees[3], root, start, _unit(onward), nearest)
+    onward = ahead(end, -1.0, start)
+    length = math.sqrt(dot(onward, onward))
+    distance, _ = first_hit(trees[0], trees[1], trees[2], trees[3], root, start, _unit(onward), nearest)
     return distance > length - nearest
 
 
@@ -133,7 +133,7 @@ def _is_inside(bodies, centre, point):  # type: ignore[no-untyped-def]
     """Return whether all faces of a hollow body show a point their inner side."""
     spans, normals, offsets = bodies[2], bodies[7], bodies[8]
     for face in range(spans[centre, 4], spans[centre, 4] + spans[centre, 5]):
-        if _dot(_row(normals, face), point) - offsets[face] <= 0.0:
+        if dot(row(normals, face), point) - offsets[face] <= 0.0:
             return False
     return spans[centre, 5] > 0
 
@@ -142,7 +142,7 @@ def _is_inside(bodies, centre, point):  # type: ignore[no-untyped-def]
 def _flat_field(bodies, centre, source, receiver, wavenumber):  # type: ignore[no-untyped-def]
     """Return the field of a centre's triangles and of the ways by two or three faces that belong to it."""
     local, spans = bodies[0], bodies[2]
-    start, end = _ahead(_row(local, centre), 1.0, source), _ahead(_row(local, centre), 1.0, receiver)
+    start, end = ahead(row(local, centre), 1.0, source), ahead(row(local, centre), 1.0, receiver)
     # nothing of a convex body, and nothing seen from within a hollow one, hides anything
     is_hidden = spans[centre, 6] >= 0 and not (_is_inside(bodies, centre, start) and _is_inside(bodies, centre, end))
     root = spans[centre, 6] if is_hidden else -1
@@ -163,25 +163,25 @@ def _triangles(bodies, centre, ends, root, wavenumber):  # type: ignore[no-untyp
     """Return the sum over a centre's lit triangles, in units of sqrt(4 pi) / lambda."""
     local, spans, pieces, normals, trees, tables = bodies[0], bodies[2], bodies[3], bodies[4], bodies[10], bodies[11]
     source, receiver = ends
-    origin, nearest = _row(local, centre), bodies[9][centre]
+    origin, nearest = row(local, centre), bodies[9][centre]
     te, tm = tables[spans[centre, 7], 0], tables[spans[centre, 7], 1]
     towards, back = _unit(source), _unit(receiver)
-    out_m, back_m = math.sqrt(_dot(source, source)), math.sqrt(_dot(receiver, receiver))
+    out_m, back_m = math.sqrt(dot(source, source)), math.sqrt(dot(receiver, receiver))
     total, last, sent = 0.0j, (2.0, 2.0, 2.0), 0.0j
     for piece in range(spans[centre, 0], spans[centre, 0] + spans[centre, 1]):
-        normal = _row(normals, piece)
-        side = _dot(normal, towards)
+        normal = row(normals, piece)
+        side = dot(normal, towards)
         if side < 0.0 and spans[centre, 8]:
             side, normal = -side, (-normal[0], -normal[1], -normal[2])
-        if side < 1e-9 or _dot(normal, back) < 1e-9:
+        if side < 1e-9 or dot(normal, back) < 1e-9:
             continue
-        a, b, c = _row(pieces[piece], 0), _row(pieces[piece], 1), _row(pieces[piece], 2)
+        a, b, c = row(pieces[piece], 0), row(pieces[piece], 1), row(pieces[piece], 2)
         middle = _middle(a, b, c)
         if root >= 0:
-            start = _ahead(origin, 1.0, middle)
-            if not _free(trees, root, start, _ahead(origin, 1.0, source), nearest):
+            start = ahead(origin, 1.0, middle)
+            if not _free(trees, root, start, ahead(origin, 1.0, source), nearest):
                 continue
-            if source != receiver and not _free(trees, root, start, _ahead(origin, 1.0, receiver), nearest):
+            if source != receiver and not _free(trees, root, start, ahead(origin, 1.0, receiver), nearest):
                 continue
         if normal != last:
             last, sent = normal, _sent(towards, normal, back, te, tm)
@@ -205,13 +205,13 @@ def _clipped(polygon, count, normal, offset, result):  # type: ignore[no-untyped
     """Write the part of a convex polygon before a plane (Sutherland and Hodgman); return its number of corners."""
     kept = 0
     for i in range(count):
-        a, b = _row(polygon, i), _row(polygon, (i + 1) % count)
-        above, next_above = _dot(normal, a) - offset, _dot(normal, b) - offset
+        a, b = row(polygon, i), row(polygon, (i + 1) % count)
+        above, next_above = dot(normal, a) - offset, dot(normal, b) - offset
         if above >= 0.0:
             result[kept, 0], result[kept, 1], result[kept, 2] = a
             kept += 1
         if (above >= 0.0) != (next_above >= 0.0):
-            corner = _ahead(a, above / (above - next_above), _ahead(b, -1.0, a))
+            corner = ahead(a, above / (above - next_above), ahead(b, -1.0, a))
             result[kept, 0], result[kept, 1], result[kept, 2] = corner
             kept += 1
     return kept
@@ -219,11 +219,11 @@ def _clipped(polygon, count, normal, offset, result):  # type: ignore[no-untyped
 
 @compiled(error_model="numpy")
 def _area(polygon, count):  # type: ignore[no-untyped-def]
-    first, around = _row(polygon, 0), (0.0, 0.0, 0.0)
+    first, around = row(polygon, 0), (0.0, 0.0, 0.0)
     for i in range(2, count):
-        a, b = _ahead(_row(polygon, i - 1), -1.0, first), _ahead(_row(polygon, i), -1.0, first)
-        around = _ahead(around, 0.5, _cross(a, b))
-    return math.sqrt(_dot(around, around))
+        a, b = ahead(row(polygon, i - 1), -1.0, first), ahead(row(polygon, i), -1.0, first)
+        around = ahead(around, 0.5, cross(a, b))
+    return math.sqrt(dot(around, around))
 
 
 @compiled(error_model="numpy")
@@ -235,20 +235,20 @@ def _in_beam(face, corners, window, apex, plane, other):  # type: ignore[no-unty
     beam = window[:corners].copy()
     middle = (0.0, 0.0, 0.0)
     for i in range(corners):
-        middle = _ahead(middle, 1.0 / corners, _row(beam, i))
+        middle = ahead(middle, 1.0 / corners, row(beam, i))
     count = _clipped(face, len(face), plane[0], plane[1], window)
     for i in range(corners):
-        corner = _row(beam, i)
-        edge = _ahead(_row(beam, (i + 1) % corners), -1.0, corner)
+        corner = row(beam, i)
+        edge = ahead(row(beam, (i + 1) % corners), -1.0, corner)
         # corners that fall together have no edge
-        if _dot(edge, edge) < SAME_M * SAME_M:
+        if dot(edge, edge) < SAME_M * SAME_M:
             continue
-        normal = _cross(_ahead(corner, -1.0, apex), edge)
-        if _dot(normal, _ahead(middle, -1.0, corner)) < 0.0:
+        normal = cross(ahead(corner, -1.0, apex), edge)
+        if dot(normal, ahead(middle, -1.0, corner)) < 0.0:
             normal = (-normal[0], -normal[1], -normal[2])
         if count < 3 or count > CUT_CORNERS - 2:
             return 0
-        count = _clipped(window, count, normal, _dot(normal, corner), other)
+        count = _clipped(window, count, normal, dot(normal, corner), other)
         window[:count] = other[:count]
     return count
 
@@ -274,8 +274,8 @@ def _sequence(bodies, centre, sequence, ends, root, wavenumber, cut, waiting):  
             count = _in_beam(polygons[face, : corners[face]], count, cut[0], apex, plane, cut[1])
         if count < 3 or _area(cut[0], count) < LEAST_M2:
             return 0.0j
-        normal, offset = _row(plane_normals, face), offsets[face]
-        height = _dot(normal, apex) - offset
+        normal, offset = row(plane_normals, face), offsets[face]
+        height = dot(normal, apex) - offset
         # the side that faces the beam
         if height < 0.0 and spans[centre, 8]:
             height, offset, normal = -height, -offset, (-normal[0], -normal[1], -normal[2])
@@ -284,7 +284,7 @@ def _sequence(bodies, centre, sequence, ends, root, wavenumber, cut, waiting):  
         normals[bounce, 0], normals[bounce, 1], normals[bounce, 2] = normal
         apexes[bounce, 0], apexes[bounce, 1], apexes[bounce, 2] = apex
         plane = (normal, offset)
-        apex = _ahead(apex, -2.0 * height, normal)
+        apex = ahead(apex, -2.0 * height, normal)
     return _last_face(bodies, centre, (normals, apexes, bounces), (cut[0], count), ends, root, wavenumber, waiting)
 
 
@@ -294,10 +294,10 @@ def _last_face(bodies, centre, beam, lit, ends, root, wavenumber, waiting):  # t
     local = bodies[0]
     _, apexes, bounces = beam
     polygon, count = lit
-    apex = _row(apexes, bounces - 1)
-    origin = _row(local, centre)
-    before, after = _ahead(apex, -1.0, _row(polygon, 0)), _ahead(ends[1], -1.0, _row(polygon, 0))
-    bend = wavenumber * (1.0 / math.sqrt(_dot(before, before)) + 1.0 / math.sqrt(_dot(after, after)))
+    apex = row(apexes, bounces - 1)
+    origin = row(local, centre)
+    before, after = ahead(apex, -1.0, row(polygon, 0)), ahead(ends[1], -1.0, row(polygon, 0))
+    bend = wavenumber * (1.0 / math.sqrt(dot(before, before)) + 1.0 / math.sqrt(dot(after, after)))
     longest = math.sqrt(8.0 * PHASE_RAD / bend)
     lengths = _apart(origin, ends[0]), _apart(origin, ends[1])
     total = 0.0j
@@ -306,7 +306,7 @@ def _last_face(bodies, centre, beam, lit, ends, root, wavenumber, waiting):  # t
         waits, allowed = 1, 0.0
         while waits:
             waits -= 1
-            a, b, c = _row(waiting[waits], 0), _row(waiting[waits], 1), _row(waiting[waits], 2)
+            a, b, c = row(waiting[waits], 0), row(waiting[waits], 1), row(waiting[waits], 2)
             # the longest side first
             for _ in range(2):
                 if _apart(b, c) > _apart(a, b) or _apart(c, a) > _apart(a, b):
@@ -315,7 +315,7 @@ def _last_face(bodies, centre, beam, lit, ends, root, wavenumber, waiting):  # t
             if allowed == 0.0:
                 allowed = max(longest if root < 0 else min(longest, 0.25 * side), FINEST * side)
             if side > allowed and waits < 60:
-                middle = _ahead(_ahead((0.0, 0.0, 0.0), 0.5, a), 0.5, b)
+                middle = ahead(ahead((0.0, 0.0, 0.0), 0.5, a), 0.5, b)
                 for half, end in ((0, a), (1, b)):
                     waiting[waits + half, 0, 0], waiting[waits + half, 0, 1], waiting[waits + half, 0, 2] = middle
                     waiting[waits + half, 1, 0], waiting[waits + half, 1, 1], waiting[waits + half, 1, 2] = c
@@ -344,14 +344,14 @@ def _middle(a, b, c):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _size(a, b, c):  # type: ignore[no-untyped-def]
     """Return the area of a triangle."""
-    edge = _cross(_ahead(b, -1.0, a), _ahead(c, -1.0, a))
-    return 0.5 * math.sqrt(_dot(edge, edge))
+    edge = cross(ahead(b, -1.0, a), ahead(c, -1.0, a))
+    return 0.5 * math.sqrt(dot(edge, edge))
 
 
 @compiled(error_model="numpy")
 def _apart(a, b):  # type: ignore[no-untyped-def]
-    between = _ahead(b, -1.0, a)
-    return math.sqrt(_dot(between, between))
+    between = ahead(b, -1.0, a)
+    return math.sqrt(dot(between, between))
 
 
 @compiled(error_model="numpy")
@@ -367,23 +367,23 @@ def _from_triangle(bodies, centre, beam, triangle, ends, root):  # type: ignore[
     normals, apexes, bounces = beam
     a, b, c = triangle
     middle = _middle(a, b, c)
-    normal, apex = _row(normals, bounces - 1), _row(apexes, bounces - 1)
-    direction, back = _ahead(middle, -1.0, apex), _ahead(ends[1], -1.0, middle)
-    lengths = math.sqrt(_dot(direction, direction)) * math.sqrt(_dot(back, back))
+    normal, apex = row(normals, bounces - 1), row(apexes, bounces - 1)
+    direction, back = ahead(middle, -1.0, apex), ahead(ends[1], -1.0, middle)
+    lengths = math.sqrt(dot(direction, direction)) * math.sqrt(dot(back, back))
     direction, back = _unit(direction), _unit(back)
-    if _dot(normal, back) < 1e-9:
+    if dot(normal, back) < 1e-9:
         return 0.0j
     if root >= 0 and _is_hidden(trees, root, (normals, apexes, bounces), middle, ends[1], bodies[9][centre]):
         return 0.0j
     # back to the source, then on again with the field
     for bounce in range(bounces - 2, -1, -1):
-        turned = _row(normals, bounce)
-        direction = _ahead(direction, -2.0 * _dot(turned, direction), turned)
+        turned = row(normals, bounce)
+        direction = ahead(direction, -2.0 * dot(turned, direction), turned)
     upright = _upright((-direction[0], -direction[1], -direction[2]))
     field = (upright[0] + 0.0j, upright[1] + 0.0j, upright[2] + 0.0j)
     for bounce in range(bounces - 1):
-        turned = _row(normals, bounce)
-        cosine = min(max(-_dot(turned, direction), 0.0), 1.0)
+        turned = row(normals, bounce)
+        cosine = min(max(-dot(turned, direction), 0.0), 1.0)
         direction, field = _mirrored(field, direction, turned, cosine, te, tm)
     return _size(a, b, c) * _sent_back(field, direction, normal, back, te, tm) / lengths
 
@@ -396,21 +396,21 @@ def _is_hidden(trees, root, beam, point, receiver, nearest):  # type: ignore[no-
         return True
     for bounce in range(bounces - 1, 0, -1):
         # where the line to the image meets the face before, whose plane is half-way between two images
-        apex, image_of = _row(apexes, bounce), _row(apexes, bounce - 1)
-        normal = _row(normals, bounce - 1)
-        offset = 0.5 * (_dot(normal, apex) + _dot(normal, image_of))
-        above, below = _dot(normal, point) - offset, _dot(normal, apex) - offset
-        at = _ahead(point, above / (above - below), _ahead(apex, -1.0, point))
+        apex, image_of = row(apexes, bounce), row(apexes, bounce - 1)
+        normal = row(normals, bounce - 1)
+        offset = 0.5 * (dot(normal, apex) + dot(normal, image_of))
+        above, below = dot(normal, point) - offset, dot(normal, apex) - offset
+        at = ahead(point, above / (above - below), ahead(apex, -1.0, point))
         if not _free(trees, root, point, at, nearest):
             return True
         point = at
-    return not _free(trees, root, point, _row(apexes, 0), nearest)
+    return not _free(trees, root, point, row(apexes, 0), nearest)
 
 
 @compiled(error_model="numpy")
 def _strip(length, source, receiver, wavenumber):  # type: ignore[no-untyped-def]
     """Return the mean of the phasor along an upright line about the origin, in pieces of nearly straight phase."""
-    bend = wavenumber * (1.0 / math.sqrt(_dot(source, source)) + 1.0 / math.sqrt(_dot(receiver, receiver)))
+    bend = wavenumber * (1.0 / math.sqrt(dot(source, source)) + 1.0 / math.sqrt(dot(receiver, receiver)))
     count = min(int(length * math.sqrt(bend / (8.0 * STRIP_RAD))) + 1, MAX_STRIPS)
     total = 0.0j
     for i in range(count):
@@ -431,33 +431,33 @@ def _round_field(bodies, centre, source, receiver, wavenumber):  # type: ignore[
     radius, length = size[centre, 0], size[centre, 1]
     te, tm = tables[spans[centre, 7], 0], tables[spans[centre, 7], 1]
     towards, back = _unit(source), _unit(receiver)
-    axis = _ahead(towards, 1.0, back)
+    axis = ahead(towards, 1.0, back)
     if length > 0.0:
         axis = (axis[0], axis[1], 0.0)
-    along = math.sqrt(_dot(axis, axis))
-    out_m, back_m = math.sqrt(_dot(source, source)), math.sqrt(_dot(receiver, receiver))
+    along = math.sqrt(dot(axis, axis))
+    out_m, back_m = math.sqrt(dot(source, source)), math.sqrt(dot(receiver, receiver))
     if along < 1e-6:
         return 0.0j, out_m, back_m, (0.0, 0.0, 0.0)
     normal = (axis[0] / along, axis[1] / along, axis[2] / along)
-    point = _ahead((0.0, 0.0, 0.0), radius, normal)
-    towards, back = _ahead(source, -1.0, point), _ahead(receiver, -1.0, point)
-    out_m, back_m = math.sqrt(_dot(towards, towards)), math.sqrt(_dot(back, back))
+    point = ahead((0.0, 0.0, 0.0), radius, normal)
+    towards, back = ahead(source, -1.0, point), ahead(receiver, -1.0, point)
+    out_m, back_m = math.sqrt(dot(towards, towards)), math.sqrt(dot(back, back))
     towards, back = _unit(towards), _unit(back)
-    if _dot(normal, towards) < 1e-9 or _dot(normal, back) < 1e-9:
+    if dot(normal, towards) < 1e-9 or dot(normal, back) < 1e-9:
         return 0.0j, out_m, back_m, point
     sent = 0.5 * (_sent(towards, normal, back, te, tm) + _sent(back, normal, towards, te, tm))
     # how fast the way grows beside the mirroring point: in the plane of both directions, and across it
-    height = _dot(normal, towards) + _dot(normal, back)
-    across = _cross(towards, back)
+    height = dot(normal, towards) + dot(normal, back)
+    across = cross(towards, back)
     if length > 0.0:
         tangent = (-normal[1], normal[0], 0.0)
-    elif _dot(across, across) > 1e-12:
-        tangent = _unit(_cross(_unit(across), normal))
+    elif dot(across, across) > 1e-12:
+        tangent = _unit(cross(_unit(across), normal))
     else:
-        tangent = _unit(_cross((0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (1.0, 0.0, 0.0), normal))
-    within = height + radius * ((1.0 - _dot(tangent, towards) ** 2) / out_m + (1.0 - _dot(tangent, back) ** 2) / back_m)
+        tangent = _unit(cross((0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (1.0, 0.0, 0.0), normal))
+    within = height + radius * ((1.0 - dot(tangent, towards) ** 2) / out_m + (1.0 - dot(tangent, back) ** 2) / back_m)
     if length > 0.0:
-        lobe = _strip(length, _ahead(source, -1.0, point), _ahead(receiver, -1.0, point), wavenumber)
+        lobe = _strip(length, ahead(source, -1.0, point), ahead(receiver, -1.0, point), wavenumber)
         area = length * lobe * math.sqrt(2.0 * math.pi * radius / (wavenumber * within))
         turn = math.sqrt(0.5) * (1.0 - 1.0j)
     else:

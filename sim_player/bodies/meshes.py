@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -43,8 +43,6 @@ class Mesh:
     faces: np.ndarray
     material: str
     name: str
-    #: Faces without area that the file had.
-    degenerate_faces: int = 0
 
     @cached_property
     def corners_m(self) -> np.ndarray:
@@ -69,7 +67,7 @@ class Mesh:
     @cached_property
     def closed(self) -> bool:
         """True where every edge joins exactly two faces that are wound alike, so that there is an inside."""
-        edges = _directed_edges(self.faces)
+        edges = directed_edges(self.faces)
         _, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
         return bool((count == 2).all()) and len(np.unique(edges, axis=0)) == len(edges)
 
@@ -108,34 +106,42 @@ def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, n
 
     Raises ValueError where no face has an area.
     """
-    vertices_m, faces = _weld(np.asarray(vertices_m, np.float64), np.asarray(faces, np.int64))
-    solid = _have_area(vertices_m[faces])
+    vertices_m, faces = np.asarray(vertices_m, np.float64), np.asarray(faces, np.int64)
+    # vertices at one position are one, so that faces share them with their neighbours
+    step = WELD_SHARE * max(float(np.ptp(vertices_m, axis=0).max()), 1e-12)
+    _, first, label = np.unique(np.round(vertices_m / step), axis=0, return_index=True, return_inverse=True)
+    vertices_m, faces = vertices_m[first], label.ravel()[faces]
+    corners = vertices_m[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    solid = doubled > FLAT_SHARE * np.linalg.norm(edges, axis=2).max(axis=1) ** 2
     if not solid.any():
         raise ValueError(f"faces: all {len(faces)} are degenerate (no area)")
-    vertices_m, faces = _used(vertices_m, faces[solid])
+    kept, label = np.unique(faces[solid], return_inverse=True)
+    vertices_m, faces = vertices_m[kept], label.reshape(-1, 3)
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    faces = _wind_outward(vertices_m, faces[np.sort(first)])
-    return grounded(Mesh(vertices_m, faces, material, name, int((~solid).sum())))
-
-
-def grounded(mesh: Mesh) -> Mesh:
-    """Return the mesh on the ground (min z = 0), the middle of its box over the origin."""
-    least, greatest = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-    middle = 0.5 * (least + greatest)
-    return replace(mesh, vertices_m=mesh.vertices_m - np.array([middle[0], middle[1], least[2]]))
+    faces = faces[np.sort(first)]
+    # each part wound alike, and outward where it encloses a volume
+    part, flipped, closed = _parts(faces)
+    faces = np.where(flipped[:, None], faces[:, ::-1], faces)
+    a, b, c = np.moveaxis(vertices_m[faces] - vertices_m.mean(axis=0), 1, 0)
+    inward = closed & (np.bincount(part, np.einsum("ij,ij->i", a, np.cross(b, c))) < 0.0)
+    faces = np.where(inward[part][:, None], faces[:, ::-1], faces)
+    least, middle = vertices_m.min(axis=0), 0.5 * (vertices_m.min(axis=0) + vertices_m.max(axis=0))
+    return Mesh(vertices_m - np.array([middle[0], middle[1], least[2]]), faces, material, name)
 
 
 def box(length_m: float, width_m: float, height_m: float, material: str = "metal") -> Mesh:
     """Return a closed box: length along x, width along y."""
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return _primitive("box", unit * (length_m, width_m, height_m), _halved(quads), material)
+    return mesh_from_arrays(unit * (length_m, width_m, height_m), _halved(quads), material, "box")
 
 
 def plate(width_m: float, height_m: float, material: str = "metal") -> Mesh:
     """Return an upright plate without thickness that faces +x; both sides reflect."""
     y, z = np.array([0.0, width_m, width_m, 0.0]), np.array([0.0, 0.0, height_m, height_m])
-    return _primitive("plate", np.column_stack([np.zeros(4), y, z]), _halved([(0, 1, 2, 3)]), material)
+    return mesh_from_arrays(np.column_stack([np.zeros(4), y, z]), _halved([(0, 1, 2, 3)]), material, "plate")
 
 
 def dihedral(width_m: float, height_m: float, material: str = "metal") -> Mesh:
@@ -143,7 +149,7 @@ def dihedral(width_m: float, height_m: float, material: str = "metal") -> Mesh:
     reach = width_m / math.sqrt(2.0)
     plan = np.array([[0.0, 0.0], [reach, reach], [reach, -reach]])
     vertices = np.concatenate([np.column_stack([plan, np.full(3, z)]) for z in (0.0, height_m)])
-    return _primitive("dihedral", vertices, _halved([(0, 1, 4, 3), (0, 3, 5, 2)]), material)
+    return mesh_from_arrays(vertices, _halved([(0, 1, 4, 3), (0, 3, 5, 2)]), material, "dihedral")
 
 
 def trihedral(edge_m: float, material: str = "metal") -> Mesh:
@@ -151,7 +157,7 @@ def trihedral(edge_m: float, material: str = "metal") -> Mesh:
     axis = np.array([1.0, 1.0, 1.0]) / math.sqrt(3.0)
     left = np.array([-1.0, 1.0, 0.0]) / math.sqrt(2.0)
     vertices = np.concatenate([np.zeros((1, 3)), edge_m * np.eye(3)]) @ np.stack([axis, left, np.cross(axis, left)]).T
-    return _primitive("trihedral", vertices, np.array([(0, 1, 2), (0, 2, 3), (0, 3, 1)]), material)
+    return mesh_from_arrays(vertices, np.array([(0, 1, 2), (0, 2, 3), (0, 3, 1)]), material, "trihedral")
 
 
 def cylinder(diameter_m: float, height_m: float, material: str = "metal", sides: int = 192) -> Mesh:
@@ -164,7 +170,7 @@ def cylinder(diameter_m: float, height_m: float, material: str = "metal", sides:
     next_low, next_high = np.roll(low, -1), np.roll(high, -1)
     bottom, top = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
     triangles = [(low, next_low, next_high), (low, next_high, high), (bottom, next_low, low), (top, high, next_high)]
-    return _primitive("cylinder", vertices, np.concatenate([np.stack(t, axis=1) for t in triangles]), material)
+    return mesh_from_arrays(vertices, np.concatenate([np.stack(t, axis=1) for t in triangles]), material, "cylinder")
 
 
 def sphere(diameter_m: float, material: str = "metal", rounds: int = 4) -> Mesh:
@@ -177,9 +183,12 @@ def sphere(diameter_m: float, material: str = "metal", rounds: int = 4) -> Mesh:
     faces = np.argwhere(near[:, :, None] & near[:, None, :] & near[None, :, :])
     triangles = vertices[faces[(np.diff(faces, axis=1) > 0).all(axis=1)]]
     for _ in range(rounds):
-        triangles = _quartered(triangles)
+        a, b, c = np.moveaxis(triangles, 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+        triangles = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
     triangles *= 0.5 * diameter_m / np.linalg.norm(triangles, axis=2, keepdims=True)
-    return _primitive("sphere", triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), material)
+    return mesh_from_arrays(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), material, "sphere")
 
 
 #: Primitives by name: constructor and meaning of `size_m`.
@@ -206,18 +215,6 @@ def primitive_mesh(name: str, size_m: tuple[float, ...], material: str = "metal"
         raise ValueError(f"size_m: the longest must lie in {EXTENT_M[0]:g}..{EXTENT_M[1]:g} m, got {list(size_m)}")
     mesh: Mesh = build(*size_m, material=material)
     return mesh
-
-
-def _quartered(triangles: np.ndarray) -> np.ndarray:
-    """Return the triangles [N, 3, 3] cut in four at the middles of their edges, [4 N, 3, 3], same winding."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-    return np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-
-
-def _primitive(name: str, vertices_m: np.ndarray, faces: np.ndarray, material: str) -> Mesh:
-    """Return a primitive, built and checked like a mesh from a file."""
-    return mesh_from_arrays(vertices_m, faces, material, name)
 
 
 def _halved(quads: list[tuple[int, int, int, int]]) -> np.ndarray:
@@ -314,40 +311,9 @@ def _check_extent(extent_m: float, unit: Unit) -> None:
     )
 
 
-def _weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merge vertices at one position, so that faces share them with their neighbours."""
-    step = WELD_SHARE * max(float(np.ptp(vertices, axis=0).max()), 1e-12)
-    _, first, label = np.unique(np.round(vertices / step), axis=0, return_index=True, return_inverse=True)
-    return vertices[first], label.ravel()[faces]
-
-
-def _have_area(corners: np.ndarray) -> np.ndarray:
-    """Return which triangles [F, 3, 3] are more than a line."""
-    edges = np.roll(corners, -1, axis=1) - corners
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return doubled > FLAT_SHARE * longest**2
-
-
-def _used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices that faces use, and the faces renumbered."""
-    kept, label = np.unique(faces, return_inverse=True)
-    return vertices[kept], label.reshape(faces.shape)
-
-
-def _directed_edges(faces: np.ndarray) -> np.ndarray:
+def directed_edges(faces: np.ndarray) -> np.ndarray:
     """Return the three edges of every face, in the order of its corners, [3 F, 2]."""
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-
-
-def _wind_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the faces of each connected part wound alike, and outward where the part encloses a volume."""
-    part, flipped, closed = _parts(faces)
-    faces = np.where(flipped[:, None], faces[:, ::-1], faces)
-    a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
-    volume = np.bincount(part, np.einsum("ij,ij->i", a, np.cross(b, c)))
-    inward = closed & (volume < 0.0)
-    return np.where(inward[part][:, None], faces[:, ::-1], faces)
 
 
 def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -359,16 +325,16 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     exactly two faces join.
     """
     count = len(faces)
-    edges = _directed_edges(faces)
+    edges = directed_edges(faces)
     _, label, shared = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     label = label.ravel()
     order = np.argsort(label, kind="stable")
     pairs = order[shared[label[order]] == 2].reshape(-1, 2)
     first_face, second_face = pairs[:, 0] // 3, pairs[:, 1] // 3
     alike = edges[pairs[:, 0], 0] != edges[pairs[:, 1], 0]
-    _, part = _components(count, first_face, second_face)
+    _, part = components(count, first_face, second_face)
     same = np.where(alike, 0, count)
-    _, sheet = _components(
+    _, sheet = components(
         2 * count,
         np.concatenate([first_face, first_face + count]),
         np.concatenate([second_face + same, second_face + count - same]),
@@ -380,7 +346,7 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return part, flipped, closed
 
 
-def _components(count: int, first: np.ndarray, second: np.ndarray) -> tuple[int, np.ndarray]:
+def components(count: int, first: np.ndarray, second: np.ndarray) -> tuple[int, np.ndarray]:
     """Return the connected components of an undirected graph: their number and the label of each node."""
     # imported here: most scenes have no mesh
     from scipy.sparse import coo_array

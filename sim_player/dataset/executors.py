@@ -38,9 +38,9 @@ def map_jobs(
 
     workers: processes at a time (of Slurm: tasks of the array that run at once). scratch: a folder for Slurm's own
     files, on the shared file system; it is deleted when all jobs are done. slurm: parameters of submitit by name
-    (`partition`,
-    `timeout_min`, ...); `cluster` = "local" or "debug" runs the same without Slurm. Raises the error of a job and
-    cancels the rest; ValueError for an unknown executor, no worker, or no cluster; ImportError without its package.
+    (`partition`, `timeout_min`, ...); `cluster` = "local" or "debug" runs the same without Slurm. Raises the error of a
+    job and cancels the rest; ValueError for an unknown executor, no worker, or no cluster; ImportError without its
+    package.
     """
     if executor not in EXECUTORS:
         raise ValueError(f"executor must be one of {', '.join(EXECUTORS)}, got {executor!r}")
@@ -100,30 +100,20 @@ def _ray(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -
         raise ImportError('ray, which --executor ray needs: pip install "mirrorwave[cluster]"') from None
     is_started_here = not ray.is_initialized()
     if is_started_here:
-        _start_ray(ray, workers)
+        # join the existing cluster, or start one
+        own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
+        ray.init(configure_logging=False, log_to_driver=False, **own)
     try:
         remote = ray.remote(num_cpus=1, max_retries=3)(function)
         pending = [remote.remote(job) for job in jobs]
         while pending:
             ready, pending = ray.wait(pending)
-            yield _ray_result(ray, ready[0])
+            yield ray.get(ready[0])
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from None
     finally:
         if is_started_here:
             ray.shutdown()
-
-
-def _start_ray(ray: Any, workers: int) -> None:
-    """Join the existing cluster, or start one."""
-    own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
-    ray.init(configure_logging=False, log_to_driver=False, **own)
-
-
-def _ray_result(ray: Any, ready: Any) -> Any:
-    """Return the result, or raise the error of the job."""
-    try:
-        return ray.get(ready)
-    except ray.exceptions.RayTaskError as error:
-        raise error.cause from None
 
 
 def _slurm(
@@ -139,13 +129,18 @@ def _slurm(
     if cluster == "slurm" and shutil.which("srun") is None:
         raise ValueError("executor slurm needs Slurm's commands on this machine, srun is not found")
     pool = submitit.AutoExecutor(folder=scratch, cluster=cluster)
-    own = {name: value for name, value in options.items() if name not in ("timeout_min", "cpus_per_task")}
-    plain = {name: value for name, value in options.items() if name not in own}
-    pool.update_parameters(**plain, slurm_array_parallelism=workers, **{f"slurm_{key}": own[key] for key in own})
+    plain = ("timeout_min", "cpus_per_task")
+    parameters = {key if key in plain else f"slurm_{key}": value for key, value in options.items()}
+    pool.update_parameters(slurm_array_parallelism=workers, **parameters)
     tasks = pool.map_array(partial(_caught, function), jobs)
     try:
         for task in submitit.helpers.as_completed(tasks, poll_frequency=10.0 if cluster == "slurm" else 0.2):
-            yield _slurm_result(task)
+            if task.exception() is not None:
+                raise RuntimeError(f"job {task.job_id} died, its log is {task.paths.stderr}")
+            result = task.result()
+            if isinstance(result, (OSError, ValueError)):
+                raise result
+            yield result
     except BaseException:
         for task in tasks:
             task.cancel()
@@ -159,13 +154,3 @@ def _caught(function: Callable[[Job], Result], job: Job) -> Result | OSError | V
         return function(job)
     except (OSError, ValueError) as error:
         return error
-
-
-def _slurm_result(task: Any) -> Any:
-    """Return the result; raises what the job raised, or one line that says where the log of a dead task is."""
-    if task.exception() is not None:
-        raise RuntimeError(f"job {task.job_id} died, its log is {task.paths.stderr}")
-    result = task.result()
-    if isinstance(result, (OSError, ValueError)):
-        raise result
-    return result

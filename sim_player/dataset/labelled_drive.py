@@ -130,7 +130,7 @@ class LabelledDrive:
 
     def _plan(self, scan: int, objection: str | None) -> dict[str, Any]:
         """Return effects and plan of a scan, without a converter that its signal cannot hold."""
-        plan = self._player.plan(scan)
+        plan = self._player.plan
         if plan is None:
             return {"used": BASIC_USED | ({"motion", "adc"} if objection is None else {"motion"}), "plan": None}
         plan = plan if objection is None else without_converter(plan, objection)
@@ -138,7 +138,7 @@ class LabelledDrive:
 
     def _beams(self, scan: int, state: VehicleState) -> Iterator[_Beam]:
         """Yield the beams of a scan under a state of the vehicle."""
-        signal, front_end = self._player.signal(scan), self._scene.radar.front_end
+        signal, front_end = self._player.signal, self._scene.radar.front_end
         for beam in range(len(self._setup.beams)):
             ego = ego_correction(self._folder, beam, beam_middle_s(self._setup, beam), state)
             terms = self._player.echoes(scan, beam)
@@ -154,7 +154,7 @@ class LabelledDrive:
     def _profiles(self, scan: int, beams: list[_Beam]) -> tuple[np.ndarray, np.ndarray, str | None]:
         """Return the profiles complex64 [beams, 512], their radial speeds, and why the converter is ideal."""
         objection = next((beam.objection for beam in beams if beam.objection is not None), None)
-        signal, front_end = self._player.signal(scan), self._scene.radar.front_end
+        signal, front_end = self._player.signal, self._scene.radar.front_end
         if objection is not None:
             signal = msgspec.structs.replace(signal, adc=False)
         floor_mw = self._floor_mw(signal)

@@ -23,9 +23,9 @@ from sim_player.paths.ray_tracing import BASIC_EFFECTS, trace
 from sim_player.paths.truth import best_power_mw, hidden_objects, true_objects, visible_paths
 from sim_player.planner.plan import Plan, air_power_mw, manual_plan, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
-from sim_player.planner.purposes import Purpose, purpose_of
+from sim_player.planner.purposes import purpose_of
 from sim_player.scene.description import Scene
-from sim_player.scene.world import World, prepare
+from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_weights
 from sim_player.signal.levels import RANGE_BINS, kernel_objections, noise_profiles
 from sim_player.signal.switches import IDEAL
@@ -116,9 +116,39 @@ def labelled_scan(
     gain_db: float = 0.0,
     purpose: str = "objects",
 ) -> LabelledScan:
-    """Return one scan as a data set stores it, "auto" planned for a purpose; ValueError as above."""
-    plans = PlanRequest(budget_db, purpose_of(purpose))
-    return _Scan(scene, seed, choice, plans, gain_db).labelled()
+    """Return one scan as a data set stores it, "auto" planned for a purpose; ValueError for a scene that moves."""
+    if scene.moves:
+        raise ValueError(f"scene {scene.name!r} must be at rest for the kernel level, got one that moves")
+    gain, front_end, planned_for = ratio_from_db(gain_db), scene.radar.front_end, purpose_of(purpose)
+    # the planner needs the level; the basic chain scales its profiles instead
+    setup = scene.setup if choice == "basic" else stronger(scene.setup, gain)
+    world = prepare(scene, seed, setup)
+    classes = tuple(scene_object.object_class for scene_object in scene.objects)
+    if choice == "basic":
+        plan, paths = None, trace(world)
+        profiles = np.sqrt(gain) * clean_profiles(setup, paths) + profile_noise(setup, seed)
+        labels = label_points(setup, paths, gain, classes)
+    else:
+        if choice == "auto":
+            plan = plan_world(world, setup, budget_db, purpose=planned_for, profiles_only=True)
+        else:
+            plan = manual_plan(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
+        paths = plan.labelled
+        # the converter only where this level can hold it
+        if objections := kernel_objections(setup, plan.paths, plan.signal, front_end):
+            plan = without_converter(plan, "; ".join(objections))
+        profiles = planned_echoes(plan, setup, seed) + noise_profiles(setup, seed, plan.signal, front_end)
+        labels = label_points(setup, paths, 1.0, classes, air_power_mw(plan, setup))
+    return LabelledScan(
+        profiles=profiles.astype(np.complex64),
+        labels=labels,
+        noise_power_mw=noise_power_mw(setup),
+        hidden=tuple(sorted(hidden_objects(paths))),
+        objects=true_objects(world, paths, 0.0, Pose2()),
+        used=BASIC_USED if plan is None else plan.used,
+        paths=len(paths),
+        plan=plan,
+    )
 
 
 def label_points(
@@ -146,69 +176,6 @@ def label_points(
         object_index=visible.object_index.astype(np.int32),
         object_class=names[visible.object_index],
     )
-
-
-@dataclass(frozen=True)
-class PlanRequest:
-    """What planned effects may leave out, in any cell [dB], and the purpose they keep."""
-
-    budget_db: float
-    purpose: Purpose
-
-
-class _Scan:
-    """Paths and signal of one scene under a choice of effects."""
-
-    def __init__(self, scene: Scene, seed: int, choice: EffectChoice, plans: PlanRequest, gain_db: float) -> None:
-        if scene.moves:
-            raise ValueError(f"scene {scene.name!r} must be at rest for the kernel level, got one that moves")
-        self.scene, self.seed, self.gain = scene, seed, ratio_from_db(gain_db)
-        # the planner needs the level; the basic chain scales its profiles instead
-        self.setup = scene.setup if choice == "basic" else stronger(scene.setup, self.gain)
-        self.world = prepare(scene, seed, self.setup)
-        self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, plans)
-        self.paths = trace(self.world) if self.plan is None else self.plan.labelled
-
-    def labelled(self) -> LabelledScan:
-        """Return the profiles and labels."""
-        profiles = self._basic_profiles() if self.plan is None else self._planned_profiles(self.plan)
-        classes = tuple(scene_object.object_class for scene_object in self.scene.objects)
-        return LabelledScan(
-            profiles=profiles.astype(np.complex64),
-            labels=label_points(
-                self.setup,
-                self.paths,
-                self.gain if self.plan is None else 1.0,
-                classes,
-                None if self.plan is None else air_power_mw(self.plan, self.setup),
-            ),
-            noise_power_mw=noise_power_mw(self.setup),
-            hidden=tuple(sorted(hidden_objects(self.paths))),
-            objects=true_objects(self.world, self.paths, 0.0, Pose2()),
-            used=BASIC_USED if self.plan is None else self.plan.used,
-            paths=len(self.paths),
-            plan=self.plan,
-        )
-
-    def _basic_profiles(self) -> np.ndarray:
-        echoes = np.sqrt(self.gain) * clean_profiles(self.setup, self.paths)
-        return np.asarray(echoes + profile_noise(self.setup, self.seed))
-
-    def _planned_profiles(self, plan: Plan) -> np.ndarray:
-        """Return the echoes and noise under a plan, the converter only where this level can hold it."""
-        objections = kernel_objections(self.setup, plan.paths, plan.signal, self.scene.radar.front_end)
-        if objections:
-            self.plan = plan = without_converter(plan, "; ".join(objections))
-        front_end = self.scene.radar.front_end
-        noise = noise_profiles(self.setup, self.seed, plan.signal, front_end)
-        return np.asarray(planned_echoes(plan, self.setup, self.seed) + noise)
-
-
-def _plan(world: World, setup: RadarSetup, choice: EffectChoice, plans: PlanRequest) -> Plan:
-    """Return the plan of the effects of a scene."""
-    if choice == "auto":
-        return plan_world(world, setup, plans.budget_db, purpose=plans.purpose, profiles_only=True)
-    return manual_plan(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
 
 
 def without_converter(plan: Plan, reason: str) -> Plan:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -23,7 +23,6 @@ from msgs.values.wording import counted
 from sim_player.dataset.domain_shift import (
     HARD,
     SHIFTS,
-    BoardFaults,
     Shift,
     domain_shifted_scene,
     draw_faults,
@@ -42,16 +41,15 @@ from sim_player.dataset.labelled_scan import (
 from sim_player.effects.table import check_effects
 from sim_player.generate.drives import STREET_MIX, draw_drive
 from sim_player.generate.layouts import PlaceKind
-from sim_player.generate.places import PLACE_KINDS, Place, draw_place
-from sim_player.generate.streets import random_street
+from sim_player.generate.places import draw_place
 from sim_player.generate.wall_kinds import Preset
 from sim_player.planner.purposes import Purpose, purpose_of
 from sim_player.scene.description import PRESETS, Scene, scene_to_yaml
 from sim_player.scene.wall_priors import POOR, scene_walls
 from sim_player.signal.levels import RANGE_BINS
 
-#: Any type of place or one of them; `street_v1` is the first series, of `sim_player.generate.streets.random_street`.
-Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection", "street_v1"]
+#: Any type of place or one of them.
+Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection"]
 PLACES: tuple[Places, ...] = get_args(Places)
 SCENES_PER_SHARD = 50
 #: Half a minute at the default radar: a longer drive hardly fits a place.
@@ -70,12 +68,11 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Parameters that fix the bytes of a data set beside its seed and length; ValueError names an invalid one.
 
     effects: "auto" (planned per scene for a `purpose` under `budget_db`), "all", "basic" (the chain of
-    `sim_player.signal.fmcw`), or names; None: "basic" for `street_v1`, else "auto". purpose: a word of
-    `sim_player.planner.purposes`, for plans alone, None: "objects"; labels are those of all effects. `street_v1` has no
-    77 GHz scenes. shift: "hard" makes the places rougher and fuller, and the board faulty
-    (`sim_player.dataset.domain_shift`), whose faults are those of steered beams. scans: a scene is one of so many
-    consecutive scans of a drive (`sim_player.generate.drives`) at its true pace; None: a place at rest. truth: the
-    facts list all objects, as those of drives always do.
+    `sim_player.signal.fmcw`), or names; None: "auto". purpose: a word of `sim_player.planner.purposes`, for plans
+    alone, None: "objects"; labels are those of all effects. shift: "hard" makes the places rougher and fuller, and the
+    board faulty (`sim_player.dataset.domain_shift`), whose faults are those of steered beams. scans: a scene is one of
+    so many consecutive scans of a drive (`sim_player.generate.drives`) at its true pace; None: a place at rest. truth:
+    the facts list all objects, as those of drives always do.
     """
 
     places: Places = "any"
@@ -90,14 +87,9 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     format: int = FORMAT
 
     def __post_init__(self) -> None:
-        if self.places not in PLACES:
-            raise ValueError(f"places must be one of {', '.join(PLACES)}, got {self.places!r}")
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
-        if self.shift not in SHIFTS:
-            raise ValueError(f"shift must be one of {', '.join(SHIFTS)}, got {self.shift!r}")
-        if self.places == "street_v1" and self.preset != "xband":
-            raise ValueError(f"preset must be xband for places street_v1, got {self.preset!r}")
+        for name, words in (("places", PLACES), ("preset", tuple(PRESETS)), ("shift", SHIFTS)):
+            if getattr(self, name) not in words:
+                raise ValueError(f"{name} must be one of {', '.join(words)}, got {getattr(self, name)!r}")
         if self.shift == "hard" and PRESETS[self.preset].array.digital:
             raise ValueError(
                 f"shift must be none for preset {self.preset}: a digital array has no beams that fail one by one, "
@@ -107,26 +99,17 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"budget_db must be negative and at least -200, got {self.budget_db!r}")
         if self.scenes_per_shard < 1:
             raise ValueError(f"scenes_per_shard must be at least 1, got {self.scenes_per_shard!r}")
-        self._check_effects()
-        self._check_drives()
-
-    def _check_effects(self) -> None:
-        if isinstance(self.effects, str) and self.effects not in ("auto", "all", "basic"):
-            raise ValueError(f"effects must be auto, all, basic or a list of names, got {self.effects!r}")
-        if self.effects == ():
-            raise ValueError("effects must be auto, all, basic or a list of names, got nothing")
-        if isinstance(self.effects, tuple):
+        if isinstance(self.effects, tuple) and self.effects:
             check_effects(frozenset(self.effects))
+        elif self.effects not in (None, "auto", "all", "basic"):
+            got = repr(self.effects) if self.effects else "nothing"
+            raise ValueError(f"effects must be auto, all, basic or a list of names, got {got}")
         if self.purpose is not None and purpose_of(self.purpose) is not Purpose.SAMPLES and self.choice != "auto":
             raise ValueError(f"purpose must be samples unless effects are auto, got {self.purpose!r}")
-
-    def _check_drives(self) -> None:
         if self.scans is None:
             return
         if not 1 <= self.scans <= MAX_SCANS:
             raise ValueError(f"scans must be 1..{MAX_SCANS}, got {self.scans!r}")
-        if self.places == "street_v1":
-            raise ValueError(f"places must not be street_v1 for drives: its streets are at rest, got {self.places!r}")
         if self.shift != "none":
             raise ValueError(f"shift must be none for drives, got {self.shift!r}")
         if self.truth:
@@ -135,11 +118,9 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def choice(self) -> EffectChoice:
         """The effects as `labelled_scan` takes them."""
-        if self.effects is None:
-            return "basic" if self.places == "street_v1" else "auto"
         if isinstance(self.effects, tuple):
             return frozenset(self.effects)
-        return self.effects  # type: ignore[return-value]
+        return self.effects or "auto"  # type: ignore[return-value]
 
     @property
     def planned_for(self) -> str:
@@ -149,7 +130,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def kind(self) -> PlaceKind | None:
         """The type of place, None for any."""
-        return next((kind for kind in PLACE_KINDS if kind == self.places), None)
+        return None if self.places == "any" else self.places
 
     @property
     def shard_scenes(self) -> int:
@@ -171,7 +152,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain = msgspec.to_builtins(self) | {"seed": seed}
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
-        plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
+        plain["generator"] = "random_place"
         # series older than the shift have no such field, nor than drives, their truth or purposes (samples)
         del plain["shift"], plain["scans"], plain["truth"], plain["purpose"]
         if choice == "auto":
@@ -185,10 +166,6 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             # as JSON gives it back: lists, no tuples
             plain["shift"] = {"name": self.shift} | msgspec.json.decode(msgspec.json.encode(HARD))
         return dict(sorted(plain.items()))
-
-    def shard_name(self, first: int) -> str:
-        """Return the file name of the shard that starts with scene `first`."""
-        return f"shard-{first // self.shard_scenes:05d}.npz"
 
 
 class ShardJob(msgspec.Struct, frozen=True, kw_only=True):
@@ -204,7 +181,7 @@ class ShardJob(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def path(self) -> Path:
         """The shard's file."""
-        return self.folder / self.recipe.shard_name(self.first)
+        return self.folder / f"shard-{self.first // self.recipe.shard_scenes:05d}.npz"
 
 
 class ShardDone(msgspec.Struct, frozen=True, kw_only=True):
@@ -228,7 +205,10 @@ def make_shard(job: ShardJob) -> ShardDone:
     # sums split among threads round differently: the bytes would depend on the number of threads
     with threadpool_limits(limits=1, user_api="blas"):
         arrays = shard_arrays(job.recipe, job.seed, job.first, job.count)
-    write_shard(job.path, arrays)
+    with whole(job.path) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+        file.flush()
+        os.fsync(file.fileno())
     return shard_done(job, "rewritten" if job.fault else "made")
 
 
@@ -272,45 +252,43 @@ def read_shard(path: Path) -> dict[str, np.ndarray]:
     return load_arrays(path)
 
 
-def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write a shard whole or not at all, whatever happens to the machine."""
-    with whole(path) as part, part.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-        file.flush()
-        os.fsync(file.fileno())
-
-
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
     """Return the arrays of scenes first..first+count-1 of a series, as listed in `sim_player.dataset.writer`."""
-    if recipe.scans is not None:
-        return _drive_arrays(recipe, recipe.scans, seed, first, count)
-    profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
+    columns: dict[str, list[Any]] = {}
+    labels: list[Labels] = []
+    rows = _place_rows(recipe, seed, first, count) if recipe.scans is None else _drive_rows(recipe, seed, first, count)
+    for points, row in rows:
+        labels.append(points)
+        for name, value in row.items():
+            columns.setdefault(name, []).append(value)
+    by_point = {name: np.concatenate(columns.pop(name)) for name in ("velocity_mps", "elapsed_s") if name in columns}
+    board = {name: np.array(columns.pop(name)) for name in ("missing_beams", "beam_gain") if name in columns}
+    offset = np.concatenate([[0], np.cumsum([len(points.range_m) for points in labels])]).astype(np.int64)
+    joined = {name: np.concatenate([getattr(points, name) for points in labels]) for name in LABELS}
+    by_scene = {name: np.array(values) for name, values in columns.items()}
+    return by_scene | by_point | {"offset": offset, **joined} | board
+
+
+def _place_rows(recipe: Recipe, seed: int, first: int, count: int) -> Iterator[tuple[Labels, dict[str, Any]]]:
+    """Yield the labels and the other columns of scenes at rest."""
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)
-        gain_db = draw_gain_db(seed, index)
-        scan_seed = scene_seed(seed, index)
+        gain_db, scan_seed = draw_gain_db(seed, index), scene_seed(seed, index)
         scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db, recipe.planned_for)
-        if recipe.shift == "hard":
-            boards.append(draw_faults(shift_rng(seed, index, 1), len(scan.profiles)))
-            scan = replace(scan, profiles=faulty_profiles(scan.profiles, boards[-1], scene.setup, scan_seed))
-        profiles.append(scan.profiles)
-        labels.append(scan.labels)
-        texts.append(scene_to_yaml(scene))
-        gains.append(gain_db)
-        noise.append(noise_power_mw(scene.setup))
         listed = {"truth": scan.objects} | _walls(scene, scan_seed) if recipe.truth else {}
-        facts.append(msgspec.json.encode(place | {"hidden": scan.hidden} | scene_facts(scene) | listed))
-        plans.append(_plan_line(recipe, scan))
-    return {
-        "profiles": np.stack(profiles),
-        "noise_power_mw": np.array(noise),
-        "gain_db": np.array(gains),
-        "scene_yaml": np.array(texts),
-        "facts": np.array(facts),
-        "plan": np.array(plans),
-        **_label_arrays(labels),
-        **_board_arrays(boards),
-    }
+        row = {
+            "profiles": scan.profiles,
+            "noise_power_mw": noise_power_mw(scene.setup),
+            "gain_db": gain_db,
+            "scene_yaml": scene_to_yaml(scene),
+            "facts": msgspec.json.encode(place | {"hidden": scan.hidden} | scene_facts(scene) | listed),
+            "plan": _plan_line(recipe, scan),
+        }
+        if recipe.shift == "hard":
+            board = draw_faults(shift_rng(seed, index, 1), len(scan.profiles))
+            row["profiles"] = faulty_profiles(scan.profiles, board, scene.setup, scan_seed)
+            row |= {"missing_beams": board.dead, "beam_gain": board.gain}
+        yield scan.labels, row
 
 
 def _walls(scene: Scene, seed: int, start_from_radar: Pose2 | None = None) -> dict[str, tuple[PriorWall, ...]]:
@@ -321,56 +299,45 @@ def _walls(scene: Scene, seed: int, start_from_radar: Pose2 | None = None) -> di
     }
 
 
-def _drive_arrays(recipe: Recipe, scans: int, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Return the arrays of scenes first..first+count-1 of a series of drives, all scans of a drive together."""
-    columns: dict[str, list[Any]] = {}
-    labels: list[Labels] = []
+def _drive_rows(recipe: Recipe, seed: int, first: int, count: int) -> Iterator[tuple[Labels, dict[str, Any]]]:
+    """Yield the labels and the other columns of scans, all scans of a drive together."""
+    scans = recipe.scans or 1
+    duration_s = scans * PRESETS[recipe.preset].radar.scan_period_s
+    effects = ",".join(sorted(recipe.choice)) if isinstance(recipe.choice, frozenset) else recipe.choice
     for index in range(first // scans, (first + count) // scans):
-        place, gain_db = _draw_drive(recipe, scans, seed, index), draw_gain_db(seed, index)
+        place, gain_db = draw_drive(seed, index, recipe.preset, duration_s, recipe.kind), draw_gain_db(seed, index)
         scene, setup = place.scene, stronger(place.scene.setup, ratio_from_db(gain_db))
-        effects = ",".join(sorted(recipe.choice)) if isinstance(recipe.choice, frozenset) else recipe.choice
         drive = LabelledDrive(scene, scene_seed(seed, index), setup, effects, recipe.budget_db, recipe.planned_for)
         for number in range(scans):
             scan = drive.scan(number)
-            labels.append(scan.labels)
             facts = {"place": place.kind, "relays": place.relays, "hidden": scan.hidden} | scene_facts(scene)
             walls = _walls(scene, scene_seed(seed, index), scan.start_from_radar)
-            row = {
-                "profiles": scan.profiles,
-                "radial_speed_cmps": speed_codes(scan.radial_speed_mps),
-                "noise_power_mw": noise_power_mw(setup),
-                "gain_db": gain_db,
-                "scene_yaml": scene_to_yaml(scene),
-                "facts": msgspec.json.encode(facts | {"truth": scan.objects} | walls),
-                "plan": _plan_line(recipe, scan),
-                "velocity_mps": scan.velocity_mps,
-                "elapsed_s": scan.elapsed_s,
-                "sequence": f"drive_{seed}_{index}",
-                "scan": number,
-                "stamp_ns": scan.stamp_ns,
-                "pose": (scan.start_from_radar.x_m, scan.start_from_radar.y_m, scan.start_from_radar.yaw_rad),
-                "motion": (scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)),
-                "odometry": scan.odometry,
-            }
-            for name, value in row.items():
-                columns.setdefault(name, []).append(value)
-    points = {name: np.concatenate(columns.pop(name)) for name in ("velocity_mps", "elapsed_s")}
-    return {name: np.array(values) for name, values in columns.items()} | points | _label_arrays(labels)
-
-
-def _draw_drive(recipe: Recipe, scans: int, seed: int, index: int) -> Place:
-    """Return the drive number `index` of a series."""
-    duration_s = scans * PRESETS[recipe.preset].radar.scan_period_s
-    return draw_drive(seed, index, recipe.preset, duration_s, recipe.kind)
+            yield (
+                scan.labels,
+                {
+                    "profiles": scan.profiles,
+                    "radial_speed_cmps": speed_codes(scan.radial_speed_mps),
+                    "noise_power_mw": noise_power_mw(setup),
+                    "gain_db": gain_db,
+                    "scene_yaml": scene_to_yaml(scene),
+                    "facts": msgspec.json.encode(facts | {"truth": scan.objects} | walls),
+                    "plan": _plan_line(recipe, scan),
+                    "velocity_mps": scan.velocity_mps,
+                    "elapsed_s": scan.elapsed_s,
+                    "sequence": f"drive_{seed}_{index}",
+                    "scan": number,
+                    "stamp_ns": scan.stamp_ns,
+                    "pose": (scan.start_from_radar.x_m, scan.start_from_radar.y_m, scan.start_from_radar.yaw_rad),
+                    "motion": (scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)),
+                    "odometry": scan.odometry,
+                },
+            )
 
 
 def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, Any]]:
     """Return the scene number `index` of a series, with its type of place and the kinds of its walls."""
-    if recipe.places == "street_v1":
-        scene, facts = random_street(seed, index), {"place": "street_v1", "relays": []}
-    else:
-        place = draw_place(seed, index, recipe.preset, recipe.kind)
-        scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
+    place = draw_place(seed, index, recipe.preset, recipe.kind)
+    scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
     if recipe.shift == "hard":
         scene = domain_shifted_scene(scene, shift_rng(seed, index, 0))
     return scene, facts
@@ -409,20 +376,3 @@ def _plan_line(recipe: Recipe, scan: LabelledScan | DriveScan) -> bytes:
 def shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
     """Return the generator of a scene's shift, apart from those of the scene: part 0 its place, 1 its board."""
     return np.random.default_rng([seed, index, 11, part])
-
-
-def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
-    """Return the arrays of faulty boards; none where there are none."""
-    if not boards:
-        return {}
-    return {
-        "missing_beams": np.stack([board.dead for board in boards]),
-        "beam_gain": np.stack([board.gain for board in boards]),
-    }
-
-
-def _label_arrays(labels: list[Labels]) -> dict[str, np.ndarray]:
-    """Return the points of all scenes, in one row, and where each scene's begin."""
-    offset = np.concatenate([[0], np.cumsum([len(points.range_m) for points in labels])]).astype(np.int64)
-    joined = {name: np.concatenate([getattr(points, name) for points in labels]) for name in LABELS}
-    return {"offset": offset, **joined}

@@ -119,14 +119,6 @@ def dataset_statistics(folder: Path) -> Statistics:
     return count_up(series_of(folder), read_records(folder))
 
 
-def count_up(series: dict[str, Any], records: Iterable[SceneRecord]) -> Statistics:
-    """Return the statistics of records."""
-    tally = _Tally()
-    for record in records:
-        tally.add(record)
-    return tally.statistics(series)
-
-
 def _records(arrays: dict[str, np.ndarray], first: int) -> Iterator[SceneRecord]:
     offset = arrays["offset"]
     for scene in range(len(offset) - 1):
@@ -141,87 +133,66 @@ def _records(arrays: dict[str, np.ndarray], first: int) -> Iterator[SceneRecord]
         )
 
 
-class _Tally:
-    """Counters over scenes."""
-
-    def __init__(self) -> None:
-        self.places: Counter[str] = Counter()
-        self.relays: Counter[str] = Counter()
-        self.materials: Counter[str] = Counter()
-        self.effects: Counter[str] = Counter()
-        self.orders: Counter[int] = Counter()
-        self.objects_per_scene: Counter[int] = Counter()
-        self.hidden_per_scene: Counter[int] = Counter()
-        self.objects = {name: Counter[str]() for name in OBJECT_KINDS}
-        self.hidden_in_noise = 0
-        self.range_m: dict[str, list[np.ndarray]] = {name: [] for name in CLASS_NAMES.values()}
-        self.snr_db: dict[str, list[np.ndarray]] = {name: [] for name in CLASS_NAMES.values()}
-        self.roughness_mm: list[float] = []
-        self.paths: list[int] = []
-        self.traced: list[int] = []
-
-    def add(self, record: SceneRecord) -> None:
-        """Add one scene."""
-        walls = [surface for surface in record.facts["surfaces"] if surface["role"] != "ground"]
-        self.places[record.facts["place"]] += 1
-        self.relays.update(record.facts["relays"])
-        self.materials.update(wall["material"] for wall in walls)
-        self.roughness_mm += [wall["roughness_mm"] for wall in walls]
-        self.effects.update(record.plan["used"])
-        self.paths.append(record.plan["paths"])
-        if "traced" in record.plan:
-            self.traced.append(record.plan["traced"])
-        self._add_points(record)
-        self._add_objects(record)
-
-    def _add_points(self, record: SceneRecord) -> None:
-        points = record.points
-        mirrored = points["path_class"] == PathClass.MIRRORED
-        # a corner of walls returns what it bounced itself: in direct sight all the same
-        self.orders.update(np.where(mirrored, points["order"], 0).tolist())
-        snr_db = 10.0 * np.log10(points["power_mw"] / record.noise_power_mw)
+def count_up(series: dict[str, Any], records: Iterable[SceneRecord]) -> Statistics:
+    """Return the statistics of records; ValueError without one."""
+    counted = {name: Counter[Any]() for name in ("place", "relay", "material", "effect", "order", "objects", "hidden")}
+    objects = {name: Counter[str]() for name in OBJECT_KINDS}
+    range_m, snr_db = ({name: list[np.ndarray]() for name in CLASS_NAMES.values()} for _ in range(2))
+    roughness_mm, paths, traced = list[float](), list[int](), list[int]()
+    hidden_in_noise = 0
+    for record in records:
+        facts, plan, points = record.facts, record.plan, record.points
+        walls = [surface for surface in facts["surfaces"] if surface["role"] != "ground"]
+        roughness_mm += [wall["roughness_mm"] for wall in walls]
+        paths.append(plan["paths"])
+        traced += [plan["traced"]] if "traced" in plan else []
+        is_mirrored = points["path_class"] == PathClass.MIRRORED
+        level_db = 10.0 * np.log10(points["power_mw"] / record.noise_power_mw)
         for kind, name in CLASS_NAMES.items():
             of_class = points["path_class"] == kind
-            self.range_m[name].append(points["range_m"][of_class])
-            self.snr_db[name].append(snr_db[of_class])
-
-    def _add_objects(self, record: SceneRecord) -> None:
-        points, classes = record.points, record.facts["objects"]
+            range_m[name].append(points["range_m"][of_class])
+            snr_db[name].append(level_db[of_class])
         direct = set(points["object_index"][points["path_class"] == PathClass.LOS].tolist())
-        mirrored = set(points["object_index"][points["path_class"] == PathClass.MIRRORED].tolist()) - direct - {-1}
-        for index, name in enumerate(classes):
+        mirrored = set(points["object_index"][is_mirrored].tolist()) - direct - {-1}
+        for index, name in enumerate(facts["objects"]):
             visibility = "direct" if index in direct else "hidden" if index in mirrored else "unseen"
-            self.objects.setdefault(name, Counter())[visibility] += 1
-        self.objects_per_scene[len(classes)] += 1
-        self.hidden_per_scene[len(mirrored)] += 1
-        self.hidden_in_noise += len(set(record.facts["hidden"]) - mirrored - direct)
-
-    def statistics(self, series: dict[str, Any]) -> Statistics:
-        """Return all counts as they stand; ValueError without a scene."""
-        scenes = self.places.total()
-        if not scenes:
-            raise ValueError("a data set must hold at least one scene, got none")
-        ranges = {name: np.concatenate(parts) for name, parts in self.range_m.items()}
-        return Statistics(
-            series=series,
-            scenes=scenes,
-            points={name: len(values) for name, values in ranges.items()},
-            places=dict(self.places.most_common()),
-            relays=dict(self.relays.most_common()),
-            materials=dict(self.materials.most_common()),
-            objects={name: ObjectCount(**counts) for name, counts in self.objects.items() if counts},
-            objects_per_scene=dict(sorted(self.objects_per_scene.items())),
-            hidden_per_scene=dict(sorted(self.hidden_per_scene.items())),
-            nothing_hidden_share=self.hidden_per_scene[0] / scenes,
-            hidden_in_noise=self.hidden_in_noise,
-            orders={name: self.orders[order] for order, name in enumerate(ORDER_NAMES)},
-            range_m=histogram(RANGE_EDGES_M, ranges),
-            snr_db=histogram(SNR_EDGES_DB, {name: np.concatenate(parts) for name, parts in self.snr_db.items()}),
-            roughness_mm=histogram(ROUGHNESS_EDGES_MM, {"walls": np.array(self.roughness_mm)}),
-            effects={name: count / scenes for name, count in self.effects.most_common()},
-            paths=_quantiles(self.paths),
-            traced=_quantiles(self.traced) if self.traced else None,
-        )
+            objects.setdefault(name, Counter())[visibility] += 1
+        hidden_in_noise += len(set(facts["hidden"]) - mirrored - direct)
+        for name, values in {
+            "place": [facts["place"]],
+            "relay": facts["relays"],
+            "material": [wall["material"] for wall in walls],
+            "effect": plan["used"],
+            # a corner of walls returns what it bounced itself: in direct sight all the same
+            "order": np.where(is_mirrored, points["order"], 0).tolist(),
+            "objects": [len(facts["objects"])],
+            "hidden": [len(mirrored)],
+        }.items():
+            counted[name].update(values)
+    scenes = counted["place"].total()
+    if not scenes:
+        raise ValueError("a data set must hold at least one scene, got none")
+    ranges = {name: np.concatenate(parts) for name, parts in range_m.items()}
+    return Statistics(
+        series=series,
+        scenes=scenes,
+        points={name: len(values) for name, values in ranges.items()},
+        places=dict(counted["place"].most_common()),
+        relays=dict(counted["relay"].most_common()),
+        materials=dict(counted["material"].most_common()),
+        objects={name: ObjectCount(**counts) for name, counts in objects.items() if counts},
+        objects_per_scene=dict(sorted(counted["objects"].items())),
+        hidden_per_scene=dict(sorted(counted["hidden"].items())),
+        nothing_hidden_share=counted["hidden"][0] / scenes,
+        hidden_in_noise=hidden_in_noise,
+        orders={name: counted["order"][order] for order, name in enumerate(ORDER_NAMES)},
+        range_m=histogram(RANGE_EDGES_M, ranges),
+        snr_db=histogram(SNR_EDGES_DB, {name: np.concatenate(parts) for name, parts in snr_db.items()}),
+        roughness_mm=histogram(ROUGHNESS_EDGES_MM, {"walls": np.array(roughness_mm)}),
+        effects={name: count / scenes for name, count in counted["effect"].most_common()},
+        paths=_quantiles(paths),
+        traced=_quantiles(traced) if traced else None,
+    )
 
 
 def histogram(edges: tuple[float, ...], values: dict[str, np.ndarray]) -> Histogram:

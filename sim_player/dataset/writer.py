@@ -1,9 +1,8 @@
 """Data sets at the kernel level: scenes of a series as range profiles with labels, in resumable shards.
 
 A new data set has all four types of place (`sim_player.generate.places.random_place`), and for each scene the effects
-that its map calls for under -20 dB. The first series, random streets with the basic effects, is `places="street_v1"`:
-its profiles and first labels are those of the first version of this module. `shift="hard"` is the second test
-set: the same places rougher and fuller, seen by a faulty board (`sim_player.dataset.domain_shift`).
+that its map calls for under -20 dB. `shift="hard"` is the second test set: the same places rougher and fuller, seen by
+a faulty board (`sim_player.dataset.domain_shift`).
 
 A folder holds `series.json` (generator, preset, effects, budget, purpose, shift: another series is refused), shards,
 and `manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n scenes:
@@ -76,8 +75,17 @@ def write_dataset(
         # of a run that was killed
         part.unlink(missing_ok=True)
     manifest = _Manifest(out_dir / "manifest.jsonl")
-    jobs = _jobs(out_dir, count, seed, recipe)
-    _refuse_to_shrink(out_dir, count, jobs, manifest)
+    size, scenes = recipe.shard_scenes, count * (recipe.scans or 1)
+    jobs = [
+        ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, scenes - first))
+        for first in range(0, scenes, size)
+    ]
+    # training would read scenes beyond those requested too
+    counts = {job.path.name: job.count for job in jobs}
+    beyond = {path.name for path in out_dir.glob("shard-*.npz")} - counts.keys()
+    beyond |= {shard for shard, line in manifest.lines.items() if line["scenes"] > counts.get(shard, 0)}
+    if beyond:
+        raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {count}")
     missing = []
     for job in jobs:
         fault = shard_fault(job, manifest.sha256(job))
@@ -125,24 +133,6 @@ def _read_manifest(manifest: Path) -> dict[str, dict[str, Any]]:
         return {line["shard"]: {name: line[name] for name in names} for line in lines}
     except (OSError, msgspec.DecodeError, UnicodeError, RecursionError, KeyError, TypeError):
         return {}
-
-
-def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob]:
-    """Return all shards of a data set."""
-    size, scenes = recipe.shard_scenes, count * (recipe.scans or 1)
-    return [
-        ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, scenes - first))
-        for first in range(0, scenes, size)
-    ]
-
-
-def _refuse_to_shrink(out_dir: Path, count: int, jobs: list[ShardJob], manifest: _Manifest) -> None:
-    """Raise ValueError where the folder holds scenes beyond those requested, which training would read too."""
-    counts = {job.path.name: job.count for job in jobs}
-    beyond = {path.name for path in out_dir.glob("shard-*.npz")} - counts.keys()
-    beyond |= {shard for shard, line in manifest.lines.items() if line["scenes"] > counts.get(shard, 0)}
-    if beyond:
-        raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {count}")
 
 
 def _claim(out_dir: Path, series: dict[str, Any]) -> None:

@@ -7,8 +7,8 @@ every half metre.
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,14 +24,7 @@ from sim_player.scene.description import OBJECT_KINDS, Ego, Scene, SceneObject
 #: Share of each class among road users that are not parked. An assumption, no count: mostly cars, one in eight on foot.
 #: Small ones fit more easily out of sight, so that about one in five hidden road users is a pedestrian (places at
 #: rest: one in three).
-STREET_MIX: dict[str, float] = {
-    "car": 0.55,
-    "van": 0.13,
-    "truck": 0.08,
-    "bus": 0.04,
-    "bicycle": 0.08,
-    "pedestrian": 0.12,
-}
+STREET_MIX = {"car": 0.55, "van": 0.13, "truck": 0.08, "bus": 0.04, "bicycle": 0.08, "pedestrian": 0.12}
 #: Shares of a drawn speed that are tried in turn; what fits none of them stands.
 SPEED_SHARES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)
 #: Speeds and yaw rates drawn for the radar until it need not stand.
@@ -56,19 +49,13 @@ def draw_drive(seed: int, index: int, preset: Preset, duration_s: float, kind: P
     place = draw_place(seed, index, preset, kind, class_mix=STREET_MIX)
     rng = np.random.default_rng([seed, index, 13])
     traffic = _Traffic(place.scene, duration_s)
-    ego = _ego(rng, traffic)
+    ego = traffic.start_radar(rng)
     objects = [
         road_user if number < place.parked else traffic.set_in_motion(rng, number)
         for number, road_user in enumerate(place.scene.objects)
     ]
-    return Place(
-        scene=replace(place.scene, name=f"drive_{place.scene.name}", objects=tuple(objects), ego=ego),
-        kind=place.kind,
-        relays=place.relays,
-        hidden=place.hidden,
-        overlapping=place.overlapping,
-        parked=place.parked,
-    )
+    scene = replace(place.scene, name=f"drive_{place.scene.name}", objects=tuple(objects), ego=ego)
+    return dataclasses.replace(place, scene=scene)
 
 
 class _Traffic:
@@ -83,15 +70,21 @@ class _Traffic:
         self._discs = [self._discs_of(road_user) for road_user in scene.objects]
         self._radar_m = np.zeros((len(self.time_s), 2))
 
-    def allows_radar(self, way_m: np.ndarray) -> bool:
-        """Return whether the radar can go along a way [times, 2] through all that stands."""
-        if segment_distance_m(way_m, *self._walls).min(initial=np.inf) < WALL_ROOM_M:
-            return False
-        return all(_nearest_m(way_m[:, None], discs) > RADAR_ROOM_M for discs in self._discs)
-
-    def set_radar_in_motion(self, way_m: np.ndarray) -> None:
-        """Let the radar go along a way."""
-        self._radar_m = way_m
+    def start_radar(self, rng: np.random.Generator) -> Ego:
+        """Return the radar's motion through all that stands, and let it go so."""
+        for _ in range(EGO_ATTEMPTS):
+            speed_mps = rng.uniform(0.0, MAX_EGO_SPEED_MPS)
+            yaw_rate_dps = rng.uniform(-MAX_YAW_RATE_DPS, MAX_YAW_RATE_DPS)
+            for share in SPEED_SHARES:
+                ego = Ego(speed_mps=float(share * speed_mps), yaw_rate_dps=float(yaw_rate_dps))
+                poses = [ego_motion(ego.speed_mps, math.radians(ego.yaw_rate_dps), at_s) for at_s in self.time_s]
+                way_m = np.array([(pose.x_m, pose.y_m) for pose in poses])
+                if segment_distance_m(way_m, *self._walls).min(initial=np.inf) < WALL_ROOM_M:
+                    continue
+                if all(_nearest_m(way_m[:, None], discs) > RADAR_ROOM_M for discs in self._discs):
+                    self._radar_m = way_m
+                    return ego
+        return Ego()
 
     def set_in_motion(self, rng: np.random.Generator, number: int) -> SceneObject:
         """Set a road user in motion, either way along its heading, at the greatest share of a drawn speed."""
@@ -132,22 +125,3 @@ def _nearest_m(points_m: np.ndarray, discs: Discs) -> float:
     """Return the least distance of points [times, N, 2] from discs at the same times."""
     centres_m, radius_m = discs
     return float(np.linalg.norm(points_m[:, :, None] - centres_m[:, None], axis=-1).min() - radius_m)
-
-
-def _ego(rng: np.random.Generator, traffic: _Traffic) -> Ego:
-    """Return the radar's motion, and let it go so."""
-    for ego in _wanted(rng):
-        poses = [ego_motion(ego.speed_mps, math.radians(ego.yaw_rate_dps), time_s) for time_s in traffic.time_s]
-        way_m = np.array([(pose.x_m, pose.y_m) for pose in poses])
-        if traffic.allows_radar(way_m):
-            traffic.set_radar_in_motion(way_m)
-            return ego
-    return Ego()
-
-
-def _wanted(rng: np.random.Generator) -> Iterator[Ego]:
-    """Yield motions of the radar, the wanted ones first."""
-    for _ in range(EGO_ATTEMPTS):
-        speed_mps, yaw_rate_dps = rng.uniform(0.0, MAX_EGO_SPEED_MPS), rng.uniform(-MAX_YAW_RATE_DPS, MAX_YAW_RATE_DPS)
-        for share in SPEED_SHARES:
-            yield Ego(speed_mps=float(share * speed_mps), yaw_rate_dps=float(yaw_rate_dps))

@@ -6,12 +6,12 @@ arcs. Every wall blocks a path by a mirror. The final visibility is traced.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from models.physics.curved_mirror import arc_points
 from models.physics.mirror import blocked, crosses
 from sim_player.scene.description import SceneObject, Surface
 
@@ -109,20 +109,10 @@ def chords(surface: Surface) -> np.ndarray:
     points = np.array(surface.polyline_m, np.float64).reshape(-1, 2)
     if surface.curvature_per_m == 0.0:
         return points
-    pieces = [_arc(a, b, surface.curvature_per_m) for a, b in pairwise(points)]
-    return np.concatenate([points[:1], *pieces])
-
-
-def _arc(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> np.ndarray:
-    """Return the points on an arc from a (left out) to b; positive curvature has its centre on the left."""
-    chord = b - a
-    length = math.hypot(*chord)
-    half_turn = math.asin(0.5 * length * curvature_per_m)
-    angle = half_turn * np.linspace(-1.0, 1.0, CHORDS + 1)[1:]
-    along = 0.5 * length + np.sin(angle) / curvature_per_m
-    left = (math.cos(half_turn) - np.cos(angle)) / curvature_per_m
-    unit = chord / length
-    return a + along[:, None] * unit + left[:, None] * np.array([-unit[1], unit[0]])
+    share = np.linspace(0.0, 1.0, CHORDS + 1)[1:]
+    return np.concatenate(
+        [points[:1], *(arc_points(a, b, surface.curvature_per_m, share) for a, b in pairwise(points))]
+    )
 
 
 def hidden(points: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:

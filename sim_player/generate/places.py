@@ -17,7 +17,6 @@ from msgspec.structs import replace
 from models.physics.plane import segment_distance_m
 from sim_player.generate.layouts import Block, Layout, PlaceKind, draw_layout
 from sim_player.generate.placement import CLEARANCE_M, ORIGIN, WALL_CLEARANCE_M, Boxes, Walls, hidden, images, indoors
-from sim_player.generate.streets import CLASS_SHARE, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M
 from sim_player.generate.wall_kinds import CORRELATION_MM, FINISHES, Preset, RelayKind, build, known, surface
 from sim_player.scene.description import (
     OBJECT_KINDS,
@@ -32,6 +31,10 @@ from sim_player.scene.description import (
 )
 from sim_player.scene.front_end import FrontEnd, Spur
 
+#: Required range and azimuth of images of hidden objects.
+IMAGE_RANGE_M, IMAGE_AZIMUTH_RAD = (5.0, 60.0), math.radians(55.0)
+#: Probability of each class in the open: cars are most common, as on real streets.
+CLASS_SHARE = {"car": 0.35, "van": 0.15, "truck": 0.12, "bus": 0.08, "bicycle": 0.14, "pedestrian": 0.16}
 #: Probability of each class to be tried first in hiding: long vehicles fit more rarely.
 HIDING_SHARE = {"car": 0.28, "van": 0.17, "truck": 0.22, "bus": 0.17, "bicycle": 0.08, "pedestrian": 0.08}
 PLACE_KINDS: tuple[PlaceKind, ...] = get_args(PlaceKind)
@@ -111,7 +114,13 @@ def draw_place(
     class_mix: share of each class among all but the parked; None: whatever fits first, so that hidden objects are
     mostly small.
     """
-    _check(seed, index, preset, kind)
+    for name, number in (("seed", seed), ("index", index)):
+        if number < 0:
+            raise ValueError(f"{name} must not be negative, got {number!r}")
+    if preset not in PRESETS:
+        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    if kind is not None and kind not in PLACE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(PLACE_KINDS)}, got {kind!r}")
     rng = np.random.default_rng([seed, index])
     drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
     kind = drawn if kind is None else kind
@@ -126,25 +135,26 @@ def draw_place(
         crowd.add(rng, False, classes=_classes(rng, class_mix))
     scene = Scene(
         name=f"{kind}_{seed}_{index}",
-        radar=draw_radar(rng, preset),
+        radar=SceneRadar(
+            preset=preset,
+            height_m=float(rng.uniform(0.5, 1.5)),
+            separation_m=float(rng.uniform(0.0, 0.3)) if rng.random() < SEPARATED_SHARE else 0.0,
+            front_end=_faulty(rng) if rng.random() < FAULTY_SHARE else FrontEnd(),
+        ),
         surfaces=(*crowd.surfaces, *draw_ground(rng, preset)),
         objects=_moving(rng, crowd) if motion else tuple(crowd.objects),
-        ego=_ego(rng) if motion else Ego(),
-        weather=draw_weather(rng),
+        ego=(
+            Ego(speed_mps=float(rng.uniform(0.0, 15.0)), yaw_rate_dps=float(rng.uniform(-10.0, 10.0)))
+            if motion
+            else Ego()
+        ),
+        weather=Weather(
+            rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,
+            temperature_c=float(rng.uniform(-5.0, 30.0)),
+        ),
     )
     check_scene(scene)
     return Place(scene, kind, crowd.relays, tuple(crowd.hidden), crowd.overlapping, crowd.parked)
-
-
-def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
-    """Check the arguments."""
-    for name, number in (("seed", seed), ("index", index)):
-        if number < 0:
-            raise ValueError(f"{name} must not be negative, got {number!r}")
-    if preset not in PRESETS:
-        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
-    if kind is not None and kind not in PLACE_KINDS:
-        raise ValueError(f"kind must be one of {', '.join(PLACE_KINDS)}, got {kind!r}")
 
 
 @dataclass(frozen=True)
@@ -216,11 +226,18 @@ class _Crowd:
             fits = np.flatnonzero(np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD)
         share = HIDING_SHARE if hide else CLASS_SHARE
         for name in classes or rng.choice(list(share), len(share), replace=False, p=list(share.values())):
-            yaw_deg = _yaw_deg(rng, str(name), heading)
+            # along the traffic, either way; random for pedestrians and in yards
+            along = heading + rng.choice([0.0, 180.0], len(heading)) + rng.normal(0.0, 6.0, len(heading))
+            yaw_deg = np.where(np.isnan(heading) | (name == "pedestrian"), rng.uniform(0.0, 360.0, len(heading)), along)
             for index in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
                 if hide:
                     is_shown = (shown.spot == index) & near
-                    self._add_hidden(shown.specular[is_shown], spot[index], float(shown.range_m[is_shown].min()))
+                    specular = shown.specular[is_shown]
+                    self.hidden.append(len(self.objects))
+                    self.image_m.append(float(shown.range_m[is_shown].min()))
+                    to_spot = np.broadcast_to(spot[index], specular.shape)
+                    self.segment_a = np.concatenate([self.segment_a, np.zeros_like(specular), specular])
+                    self.segment_b = np.concatenate([self.segment_b, specular, to_spot])
                 self.objects.append(_road_user(str(name), spot[index], yaw_deg[index]))
                 return True
         return False
@@ -257,17 +274,13 @@ class _Crowd:
         good &= ~grown(CLEARANCE_M).crossed_by(*boxes.faces) & ~boxes.contain(spot).any(axis=0)
         good &= ~own.crossed_by(self.segment_a, self.segment_b)
         if hide:
-            outline = _outline(own)
+            # points all around the boxes, [N, 16, 2]
+            edges = np.roll(own.corners, -1, axis=1) - own.corners
+            steps = np.array([0.0, 0.25, 0.5, 0.75])[:, None] * edges[:, :, None]
+            outline = (own.corners[:, :, None] + steps).reshape(len(own.corners), 16, 2)
             good[good] = hidden(outline[good].reshape(-1, 2), self.walls, boxes).reshape(-1, outline.shape[1]).all(1)
         fits[fits] = good
         return fits
-
-    def _add_hidden(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
-        """Record a hidden object and the paths that show it."""
-        self.hidden.append(len(self.objects))
-        self.image_m.append(range_m)
-        self.segment_a = np.concatenate([self.segment_a, np.zeros_like(specular), specular])
-        self.segment_b = np.concatenate([self.segment_b, specular, np.broadcast_to(spot, specular.shape)])
 
 
 def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset) -> _Crowd:
@@ -281,7 +294,7 @@ def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset)
         surfaces = tuple(turn.surface(piece) for _, pieces in built for piece in pieces)
         walls = Walls.of(surfaces)
         rings = (
-            *(turn.points(_footprint(block)) for block in layout.blocks),
+            *(turn.points(np.array([side.start for side in block.sides().values()])) for block in layout.blocks),
             *(np.array(wall.polyline_m) for wall in surfaces if wall.polyline_m[0] == wall.polyline_m[-1]),
         )
         far = segment_distance_m(ORIGIN[None], walls.a, walls.b).min() > WALL_ROOM_M
@@ -302,11 +315,6 @@ def _block(rng: np.random.Generator, block: Block, preset: Preset) -> list[Built
     finish = FINISHES[names[rng.integers(len(names))]]
     outline = (plain[0].start, *(side.end for side in plain))
     return [*built, (None, (surface(rng, finish, outline, float(rng.uniform(*block.height_m)), role="occluder"),))]
-
-
-def _footprint(block: Block) -> np.ndarray:
-    """Return the corners of a building, [4, 2]."""
-    return np.array([side.start for side in block.sides().values()])
 
 
 def _hide(
@@ -342,13 +350,6 @@ def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: in
     return turn.points(spot), turn.heading_deg(heading)
 
 
-def _yaw_deg(rng: np.random.Generator, name: str, heading_deg: np.ndarray) -> np.ndarray:
-    """Return the headings [N]: along the traffic, either way; random for pedestrians and in yards."""
-    free = np.isnan(heading_deg) | (name == "pedestrian")
-    along = heading_deg + rng.choice([0.0, 180.0], len(heading_deg)) + rng.normal(0.0, 6.0, len(heading_deg))
-    return np.where(free, rng.uniform(0.0, 360.0, len(heading_deg)), along)
-
-
 def _road_user(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
     """Return an object at rest."""
     return SceneObject(
@@ -357,13 +358,6 @@ def _road_user(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
         y_m=float(spot[1]),
         yaw_deg=math.remainder(float(yaw_deg), 360.0),
     )
-
-
-def _outline(boxes: Boxes) -> np.ndarray:
-    """Return the points all around boxes, [N, 16, 2]."""
-    ends = np.roll(boxes.corners, -1, axis=1)
-    share = np.array([0.0, 0.25, 0.5, 0.75])[:, None]
-    return (boxes.corners[:, :, None] + share * (ends - boxes.corners)[:, :, None]).reshape(len(boxes.corners), 16, 2)
 
 
 def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
@@ -380,16 +374,6 @@ def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]
             roughness_mm=float(rng.uniform(*GROUNDS[name][1])),
             correlation_mm=float(rng.uniform(*CORRELATION_MM)),
         ),
-    )
-
-
-def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
-    """Return the mounting, and the faults of some radars."""
-    return SceneRadar(
-        preset=preset,
-        height_m=float(rng.uniform(0.5, 1.5)),
-        separation_m=float(rng.uniform(0.0, 0.3)) if rng.random() < SEPARATED_SHARE else 0.0,
-        front_end=_faulty(rng) if rng.random() < FAULTY_SHARE else FrontEnd(),
     )
 
 
@@ -411,14 +395,6 @@ def _faulty(rng: np.random.Generator) -> FrontEnd:
     )
 
 
-def draw_weather(rng: np.random.Generator) -> Weather:
-    """Draw the weather: dry or rainy, cold to hot."""
-    return Weather(
-        rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,
-        temperature_c=float(rng.uniform(-5.0, 30.0)),
-    )
-
-
 def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
     """Return all but the parked set in motion."""
     return tuple(
@@ -427,8 +403,3 @@ def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
         else replace(road_user, speed_mps=float(rng.uniform(0.0, MAX_SPEED_MPS[str(road_user.class_)])))
         for index, road_user in enumerate(crowd.objects)
     )
-
-
-def _ego(rng: np.random.Generator) -> Ego:
-    """Return the radar's own motion."""
-    return Ego(speed_mps=float(rng.uniform(0.0, 15.0)), yaw_rate_dps=float(rng.uniform(-10.0, 10.0)))

@@ -7,6 +7,7 @@ down to the ground, containers are smooth: their corrugation is left out.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from typing import Literal
 import numpy as np
 from msgspec.structs import replace
 
-from models.physics.materials import band_note
-from sim_player.scene.description import Point, Scene, SceneRadar, Surface, check_scene
+from models.physics.materials import band_note, is_volume, wall_layers
+from msgs.values.radar import PRESETS
+from sim_player.scene.description import Point, Surface
 
 
 @dataclass(frozen=True)
@@ -97,13 +99,13 @@ class Line:
 @lru_cache(maxsize=64)
 def known(material: str, preset: Preset) -> bool:
     """Return whether a material was measured in the band of a radar: places draw no interpolated ones."""
-    wall = Surface(role="relay", material=material, polyline_m=((9.0, -1.0), (9.0, 1.0)), thickness_mm=100.0)
-    scene = Scene(name=material, radar=SceneRadar(preset=preset), surfaces=(wall,))
+    carrier_hz = PRESETS[preset].radar.carrier_hz
     try:
-        check_scene(scene)
+        if not is_volume(material):
+            wall_layers(material, 0.1, carrier_hz)
     except ValueError:
         return False
-    return not band_note(material, scene.setup.radar.carrier_hz)
+    return not band_note(material, carrier_hz)
 
 
 def kinds_at(preset: Preset) -> tuple[RelayKind, ...]:
@@ -142,12 +144,6 @@ def surface(
     )
 
 
-def closed_box(rng: np.random.Generator, line: Line, depth_m: float, finish: Finish, height_m: float) -> Surface:
-    """Return four walls around a box whose front is the line."""
-    back = line.at(line.length_m, -depth_m), line.at(0.0, -depth_m)
-    return surface(rng, finish, (line.start, line.end, *back, line.start), height_m)
-
-
 def _facade(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
     """Return the piers of the finish with windows between, all in one plane."""
     count = int(np.clip(line.length_m / rng.uniform(3.0, 5.5), 1, 5))
@@ -181,12 +177,16 @@ def _containers(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[S
     starts = np.arange(min(count, 3)) * (length_m + rng.uniform(0.1, 0.5))
     starts += rng.uniform(0.0, max(line.length_m - starts[-1] - length_m, 1e-3))
     rows = [Line(line.at(start), line.at(start + length_m), line.kinds) for start in starts]
-    return tuple(closed_box(rng, row, CONTAINER_WIDTH_M, finish, CONTAINER_HEIGHT_M) for row in rows)
+    outlines = [
+        (row.start, row.end, *(row.at(along_m, -CONTAINER_WIDTH_M) for along_m in (row.length_m, 0.0)), row.start)
+        for row in rows
+    ]
+    return tuple(surface(rng, finish, outline, CONTAINER_HEIGHT_M) for outline in outlines)
 
 
 def _hedge(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
     """Return a clipped hedge: a volume that scatters and absorbs."""
-    return (surface(rng, finish, (line.start, line.end), float(rng.uniform(1.2, 2.5))),)
+    return _plain(rng, dataclasses.replace(line, height_m=(1.2, 2.5)), finish)
 
 
 def _trees(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:

@@ -15,7 +15,6 @@ from models.physics.materials import is_volume
 from models.physics.mirror import CLEARANCE_M
 from models.physics.photons.optics import (
     OBJECT_ALBEDO,
-    FresnelMean,
     diffuse_reflectance,
     matt_albedo,
     optical_material,
@@ -82,14 +81,14 @@ class Surfaces(ArrayTable):
             matt=np.ones(count, bool),
         )
 
-    def diffuse(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
+    def diffuse(self, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
         """Return the share of the light that each piece scatters at a cosine of incidence."""
-        bare = diffuse_reflectance(self.index, self.albedo, cosine, self.roughness_m, wavelength_m, fresnel)
+        bare = diffuse_reflectance(self.index, self.albedo, cosine, self.roughness_m, wavelength_m)
         return np.where(self.matt, self.albedo, bare)
 
-    def mirror(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
+    def mirror(self, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
         """Return the share that each piece mirrors at a cosine of incidence: R_s of Eq. (16)."""
-        whole = optical_reflectance(self.index, cosine, self.roughness_m, wavelength_m, fresnel)
+        whole = optical_reflectance(self.index, cosine, self.roughness_m, wavelength_m)
         return np.where(self.matt, 0.0, whole)
 
 

@@ -31,7 +31,6 @@ from models.physics.photons.counting import (
     exact_closed_form,
 )
 from models.physics.photons.optics import (
-    FresnelMean,
     confocal_photons,
     direct_photons,
 )
@@ -50,42 +49,17 @@ MAX_PAIRS = 1 << 18
 #: Detections over a whole scan below which a contribution is left out.
 BUDGET = 1e-3
 
-Contribution = Literal["mirror", "diffuse"]
-
-#: Allowed words of each option.
-WORDS = {
-    "fresnel": ("mean", "printed"),
-    "nlos": ("mirror", "diffuse"),
-    "beyond": ("discard", "wrap"),
-    "engine": ("auto", "closed", "events"),
-}
+#: Counting engines: in closed form wherever that is exact and event by event elsewhere, or one of them
+#: (`draw_histogram`: where the closed form is not exact, it keeps the means).
+Engine = Literal["auto", "closed", "events"]
 
 
 class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the simulation, with a choice where the text leaves or prints two variants."""
+    """Options of the simulation."""
 
-    #: Eq. (14) as the mean of both powers, or as printed.
-    fresnel: FresnelMean = "mean"
-    #: Photons of all paths meet one ambient light before they are counted. False: Eq. (17) as printed, each cell of the
-    #: radar's range axis with its own ambient light and pile-up; more counts than pulses may come of it, which
-    #: `photon_map` refuses.
-    merge: bool = True
-    nlos: tuple[Contribution, ...] = ("mirror", "diffuse")
-    #: Treatment of paths beyond the unambiguous range.
-    beyond: Literal["discard", "wrap"] = "discard"
-    #: In closed form wherever that is exact, event by event elsewhere; or one of them (`draw_histogram`: where the
-    #: closed form is not exact, it keeps the means).
-    engine: Literal["auto", "closed", "events"] = "auto"
+    engine: Engine = "auto"
     #: Expected detections a scan below which a contribution is skipped; 0: none is.
     budget: float = BUDGET
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.budget < math.inf:
-            raise ValueError(f"options.budget must be finite and not negative, got {self.budget!r}")
-        for name, words in WORDS.items():
-            value = getattr(self, name)
-            if not set(value if name == "nlos" else (value,)) <= set(words):
-                raise ValueError(f"options.{name} must be of {', '.join(words)}, got {value!r}")
 
 
 #: Options that nobody set.
@@ -137,7 +111,7 @@ def optical_paths(
 ) -> OpticalPaths:
     """Return all paths of light at a time after start, for all azimuths of the grid or those of an index array.
 
-    Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range unless they wrap.
+    Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range.
     Raises ValueError for a time that is not finite.
     """
     sight = _Sight.of(world, lidar, time_s, options, azimuths)
@@ -147,7 +121,7 @@ def optical_paths(
         parts += sight.mirrored()
     if "diffuse" in used:
         parts += sight.confocal()
-    return _within(OpticalPaths.joined(parts), lidar.spad, options)
+    return _within(OpticalPaths.joined(parts), lidar.spad)
 
 
 def plan_optics(
@@ -170,24 +144,15 @@ def spad_histograms(
     """
     spad, closed = lidar.spad, _closed(lidar.spad, options)
     draw = draw_histogram if closed else event_histogram
-    measured = _measured(lidar, paths, options)
+    measured = _measured(lidar, paths)
 
     def histogram(azimuth: int) -> np.ndarray:
-        rng = np.random.default_rng([*seed, azimuth])
-        drawn = [draw(spad, _delay_s(group), group.photons, rng) for group in measured[azimuth]]
-        return np.sum(drawn, axis=0) if drawn else np.zeros(spad.bins, np.int64)
+        group = measured[azimuth]
+        return draw(spad, _delay_s(group), group.photons, np.random.default_rng([*seed, azimuth]))
 
     # counting events releases the interpreter lock; a draw in closed form is too short for that
     with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
-        return _as_counts(list(pool.map(histogram, range(len(measured)))))
-
-
-def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
-    """Return the histograms as they are sent, uint32; ValueError where paths counted apart make more."""
-    counts = np.array(rows)
-    if counts.max(initial=0) > np.iinfo(np.uint32).max:
-        raise ValueError(f"spad.measurement_time_s must bring counts that fit 32 bits, got {counts.max()}")
-    return counts.astype(np.uint32)
+        return np.array(list(pool.map(histogram, range(len(measured))))).astype(np.uint32)
 
 
 # -- rays ------------------------------------------------------------------------------------------------------------
@@ -345,7 +310,7 @@ class _Sight:
         """Return the light that the surfaces hit scatter straight back along the rays."""
         rays, met = hits.rays, self.surfaces.take(hits.piece)
         spad = self.lidar.spad
-        albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
+        albedo = met.diffuse(hits.cosine, spad.wavelength_m)
         photons = rays.share * direct_photons(spad, rays.range_m, albedo, hits.cosine, rays.spread_m)
         return _optical_paths(rays.azimuth_index, rays.range_m, photons, route, met.object_index)
 
@@ -357,9 +322,7 @@ class _Sight:
         """Return the paths by one mirror and by two."""
         parts, hits = [], self.first
         for _ in range(MIRRORS):
-            share = self.surfaces.take(hits.piece).mirror(
-                hits.cosine, self.lidar.spad.wavelength_m, self.options.fresnel
-            )
+            share = self.surfaces.take(hits.piece).mirror(hits.cosine, self.lidar.spad.wavelength_m)
             hits = _first_hits(self.surfaces, _reflected(self.surfaces, hits, share))
             parts.append(self.returns(hits, LightRoute.MIRROR))
         return parts
@@ -379,7 +342,10 @@ class _Sight:
         patches, spots = self.patches, self.spots
         if not len(patches.area_m2) or not len(spots.piece):
             return []
-        blockers = _opaque(self.view.blockers)
+        # for light foliage blocks, and shadows of tops are sharp
+        blockers = self.view.blockers
+        kind = np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8)
+        blockers = replace(blockers, kind=kind, wavelength_m=0.0)
         # at least one spot at a time, however many patches there are
         step = max(MAX_PAIRS // len(patches.area_m2), 1)
         parts = np.split(np.arange(len(spots.piece)), range(step, len(spots.piece), step))
@@ -395,7 +361,7 @@ class _Sight:
         n, q = np.nonzero((wall_cosine > 0.0) & (object_cosine > 0.0))
         free = free_segments((spot[n], patches.position_m[q]), blockers, patches.owner[q]).free
         n, q = n[free], q[free]
-        wall_albedo = self.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, self.options.fresnel)
+        wall_albedo = self.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m)
         photons = confocal_photons(
             spad,
             spots.rays.range_m[n],
@@ -439,31 +405,28 @@ def _condensed(
     return _optical_paths(cells[0, lit], mean_m, weight[lit], LightRoute.DIFFUSE, cells[1, lit].astype(np.int32))
 
 
-def _opaque(blockers: Blockers) -> Blockers:
-    """Return the blockers for light: foliage blocks, and shadows of tops are sharp."""
-    kind = np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8)
-    return replace(blockers, kind=kind, wavelength_m=0.0)
-
-
 # -- planning and counting -------------------------------------------------------------------------------------------
 
 
 def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
     """Return the bounds of the mirror and diffuse contributions of hidden objects, from the first hits."""
     bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
-    plans = []
-    for name, bound in bounds.items():
-        asked = name in sight.options.nlos
-        used = asked and bound > sight.part * sight.options.budget
-        verdict = f"{bound:.3g} detections a scan at most, budget {sight.options.budget:g}"
-        plans.append(OpticPlan(name=name, used=used, bound=bound, reason=verdict if asked else "not asked for"))
-    return tuple(plans)
+    budget = sight.options.budget
+    return tuple(
+        OpticPlan(
+            name=name,
+            used=bound > sight.part * budget,
+            bound=bound,
+            reason=f"{bound:.3g} detections a scan at most, budget {budget:g}",
+        )
+        for name, bound in bounds.items()
+    )
 
 
 def _mirror_bound(sight: _Sight) -> float:
     """Return the detections by mirrors if each mirror showed white surfaces at its own range."""
     met, spad, hits = sight.surfaces.take(sight.first.piece), sight.lidar.spad, sight.first
-    share = np.square(met.mirror(hits.cosine, spad.wavelength_m, sight.options.fresnel))
+    share = np.square(met.mirror(hits.cosine, spad.wavelength_m))
     # arcs may focus
     spread_m = 0.0 if sight.surfaces.curvature_per_m.any() else hits.rays.range_m
     photons = share * direct_photons(spad, hits.rays.range_m, 1.0, 1.0, spread_m)
@@ -475,7 +438,7 @@ def _diffuse_bound(sight: _Sight) -> float:
     point.
     """
     spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
-    albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, sight.options.fresnel)
+    albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m)
     total = 0.0
     for index in np.unique(patches.object_index):
         own = patches.object_index == index
@@ -514,32 +477,19 @@ def _closed(spad: SpadParams, options: SpadOptions) -> bool:
     return options.engine == "closed" or (options.engine == "auto" and exact_closed_form(spad))
 
 
-def _measured(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions) -> list[list[OpticalPaths]]:
-    """Return the paths of every azimuth, in the sets that are counted together."""
+def _measured(lidar: LidarSetup, paths: OpticalPaths) -> list[OpticalPaths]:
+    """Return the paths of every azimuth, which meet one ambient light and are counted together."""
     count = lidar.grid.azimuth_bins
     if len(paths) and not 0 <= paths.azimuth_index.min() <= paths.azimuth_index.max() < count:
         raise ValueError(f"azimuth_index must lie in 0..{count - 1}, got {paths.azimuth_index.tolist()!r}")
     order = np.argsort(paths.azimuth_index, kind="stable")
     borders = np.searchsorted(paths.azimuth_index[order], np.arange(1, count))
-    each = [paths.take(selection) for selection in np.split(order, borders)]
-    if options.merge:
-        return [[group] for group in each]
-    return [_by_cell(group, lidar.grid.range_bin_m) for group in each]
+    return [paths.take(selection) for selection in np.split(order, borders)]
 
 
-def _by_cell(paths: OpticalPaths, range_bin_m: float) -> list[OpticalPaths]:
-    """Return the paths of one azimuth by class and cell of the radar's range axis: the k of Eq. (17)."""
-    key = np.stack([paths.kind.astype(np.int64), np.rint(paths.range_m / range_bin_m).astype(np.int64)])
-    cells, owner = np.unique(key, axis=1, return_inverse=True)
-    return [paths.take(owner.ravel() == cell) for cell in range(cells.shape[1])]
-
-
-def _within(paths: OpticalPaths, spad: SpadParams, options: SpadOptions) -> OpticalPaths:
-    """Return the paths within the unambiguous range, or all where they wrap; without those of zero power."""
-    kept = paths.photons > 0.0
-    if options.beyond == "discard":
-        kept &= paths.range_m < spad.unambiguous_range_m
-    return paths.take(kept)
+def _within(paths: OpticalPaths, spad: SpadParams) -> OpticalPaths:
+    """Return the paths within the unambiguous range that have power."""
+    return paths.take((paths.photons > 0.0) & (paths.range_m < spad.unambiguous_range_m))
 
 
 def _delay_s(paths: OpticalPaths) -> np.ndarray:

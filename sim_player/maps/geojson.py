@@ -25,20 +25,16 @@ def read_geojson(path: Path, metric: bool = False) -> FootprintFile:
     without the file's name.
     """
     check_size(path)
-    content = _json(path.read_bytes())
-    if not isinstance(content, dict):
-        raise ValueError(f"expected a GeoJSON object, got {in_words(content)}")
-    _check_crs(content, metric)
-    return _Reader(metric).read(content)
-
-
-def _json(raw: bytes) -> Any:
     try:
-        return msgspec.json.decode(decode_text(raw))
+        content = msgspec.json.decode(decode_text(path.read_bytes()))
     except RecursionError:
         raise ValueError("not GeoJSON: nested too deep") from None
     except (msgspec.DecodeError, ValueError) as error:
         raise ValueError(f"not JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"expected a GeoJSON object, got {in_words(content)}")
+    _check_crs(content, metric)
+    return _Reader(metric).read(content)
 
 
 def _check_crs(content: dict[str, Any], metric: bool) -> None:

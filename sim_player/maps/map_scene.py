@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -72,10 +71,18 @@ class MapScene:
     def yaml(self) -> str:
         """The scene as text that `load_scene` reads."""
         comment = f"# {self.attribution}\n" if self.attribution else ""
+        defaults = {field.name: field.default for field in msgspec.structs.fields(Surface)}
         content = {
             "name": self.scene.name,
             "radar": {"preset": self.scene.radar.preset, "height_m": self.scene.radar.height_m},
-            "surfaces": [_without_defaults(surface) for surface in self.scene.surfaces],
+            "surfaces": [
+                {
+                    name: value
+                    for name, value in msgspec.to_builtins(surface).items()
+                    if getattr(surface, name) != defaults[name]
+                }
+                for surface in self.scene.surfaces
+            ],
         }
         return comment + yaml.dump(
             content, Dumper=PlainDumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120
@@ -169,13 +176,6 @@ def _ground(material: str) -> str:
         raise ValueError(f"--ground: {error}") from None
 
 
-def _without_defaults(surface: Surface) -> dict[str, Any]:
-    """Return the fields of a surface that a scene file must say."""
-    every = {field.name: field.default for field in msgspec.structs.fields(Surface)}
-    stated = {name: getattr(surface, name) for name, default in every.items() if getattr(surface, name) != default}
-    return dict(msgspec.to_builtins(stated))
-
-
 @dataclass(frozen=True)
 class _Building:
     """A building in the radar's frame: its rings and its walls."""
@@ -203,7 +203,9 @@ class _Builder:
         """Place a footprint, count it among those beyond the radius, or among the broken."""
         rings = [self._ring(ring) for ring in (footprint.outer, *footprint.holes)]
         away_m = float(np.hypot(*rings[0].T).min(initial=math.inf))
-        if _surely_beyond(rings[0], self.radius_m):
+        low, high = rings[0].min(axis=0), rings[0].max(axis=0)
+        # the box around a ring
+        if float(np.hypot(*np.maximum(np.maximum(low, -high), 0.0))) > self.radius_m:
             self._beyond(away_m)
             return
         try:
@@ -260,12 +262,6 @@ class _Builder:
                 height_m=DEFAULT_HEIGHT_M if height_m is None else height_m,
             )
         )
-
-
-def _surely_beyond(ring: np.ndarray, radius_m: float) -> bool:
-    """Return whether the box around a ring lies beyond a radius of the radar."""
-    low, high = ring.min(axis=0), ring.max(axis=0)
-    return float(np.hypot(*np.maximum(np.maximum(low, -high), 0.0))) > radius_m
 
 
 def _polygon(field: str, rings: list[np.ndarray]) -> shapely.Polygon:

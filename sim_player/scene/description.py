@@ -22,6 +22,7 @@ import yaml
 from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers, wall_name
 from models.physics.mirror import SHORTEST_WALL_M, crosses
+from models.physics.plane import segment_distance_m
 from msgs.files.shipped import shipped_path
 from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
@@ -335,7 +336,10 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
-        raise ValueError(_field_first(with_known_names(error, Scene))) from None
+        # "Expected `float`, got `str` - at `$.a[0].b`" as "a[0].b: expected ..."
+        text, _, where = with_known_names(error, Scene).partition(" - at `$")
+        field = where.rstrip("`").lstrip(".")
+        raise ValueError(f"{field}{': ' if field else ''}{text[0].lower()}{text[1:]}") from None
     objects = tuple(
         msgspec.structs.replace(scene_object, mesh=str(folder / scene_object.mesh))
         if scene_object.mesh
@@ -347,14 +351,15 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     return scene
 
 
-#: Fields of the radar's blocks and of surfaces that came after places were drawn. At their defaults they are not
-#: written: scenes drawn before keep their bytes and their hashes.
-_LATER_RADAR_FIELDS = ("bandwidth_hz", "transmit_power_w", "chirps_per_beam", "array", "beams_deg")
-_LATER_FIELDS = {"spad": ("tail_share", "tail_s"), "front_end": ("leakage_range_m",)}
-_LATER_SURFACE_FIELDS = ("diffuse_lobe",)
-_LATER_WEATHER_FIELDS = ("snow_mm_per_h", "fog_g_per_m3")
-_PLAIN_RADAR = SceneRadar()
-_PLAIN_SURFACE = Surface(role="relay", material="concrete")
+#: Fields that came after places were drawn. At their defaults they are not written: scenes drawn before keep their
+#: bytes and their hashes.
+_LATER_FIELDS: dict[type[msgspec.Struct], tuple[str, ...]] = {
+    SceneRadar: ("bandwidth_hz", "transmit_power_w", "chirps_per_beam", "array", "beams_deg"),
+    SpadParams: ("tail_share", "tail_s"),
+    FrontEnd: ("leakage_range_m",),
+    Surface: ("diffuse_lobe",),
+    Weather: ("snow_mm_per_h", "fog_g_per_m3"),
+}
 
 
 def scene_sha256(scene: Scene) -> str:
@@ -379,22 +384,25 @@ def scene_to_yaml(scene: Scene) -> str:
 def _plain(scene: Scene) -> dict[str, Any]:
     """Return a scene as plain data, later fields left out where they say nothing."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(scene))
-    for block, names in _LATER_FIELDS.items():
-        given = getattr(scene.radar, block)
-        for name in names:
-            if getattr(given, name) == getattr(type(given)(), name):
-                del plain["radar"][block][name]
-    for name in _LATER_RADAR_FIELDS:
-        if getattr(scene.radar, name) == getattr(_PLAIN_RADAR, name):
-            del plain["radar"][name]
-    for name in _LATER_WEATHER_FIELDS:
-        if getattr(scene.weather, name) == 0.0:
-            del plain["weather"][name]
-    for surface, written in zip(scene.surfaces, plain["surfaces"], strict=True):
-        for name in _LATER_SURFACE_FIELDS:
-            if getattr(surface, name) == getattr(_PLAIN_SURFACE, name):
+    blocks: list[tuple[msgspec.Struct, dict[str, Any]]] = [
+        (scene.radar.spad, plain["radar"]["spad"]),
+        (scene.radar.front_end, plain["radar"]["front_end"]),
+        (scene.radar, plain["radar"]),
+        (scene.weather, plain["weather"]),
+        *zip(scene.surfaces, plain["surfaces"], strict=True),
+    ]
+    for block, written in blocks:
+        defaults = {field.name: field.default for field in msgspec.structs.fields(block)}
+        for name in _LATER_FIELDS[type(block)]:
+            if getattr(block, name) == defaults[name]:
                 del written[name]
     return plain
+
+
+def _require(holds: bool, field: str, rule: str, got: object) -> None:
+    """Raise ValueError, field first, unless a rule holds."""
+    if not holds:
+        raise ValueError(f"{field}: {rule}, got {got!r}")
 
 
 def check_scene(scene: Scene) -> None:
@@ -403,8 +411,7 @@ def check_scene(scene: Scene) -> None:
         raise ValueError("name: must not be empty: recordings and pictures are named by it")
     numbers = list(_numbers(msgspec.to_builtins(scene), ""))
     for field, value in numbers:
-        if not math.isfinite(value):
-            raise ValueError(f"{field}: must be finite, got {value!r}")
+        _require(math.isfinite(value), field, "must be finite", value)
     _check_radar(scene.radar)
     _check_distances(scene, numbers)
     _require_speed("ego.speed_mps", scene.ego.speed_mps, MAX_SPEED_MPS)
@@ -414,10 +421,8 @@ def check_scene(scene: Scene) -> None:
     except ValueError as error:
         raise ValueError(f"radar.spad_scan_period_s: {error}") from None
     for field, (least, greatest) in WEATHER_RANGES.items():
-        if not least <= getattr(scene.weather, field) <= greatest:
-            raise ValueError(
-                f"weather.{field}: must lie in {least:g}..{greatest:g}, got {getattr(scene.weather, field)!r}"
-            )
+        value = getattr(scene.weather, field)
+        _require(least <= value <= greatest, f"weather.{field}", f"must lie in {least:g}..{greatest:g}", value)
     carrier_hz = scene.setup.radar.carrier_hz
     for index, surface in enumerate(scene.surfaces):
         _check_surface(f"surfaces[{index}]", surface, carrier_hz)
@@ -446,64 +451,55 @@ def _check_distances(scene: Scene, numbers: list[tuple[str, float]]) -> None:
         # thicknesses have ranges of their own
         if kind not in ("surfaces", "objects") or name == "thickness_mm":
             continue
-        within_m = FARTHEST_M if (kind == "surfaces" and is_city) or not _is_place(name) else limit_m
+        is_place = name in ("x_m", "y_m") or name.startswith("polyline_m")
+        within_m = FARTHEST_M if (kind == "surfaces" and is_city) or not is_place else limit_m
         if abs(value) > within_m:
             why = ", which is as far as the radar sees" if within_m < FARTHEST_M else ""
             raise ValueError(f"{field}: must lie within {within_m:g} of 0{why}, got {value!r}")
 
 
-def _is_place(name: str) -> bool:
-    return name in ("x_m", "y_m") or name.startswith("polyline_m")
-
-
 def _require_speed(field: str, value: float, limit: float) -> None:
-    if not abs(value) <= limit:
-        raise ValueError(f"{field}: must lie in {-limit:g}..{limit:g}, got {value!r}")
+    _require(abs(value) <= limit, field, f"must lie in {-limit:g}..{limit:g}", value)
 
 
 def _check_radar(radar: SceneRadar) -> None:
     """Check the mounting, the faults of the front end and the set-up."""
-    front_end = radar.front_end
-    if not radar.height_m > 0.0:
-        raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
-    if not 0.0 <= radar.separation_m < 1.0:
-        raise ValueError(f"radar.separation_m: must be at least 0 and below 1 m, got {radar.separation_m!r}")
-    if radar.noise_figure_db is not None and not -30.0 <= radar.noise_figure_db <= 100.0:
-        raise ValueError(f"radar.noise_figure_db: must be -30..100, got {radar.noise_figure_db!r}")
-    if not 4 <= front_end.adc_bits <= 16:
-        raise ValueError(f"radar.front_end.adc_bits: must be 4..16, got {front_end.adc_bits!r}")
-    if front_end.coupling_db is not None and not front_end.coupling_db < 0.0:
-        raise ValueError(f"radar.front_end.coupling_db: must be negative, got {front_end.coupling_db!r}")
-    if not front_end.leakage_range_m >= 0.0:
-        raise ValueError(f"radar.front_end.leakage_range_m: must not be negative, got {front_end.leakage_range_m!r}")
-    if front_end.flicker_corner_hz < 0.0:
-        raise ValueError(
-            f"radar.front_end.flicker_corner_hz: must not be negative, got {front_end.flicker_corner_hz!r}"
-        )
+    front_end, noise_db = radar.front_end, radar.noise_figure_db
+    of_front_end = "radar.front_end."
+    for holds, field, rule, got in (
+        (radar.height_m > 0.0, "radar.height_m", "must be positive", radar.height_m),
+        (0.0 <= radar.separation_m < 1.0, "radar.separation_m", "must be at least 0 and below 1 m", radar.separation_m),
+        (noise_db is None or -30.0 <= noise_db <= 100.0, "radar.noise_figure_db", "must be -30..100", noise_db),
+        (4 <= front_end.adc_bits <= 16, f"{of_front_end}adc_bits", "must be 4..16", front_end.adc_bits),
+        (
+            front_end.coupling_db is None or front_end.coupling_db < 0.0,
+            f"{of_front_end}coupling_db",
+            "must be negative",
+            front_end.coupling_db,
+        ),
+        *(
+            (getattr(front_end, name) >= 0.0, of_front_end + name, "must not be negative", getattr(front_end, name))
+            for name in ("leakage_range_m", "flicker_corner_hz")
+        ),
+    ):
+        _require(holds, field, rule, got)
     _ = radar.setup
 
 
 def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
     """Check material, sizes and polyline of one surface, and its distance from the radar."""
-    if surface.thickness_mm is not None and not surface.thickness_mm > 0.0:
-        raise ValueError(f"{field}.thickness_mm: must be positive, got {surface.thickness_mm!r}")
+    thickness_mm, lobe, lobes = surface.thickness_mm, surface.diffuse_lobe, get_args(DiffuseLobe)
+    _require(thickness_mm is None or thickness_mm > 0.0, f"{field}.thickness_mm", "must be positive", thickness_mm)
     _check_material(field, surface, carrier_hz)
-    if surface.roughness_mm < 0.0:
-        raise ValueError(f"{field}.roughness_mm: must not be negative, got {surface.roughness_mm!r}")
-    if not surface.correlation_mm > 0.0:
-        raise ValueError(f"{field}.correlation_mm: must be positive, got {surface.correlation_mm!r}")
-    if surface.diffuse_lobe not in get_args(DiffuseLobe):
-        raise ValueError(
-            f"{field}.diffuse_lobe: must be one of {', '.join(get_args(DiffuseLobe))}, got {surface.diffuse_lobe!r}"
-        )
+    _require(surface.roughness_mm >= 0.0, f"{field}.roughness_mm", "must not be negative", surface.roughness_mm)
+    _require(surface.correlation_mm > 0.0, f"{field}.correlation_mm", "must be positive", surface.correlation_mm)
+    _require(lobe in lobes, f"{field}.diffuse_lobe", f"must be one of {', '.join(lobes)}", lobe)
     if surface.role == "ground":
-        if surface.diffuse_lobe != _PLAIN_SURFACE.diffuse_lobe:
-            raise ValueError(f"{field}.diffuse_lobe: a ground mirrors and has none, got {surface.diffuse_lobe!r}")
+        _require(lobe == "kirchhoff", f"{field}.diffuse_lobe", "a ground mirrors and has none", lobe)
         return
-    if not surface.height_m > 0.0:
-        raise ValueError(f"{field}.height_m: must be positive, got {surface.height_m!r}")
-    if len(surface.polyline_m) < 2:
-        raise ValueError(f"{field}.polyline_m: needs two points or more, got {len(surface.polyline_m)}")
+    _require(surface.height_m > 0.0, f"{field}.height_m", "must be positive", surface.height_m)
+    points = len(surface.polyline_m)
+    _require(points >= 2, f"{field}.polyline_m", "needs two points or more", points)
     for index, (a, b) in enumerate(pairwise(surface.polyline_m)):
         _check_piece(field, index, surface.curvature_per_m, a, b)
 
@@ -520,8 +516,9 @@ def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
     except ValueError as error:
         raise ValueError(f"{field}.material: {error}") from None
     limit_mm = DEEPEST_FOLIAGE_MM if is_volume(surface.material) else THICKEST_WALL_MM
-    if surface.thickness_mm is not None and surface.thickness_mm > limit_mm:
-        raise ValueError(f"{field}.thickness_mm: must be at most {limit_mm:g}, got {surface.thickness_mm!r}")
+    if surface.thickness_mm is not None:
+        is_allowed = surface.thickness_mm <= limit_mm
+        _require(is_allowed, f"{field}.thickness_mm", f"must be at most {limit_mm:g}", surface.thickness_mm)
 
 
 def _require_matter(material: str) -> None:
@@ -540,8 +537,8 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
             f"{field}.curvature_per_m: |curvature| times the length of a piece must be below 2, the arc of a "
             f"half circle, got {curvature_per_m!r} for polyline_m[{index}] to [{index + 1}] of {chord:g} m"
         )
-    pieces = _arc_pieces(a, b, curvature_per_m)
-    if min(_distance_to_origin(np.array(start), np.array(end)) for start, end in pieces) < RADAR_CLEARANCE_M:
+    start_m, end_m = (np.array(ends) for ends in zip(*_arc_pieces(a, b, curvature_per_m), strict=True))
+    if segment_distance_m(np.zeros((1, 2)), start_m, end_m).min() < RADAR_CLEARANCE_M:
         raise ValueError(
             f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
             f"got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
@@ -576,8 +573,7 @@ def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> Non
     for name in ("unit", "up", "size_m", "material", "z_m"):
         if name not in allowed[given[0]] and getattr(scene_object, name) != getattr(plain, name):
             raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(scene_object, name)!r}")
-    if scene_object.z_m < 0.0:
-        raise ValueError(f"{field}.z_m: must not be negative, got {scene_object.z_m!r}")
+    _require(scene_object.z_m >= 0.0, f"{field}.z_m", "must not be negative", scene_object.z_m)
     if scene_object.class_:
         return
     try:
@@ -604,7 +600,13 @@ def wall_inside(scene_object: SceneObject, surfaces: tuple[Surface, ...]) -> int
 
 def wall_pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the straight pieces of all walls: the number of the surface of each [N], and its ends [N, 2], [N, 2]."""
-    pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
+    pieces = [
+        (index, *piece)
+        for index, surface in enumerate(surfaces)
+        if surface.role != "ground"
+        for a, b in pairwise(surface.polyline_m)
+        for piece in _arc_pieces(a, b, surface.curvature_per_m)
+    ]
     owner = np.array([index for index, _, _ in pieces], np.int64)
     a, b = (np.array([piece[end] for piece in pieces], np.float64).reshape(-1, 2) for end in (1, 2))
     return owner, a, b
@@ -620,14 +622,11 @@ def _check_overlaps(objects: tuple[SceneObject, ...]) -> None:
         distance = np.hypot(*(centre[first + 1 :] - centre[first]).T)
         for second in first + 1 + np.flatnonzero(distance < reach[first + 1 :] + reach[first]):
             if overlap(objects[first], objects[second]):
-                raise ValueError(
-                    f"objects[{second}].x_m: must stand clear of objects[{first}], "
-                    f"got {_in_words(objects[second])} in {_in_words(objects[first])}"
+                inner, outer = (
+                    f"a {each.object_class} at ({each.x_m:g}, {each.y_m:g})"
+                    for each in (objects[second], objects[first])
                 )
-
-
-def _in_words(scene_object: SceneObject) -> str:
-    return f"a {scene_object.object_class} at ({scene_object.x_m:g}, {scene_object.y_m:g})"
+                raise ValueError(f"objects[{second}].x_m: must stand clear of objects[{first}], got {inner} in {outer}")
 
 
 def overlap(left: SceneObject, right: SceneObject) -> bool:
@@ -658,14 +657,6 @@ def _outline(scene_object: SceneObject) -> np.ndarray:
     return scene_object.place(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def _segments(surface: Surface) -> list[tuple[Point, Point]]:
-    """Return the straight pieces of a wall, or those that replace its arcs; none for the ground."""
-    if surface.role == "ground":
-        return []
-    ends = pairwise(surface.polyline_m)
-    return [piece for a, b in ends for piece in _arc_pieces(a, b, surface.curvature_per_m)]
-
-
 def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point, Point]]:
     """Return the straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
     if not curvature_per_m:
@@ -675,13 +666,6 @@ def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point,
     share = np.linspace(0.0, 1.0, max(math.ceil(half_angle / max(step, 1e-6)), 1) + 1)
     points = [(float(x), float(y)) for x, y in arc_points(np.array(a), np.array(b), curvature_per_m, share)]
     return list(pairwise(points))
-
-
-def _distance_to_origin(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the distance of the segment a -> b from (0, 0)."""
-    along = b - a
-    share = np.clip(-(a @ along) / (along @ along), 0.0, 1.0)
-    return float(np.linalg.norm(a + share * along))
 
 
 def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
@@ -694,11 +678,3 @@ def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
             yield from _numbers(inner, f"{field}[{index}]")
     elif isinstance(value, float):
         yield field, value
-
-
-def _field_first(message: str) -> str:
-    """Return a validation message ("Expected `float`, got `str` - at `$.a[0].b`") as "a[0].b: expected ..."."""
-    text, _, path = message.partition(" - at `$")
-    field = path.rstrip("`").lstrip(".")
-    text = text[0].lower() + text[1:]
-    return f"{field}: {text}" if field else text

@@ -6,8 +6,7 @@ micro-motion of legs and wheels. The mean over all aspects equals the class's RC
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,9 +57,7 @@ def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCe
         lobe_exponent=exponent,
     )
     scale = ratio_from_db(kind.mean_rcs_dbsm) / mean_rcs_m2(centres)
-    return ScatteringCentres(
-        centres.position_m, centres.normals, centres.peak_rcs_m2 * scale, centres.phase_rad, centres.lobe_exponent
-    )
+    return replace(centres, peak_rcs_m2=centres.peak_rcs_m2 * scale)
 
 
 def seen_rcs_m2(
@@ -83,18 +80,9 @@ def seen_rcs_m2(
 
 def mean_rcs_m2(centres: ScatteringCentres) -> float:
     """Return the RCS averaged over all aspects and over speckle: the incoherent sum of the centres."""
-    normals, exponent = (np.asarray(values, np.float64) for values in (centres.normals, centres.lobe_exponent))
-    lobes = _lobes(normals.shape, normals.tobytes(), exponent.tobytes())
-    return float((centres.peak_rcs_m2 * lobes).sum(axis=1).mean())
-
-
-@lru_cache(maxsize=8)
-def _lobes(shape: tuple[int, ...], normals: bytes, lobe_exponent: bytes) -> np.ndarray:
-    """Return the share of their peak that centres show at 720 aspects, [720, K]; objects of a class are alike in it."""
     aspect = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
     direction = np.column_stack([np.cos(aspect), np.sin(aspect)])[:, None, :]
-    faces = np.frombuffer(normals, np.float64).reshape(shape)
-    return seen_rcs_m2(np.ones(shape[0]), faces, np.frombuffer(lobe_exponent, np.float64), direction)
+    return float(seen_rcs_m2(centres.peak_rcs_m2, centres.normals, centres.lobe_exponent, direction).sum(axis=1).mean())
 
 
 def _layout(

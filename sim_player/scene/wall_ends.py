@@ -95,12 +95,6 @@ def _turned(along: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return np.hstack([cosine * along[:, :1] - sine * along[:, 1:], cosine * along[:, 1:] + sine * along[:, :1]])
 
 
-def share_an_end(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return which of N pairs of walls, both ends of each [N, 2, 2], share an end; bool [N]."""
-    apart = np.linalg.norm(first[:, :, None] - second[:, None], axis=-1)
-    return np.asarray((apart <= SAME_END_M).any(axis=(1, 2)))
-
-
 def wall_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirror: np.ndarray) -> WallEnds:
     """Return the ends of all mirrors among walls a -> b [W, 2] of some curvature [W]."""
     chord = (b - a)[is_mirror]

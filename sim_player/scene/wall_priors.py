@@ -9,13 +9,11 @@ from typing import Literal, get_args
 import msgspec
 import numpy as np
 
-from msgs.values.arrays import require_within
 from msgs.values.environment import (
     MAX_PRIOR_WALLS,
     MAX_WALL_DISTANCE_M,
     MAX_WALL_LENGTH_M,
     MIN_WALL_LENGTH_M,
-    WALL_STD_LIMITS,
     PriorWall,
     WallPriors,
 )
@@ -34,11 +32,6 @@ class MapErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     angle_std_rad: float = math.radians(0.5)
     end_std_m: float = 0.5
     missing_share: float = 0.2
-
-    def __post_init__(self) -> None:
-        for name, (least, largest) in WALL_STD_LIMITS.items():
-            require_within(f"map_errors.{name}", least, largest, getattr(self, name))
-        require_within("map_errors.missing_share", 0.0, 1.0, self.missing_share)
 
 
 #: Straight walls stand for an arc within this distance.
@@ -65,7 +58,13 @@ def scene_walls(
     ]
     to_vehicle = start_from_vehicle.inverse()
     walls = [to_vehicle.apply(ends_m) for ends_m in pieces if ends_m is not None]
-    nearest = sorted((ends_m for ends_m in walls if _fits_message(ends_m)), key=_distance_m)[:MAX_PRIOR_WALLS]
+    fitting = (
+        ends_m
+        for ends_m in walls
+        if MIN_WALL_LENGTH_M <= float(np.hypot(*(ends_m[1] - ends_m[0]))) <= MAX_WALL_LENGTH_M
+        and (np.abs(ends_m) <= MAX_WALL_DISTANCE_M).all()
+    )
+    nearest = sorted(fitting, key=_distance_m)[:MAX_PRIOR_WALLS]
     return WallPriors(
         stamp_ns=stamp_ns,
         source="scene",
@@ -120,11 +119,6 @@ def _drawn(ends_m: np.ndarray, errors: MapErrors | None, seed: list[int]) -> np.
     # ends keep their order, however short the wall
     reach_m = np.maximum(0.5 * length_m + errors.end_std_m * np.array(along), 0.5 * MIN_WALL_LENGTH_M)
     return middle_m + np.array([[-reach_m[0]], [reach_m[1]]]) * turned
-
-
-def _fits_message(ends_m: np.ndarray) -> bool:
-    length_m = float(np.hypot(*(ends_m[1] - ends_m[0])))
-    return MIN_WALL_LENGTH_M <= length_m <= MAX_WALL_LENGTH_M and bool((np.abs(ends_m) <= MAX_WALL_DISTANCE_M).all())
 
 
 def _distance_m(ends_m: np.ndarray) -> float:

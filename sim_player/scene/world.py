@@ -20,11 +20,11 @@ from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.vehicle import ego_motion
 from sim_player.bodies.centres import Bodies, Body, body_of, joined_bodies
 from sim_player.scene.bounce import Builds, Layers, all_bounces, builds_of
-from sim_player.scene.coincident import Stretches, WallPieces, cut_coincident
+from sim_player.scene.coincident import WallPieces, cut_coincident
 from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
 from sim_player.scene.road_users import ScatteringCentres, scattering_centres
 from sim_player.scene.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers, as_bent
-from sim_player.scene.wall_ends import Corners, EndNodes, WallEnds, corners_of, end_nodes, share_an_end, wall_ends
+from sim_player.scene.wall_ends import SAME_END_M, Corners, EndNodes, WallEnds, corners_of, end_nodes, wall_ends
 
 T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
@@ -175,7 +175,8 @@ class World:
     def share_an_end(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Return which of some pairs of pieces of wall [N] share an end; bool [N]."""
         ends = np.stack([self.wall_a, self.wall_b], axis=1)
-        return share_an_end(ends[first], ends[second])
+        apart = np.linalg.norm(ends[first][:, :, None] - ends[second][:, None], axis=-1)
+        return np.asarray((apart <= SAME_END_M).any(axis=(1, 2)))
 
     @cached_property
     def wall_frames(self) -> tuple[np.ndarray, np.ndarray]:
@@ -253,7 +254,14 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     chord_m = np.hypot(*(drawn.b - drawn.a).T)
     drawn = replace(drawn, curvature_per_m=as_bent(drawn.curvature_per_m, chord_m, setup.radar.wavelength_m))
     standing = cut_coincident(drawn, setup.radar_height_m)
-    left_out = _left_out(owner, standing)
+    coinciding_m: dict[tuple[int, int], float] = {}
+    for goes, stands, metres in standing.left_out:
+        pair = int(owner[goes]), int(owner[stands])
+        coinciding_m[pair] = coinciding_m.get(pair, 0.0) + metres
+    left_out = tuple(
+        f"surfaces[{goes}].polyline_m: {metres:.3g} m coincide with surfaces[{stands}], which stands there alone"
+        for (goes, stands), metres in coinciding_m.items()
+    )
     for line in left_out:
         _LOG.warning("scene %r: %s", scene.name, line)
     wall_a, wall_b, curvature = standing.a, standing.b, drawn.curvature_per_m[standing.piece]
@@ -285,18 +293,6 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         object_id=np.arange(len(scene.objects)),
         centre_id=np.arange(len(objects["centre_m"])),
         left_out=left_out,
-    )
-
-
-def _left_out(surface: np.ndarray, standing: Stretches) -> tuple[str, ...]:
-    """Return what is left out of walls that coincide, one line a pair of surfaces; `surface` of each piece drawn."""
-    length_m: dict[tuple[int, int], float] = {}
-    for goes, stands, metres in standing.left_out:
-        pair = int(surface[goes]), int(surface[stands])
-        length_m[pair] = length_m.get(pair, 0.0) + metres
-    return tuple(
-        f"surfaces[{goes}].polyline_m: {metres:.3g} m coincide with surfaces[{stands}], which stands there alone"
-        for (goes, stands), metres in length_m.items()
     )
 
 
@@ -380,12 +376,10 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
     radar = scene_radar(world.scene, time_s) if radar is None else radar
     pose = radar.pose
     shift = world.velocity_mps * time_s
-    face_shift = np.repeat(shift, 4, axis=0)
     centre = world.centre_m.copy()
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
-    kind, owner, build, box = world.blocker_kinds
     return Snapshot(
         world=world,
         pose=pose,
@@ -393,38 +387,33 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
         radar_velocity=radar.velocity,
         centre=centre,
         velocity=world.velocity_mps[world.centre_object],
-        blockers=Blockers(
-            a=np.concatenate([world.wall_a, world.face_a + face_shift]),
-            b=np.concatenate([world.wall_b, world.face_b + face_shift]),
-            height_m=np.concatenate([world.wall_height_m, world.face_height_m]),
-            curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(len(face_shift))]),
-            kind=kind,
-            owner=owner,
-            build=build,
-            box=box,
-            transmission=world.transmission,
-            wavelength_m=world.radar.wavelength_m,
-        ),
+        blockers=_blockers(world, np.repeat(shift, 4, axis=0)),
         normal=normal,
         offset=offset,
         lit=np.tile([0.0, 1.0], (len(world.wall_a), 1)),
     )
 
 
-def wall_blockers(world: World) -> Blockers:
-    """Return all pieces of wall as they stand in the way of rays."""
+def _blockers(world: World, face_shift: np.ndarray) -> Blockers:
+    """Return all pieces of wall and the faces of all objects, moved [faces, 2], as they stand in the way of rays."""
+    kind, owner, build, box = world.blocker_kinds
     return Blockers(
-        a=world.wall_a,
-        b=world.wall_b,
-        height_m=world.wall_height_m,
-        curvature_per_m=world.wall_curvature_per_m,
-        kind=np.where(world.is_mirror, WALL, VOLUME).astype(np.int8),
-        owner=np.full(len(world.wall_a), -1, np.int32),
-        build=world.wall_build,
-        box=np.full(len(world.wall_a), -1, np.int32),
+        a=np.concatenate([world.wall_a, world.face_a + face_shift]),
+        b=np.concatenate([world.wall_b, world.face_b + face_shift]),
+        height_m=np.concatenate([world.wall_height_m, world.face_height_m]),
+        curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(len(face_shift))]),
+        kind=kind,
+        owner=owner,
+        build=build,
+        box=box,
         transmission=world.transmission,
         wavelength_m=world.radar.wavelength_m,
     )
+
+
+def wall_blockers(world: World) -> Blockers:
+    """Return all pieces of wall as they stand in the way of rays."""
+    return _blockers(world, np.zeros((len(world.face_a), 2))).take(np.arange(len(world.wall_a)))
 
 
 def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -452,30 +441,27 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
 def _builds(
     scene: Scene, radar: RadarParams, stacks: tuple[Layers, ...], wall_stack: np.ndarray, wall_surface: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of `World.transmission`, and which of them each piece of wall has, int32 [W]."""
+    """Return the rows of `World.transmission`, and which of them each piece of wall has, int32 [W].
+
+    Walls: field transmission, 0 where they have no back; foliage: the field left after one way through it.
+    """
     cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
     volumes, place = np.unique(wall_surface[wall_stack < 0], return_inverse=True)
     wall_build = wall_stack.astype(np.int32)
     wall_build[wall_stack < 0] = len(stacks) + place
-    rows = [_transmission(layers, cosine, radar.wavelength_m) for layers in stacks]
-    rows += [_foliage(scene.surfaces[surface], cosine, radar.carrier_hz).astype(np.complex128) for surface in volumes]
+    rows: list[np.ndarray] = []
+    for layers in stacks:
+        permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
+        if np.isinf(thicknesses).any():
+            rows.append(np.zeros(len(cosine), np.complex128))
+            continue
+        through = stack_transmission(permittivities, thicknesses, cosine, radar.wavelength_m)
+        # against the same stretch of air
+        rows.append(through * np.exp(2j * np.pi / radar.wavelength_m * thicknesses.sum() * cosine))
+    for surface in volumes:
+        depth_m = 1e-3 * (scene.surfaces[surface].thickness_mm or 1000.0) / np.maximum(cosine, 0.05)
+        rows.append(10.0 ** (-vegetation_db(radar.carrier_hz, depth_m) / 20.0) + 0j)
     return np.stack([*rows, np.zeros(TABLE_STEPS + 1, np.complex128)]), wall_build
-
-
-def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
-    permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
-    if np.isinf(thicknesses).any():
-        return np.zeros(len(cosine), np.complex128)
-    through = stack_transmission(permittivities, thicknesses, cosine, wavelength_m)
-    air = np.exp(2j * np.pi / wavelength_m * thicknesses.sum() * cosine)
-    return np.asarray(through * air)
-
-
-def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndarray:
-    """Return the field left after one way through a hedge."""
-    depth_m = 1e-3 * (surface.thickness_mm or 1000.0) / np.maximum(cosine, 0.05)
-    return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
 
 
 def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def test_a_data_set_that_will_not_fit_is_not_begun(tmp_path: Path, small_disk: N
 
 def test_what_a_scene_takes_is_known(tmp_path: Path) -> None:
     """Of the default series: within a third of the true size, so that the check says neither nonsense nor nothing."""
-    recipe = Recipe(places="street_v1")
+    recipe = Recipe(effects="basic")
     made = sum(array.nbytes for array in shard_arrays(recipe, 1, 0, 2).values()) / 2
     assert recipe.scene_bytes == pytest.approx(made, rel=0.34)
 

@@ -9,7 +9,6 @@ import pytest
 from mpmath import mp, mpf
 from scipy.special import ndtr
 
-from benchmarks.simulator.photon_target import Observed, Response, Window, fit_at, plane_patches
 from lab.transients.light_cone import LightCone, reconstruct
 from lab.transients.scan import ConfocalTransients
 from lab.transients.shape import hidden_shape
@@ -78,18 +77,6 @@ def test_huge_arrays_are_refused_before_memory_is_taken() -> None:
     huge = np.broadcast_to(np.uint32(0), (1 << 12, 1 << 12, 1 << 12))
     with pytest.raises(ValueError, match=r"counts must hold at most 16777216 counts, got 68719476736"):
         ConfocalTransients(huge, 0.2, 4e-12)
-
-
-@pytest.mark.parametrize("level", [0, 1, MAX_COUNT])
-def test_a_fit_to_nothing_or_to_full_counters_stays_finite(level: int) -> None:
-    scan = scan_of(np.full((4, 4, 256), level))
-    shape = hidden_shape(np.ones(scan.counts.shape), scan)
-    window, corner = Window(100, 200, 210, 256), np.array([0, 3])
-    plane, observed = plane_patches(shape, scan, 4), Observed.of(scan, window, corner, corner)
-    fit = fit_at(scan, window, plane, observed, Response(30e-12, 0.4, 250e-12, 1.0, 0.35))
-    assert np.isfinite(fit.reflectance).all()
-    assert np.isfinite(fit.gain).all()
-    assert np.isfinite(fit.deviance)
 
 
 @pytest.mark.hard(

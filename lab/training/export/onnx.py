@@ -371,8 +371,7 @@ def _command(data_dir: Path) -> str:
     scans = series.get("scans")
     motion = "" if scans is None else f" --motion --scans {scans}"
     command = f"mirrorwave sim dataset --out {data_dir} --count {count // (scans or 1)} --seed {series['seed']}{motion}"
-    # folders from before series stated their recipe hold the first generator's streets
-    recipe = {"places": "street_v1"} | {key: series[key] for key in _RECIPE if key in series}
+    recipe = {key: series[key] for key in _RECIPE if key in series}
     if recipe.get("effects") == "auto":
         # series from before purposes, or that named none, were of samples
         recipe.setdefault("purpose", "samples")

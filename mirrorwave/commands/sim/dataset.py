@@ -25,7 +25,6 @@ class PlacesOption(StrEnum):
     PARKING_LOT = "parking_lot"
     RESIDENTIAL_BLOCK = "residential_block"
     MIXED_INTERSECTION = "mixed_intersection"
-    STREET_V1 = "street_v1"
 
 
 class PresetOption(StrEnum):
@@ -61,12 +60,12 @@ def dataset(
         int | None, typer.Option(metavar="N", help="Scans of a drive, 1 to 100.", show_default=False)
     ] = None,
     places: Annotated[
-        PlacesOption, typer.Option(help="Type of place; street_v1: the first series of random streets.")
+        PlacesOption, typer.Option(help="Type of place.")
     ] = PlacesOption.ANY,
     preset: Annotated[PresetOption, typer.Option(help="Radar.")] = PresetOption.XBAND,
     effects: Annotated[
         str | None,
-        typer.Option(metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1.", show_default=False),
+        typer.Option(metavar="auto|all|basic|LIST", help="Default auto.", show_default=False),
     ] = None,
     budget_db: Annotated[float, typer.Option(help="What planned effects may leave out, in any cell.")] = -20.0,
     purpose: Annotated[

@@ -28,7 +28,7 @@ from msgs.values.vehicle import VehicleState
 from nodes import player as player_node
 from nodes.ra_former import Params, RaFormerNode
 from nodes.vehicle_can import Params as VehicleCanParams
-from sim_player.drive import Drive, DrivePlayer
+from sim_player.drive import Drive
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface, load_scene, scene_to_yaml
 from sim_player.scene.front_end import FrontEnd, Spur
@@ -137,10 +137,10 @@ def test_background_of_other_beams_is_refused(tmp_path: Path) -> None:
 def raw_recording(path: Path, scans: int, way: Drive, *, said: bool = True, walls: bool = True) -> Path:
     """A few scans of raw beams past a wall, one chirp a beam, with the bus's states or without."""
     scene = Scene(name="drive", surfaces=(WALL,) if walls else (), objects=(FAR,))
-    player = DrivePlayer(scene, way, Pose2(), chirps_per_beam=1, start_ns=10**10)
+    player = ScenePlayer(scene, chirps_per_beam=1, start_ns=10**10, drive=way)
     with RecordingWriter(path, {}) as writer:
         writer.write("radar/setup", player.setup, publisher="player", sequence=0, sent_ns=0)
-        for number, state in enumerate(player.states(0.3 * scans) if said else []):
+        for number, state in enumerate(way.states(0.3 * scans, 10**10) if said else []):
             writer.write("vehicle/state", state, publisher="can", sequence=number, sent_ns=state.stamp_ns)
         for number in range(scans * len(player.setup.beams)):
             beam = player.beam(*divmod(number, len(player.setup.beams)))

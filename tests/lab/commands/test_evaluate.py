@@ -22,8 +22,8 @@ from sim_player.dataset.writer import write_dataset
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight streets with the basic effects, split."""
-    folder = write_dataset(tmp_path_factory.mktemp("data"), 8, 3, Recipe(places="street_v1")).parent
+    """Eight places with the basic effects, split."""
+    folder = write_dataset(tmp_path_factory.mktemp("data"), 8, 3, Recipe(effects="basic")).parent
     fixed_splits(folder)
     return folder
 

@@ -100,8 +100,7 @@ def test_export_writes_a_model_that_its_card_describes(run_dir: Path, data_dir: 
     assert card.fidelity is not None
     assert card.fidelity.largest_difference <= PARITY
     assert (card.fidelity.lost_points, card.fidelity.calibration_maps) == (0.0, 0)
-    # a folder that names no recipe holds the first generator's streets
-    made = f"mirrorwave sim dataset --out {data_dir} --count 12 --seed 1 --places street_v1"
+    made = f"mirrorwave sim dataset --out {data_dir} --count 12 --seed 1"
     assert card.data["training"] == made
     assert (card.data["test"], card.data["test_scenes"]) == ("its test split", 2)
     assert card.threshold in [line.threshold for line in card.scores]
@@ -142,7 +141,7 @@ def test_peaks_by_pursuit_have_a_threshold_of_their_own(monkeypatch: pytest.Monk
 def test_all_scenes_of_another_data_set_can_score_it(run_dir: Path, tmp_path: Path) -> None:
     other = write_shards(tmp_path / "other", seed=2, scenes=4)
     card = export_run(run_dir, tmp_path / "net.onnx", ExportConfig(test_dir=other))
-    assert card.data["test"] == f"mirrorwave sim dataset --out {other} --count 4 --seed 2 --places street_v1"
+    assert card.data["test"] == f"mirrorwave sim dataset --out {other} --count 4 --seed 2"
     assert card.data["test_scenes"] == 4
 
 

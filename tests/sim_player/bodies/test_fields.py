@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.full_wave.shot_rays import mesh_field
 from msgs.values.perception import PathClass
 from sim_player.bodies.centres import CELL_M, MAX_CENTRES, MAX_SEQUENCES, body_of, joined_bodies
-from sim_player.bodies.mesh_rcs import cut_triangles, mesh_field, triangle_areas
 from sim_player.bodies.meshes import Mesh, box, cylinder, mesh_from_arrays, plate, sphere, trihedral
+from sim_player.bodies.triangles import cut_triangles, triangle_areas
 from sim_player.paths.ray_tracing import trace
 from sim_player.paths.truth import visible_paths
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface

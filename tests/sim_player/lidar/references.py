@@ -9,24 +9,19 @@ from models.physics.photons.optics import direct_photons
 from msgs.values.lidar import LidarSetup
 from msgs.values.perception import PathClass
 from sim_player.lidar.optical_surfaces import Surfaces, object_albedo
-from sim_player.lidar.spad import DEFAULT, LightRoute, OpticalPaths, SpadOptions, _delay_s, _measured, _within
+from sim_player.lidar.spad import LightRoute, OpticalPaths, _delay_s, _measured, _within
 from sim_player.paths.truth import visible_paths
 from sim_player.scene.world import World, radar_pose, wall_lines
 from sim_player.trace.path_table import Paths
 
 
-def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions = DEFAULT) -> np.ndarray:
+def expected_histograms(lidar: LidarSetup, paths: OpticalPaths) -> np.ndarray:
     """Return the mean of `spad_histograms`, float64 [azimuth, bins]; raises ValueError for paths off the grid."""
-    spad, rows = lidar.spad, np.zeros((lidar.grid.azimuth_bins, lidar.spad.bins))
-    for row, groups in zip(rows, _measured(lidar, paths, options), strict=True):
-        for group in groups:
-            row += expected_histogram(spad, _delay_s(group), group.photons)
-    return rows
+    groups = _measured(lidar, paths)
+    return np.array([expected_histogram(lidar.spad, _delay_s(group), group.photons) for group in groups])
 
 
-def label_paths(
-    world: World, lidar: LidarSetup, paths: Paths, time_s: float = 0.0, options: SpadOptions = DEFAULT
-) -> OpticalPaths:
+def label_paths(world: World, lidar: LidarSetup, paths: Paths, time_s: float = 0.0) -> OpticalPaths:
     """Return one path of light for each labelled point of the radar's map, as the supplement reads.
 
     `paths` are the radar's, traced in `world` at the same time. Mirrored ones carry the two-bounce factor R_s^2 of
@@ -38,10 +33,8 @@ def label_paths(
     albedo, factor, cosine = np.zeros(len(visible)), np.ones(len(visible)), np.ones(len(visible))
     walls = Surfaces.of_walls(world).take(visible.surface[at_wall])
     incidence = _label_cosines(world, visible.take(at_wall), time_s)
-    albedo[at_wall] = walls.diffuse(incidence, lidar.spad.wavelength_m, options.fresnel)
-    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m, options.fresnel) ** (
-        2.0 * visible.order[at_wall]
-    )
+    albedo[at_wall] = walls.diffuse(incidence, lidar.spad.wavelength_m)
+    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m) ** (2.0 * visible.order[at_wall])
     cosine[at_wall & of_wall] = incidence[of_wall[at_wall]]
     albedo[~of_wall] = np.array([object_albedo(scene_object) for scene_object in world.scene.objects])[
         visible.object_index[~of_wall]
@@ -55,7 +48,7 @@ def label_paths(
         route=np.where(visible.kind == PathClass.LOS, LightRoute.DIRECT, LightRoute.MIRROR).astype(np.uint8),
         object_index=visible.object_index,
     )
-    return _within(made, lidar.spad, options)
+    return _within(made, lidar.spad)
 
 
 def _label_cosines(world: World, visible: Paths, time_s: float) -> np.ndarray:

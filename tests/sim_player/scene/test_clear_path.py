@@ -11,7 +11,7 @@ import pytest
 from mirrorwave.cli import main
 from msgs.values.frames import Pose2
 from nodes.player import scene_events
-from sim_player.drive import Drive, DrivePlayer
+from sim_player.drive import Drive
 from sim_player.player import ScenePlayer
 from sim_player.scene.clear_path import ego_meeting, require_clear_path
 from sim_player.scene.description import Ego, Scene, SceneRadar, Surface, scene_to_yaml
@@ -89,8 +89,8 @@ def test_no_beam_and_no_truth_is_made_beyond_a_wall() -> None:
 
 def test_a_prescribed_drive_ends_at_a_wall_too() -> None:
     """The radar sits 2 m before the vehicle's origin: 3 m to the wall, 0.3 s at 10 m/s."""
-    drive = Drive(np.array([0.0, 2.0]), np.full(2, 10.0), np.zeros(2))
-    player = DrivePlayer(scene(AHEAD), drive, Pose2(2.0, 0.0, 0.0), chirps_per_beam=CHIRPS)
+    drive = Drive(np.array([0.0, 2.0]), np.full(2, 10.0), np.zeros(2), Pose2(2.0, 0.0, 0.0))
+    player = ScenePlayer(scene(AHEAD), chirps_per_beam=CHIRPS, drive=drive)
     player.beam(0, 0)
     with pytest.raises(ValueError, match=r"drives into the wall surfaces\[0\] after 0.30 s"):
         player.beam(1, 1)

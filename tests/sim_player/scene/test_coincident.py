@@ -19,6 +19,11 @@ def drawn(a: Point, b: Point, material: str = METAL, height_m: float = 8.0, **mo
     return Surface(role="relay", material=material, polyline_m=(a, b), height_m=height_m, **thickness, **more)
 
 
+def along(first: float, last: float, *build: str | float, x_m: float = 10.0, **more: float) -> Surface:
+    """A wall along x = 10 m."""
+    return drawn((x_m, first), (x_m, last), *build, **more)  # type: ignore[arg-type]
+
+
 def standing(world: World) -> list[tuple[int, float, float, float]]:
     """Surface, low and high y and height of all pieces, in order of place."""
     low, high = np.sort(np.column_stack([world.wall_a[:, 1], world.wall_b[:, 1]]), axis=1).T
@@ -26,62 +31,36 @@ def standing(world: World) -> list[tuple[int, float, float, float]]:
     return sorted(((s, round(a, 6), round(b, 6), h) for s, a, b, h in rows), key=lambda row: row[1])
 
 
-WALL = drawn((10.0, -5.0), (10.0, 5.0))
+WALL, HEDGE = along(-5.0, 5.0), along(-5.0, 5.0, "vegetation")
+WHOLE = [(0, -5.0, 5.0, 8.0), (1, -5.0, 5.0, 8.0)]
 #: What is drawn beside `WALL`, and what stands then.
 CASES: dict[str, tuple[list[Surface], list[tuple[int, float, float, float]]]] = {
-    "twice": ([WALL, WALL], [(1, -5.0, 5.0, 8.0)]),
+    "twice": ([WALL, WALL], WHOLE[1:]),
     "three times": ([WALL, WALL, WALL], [(2, -5.0, 5.0, 8.0)]),
-    "reversed": ([WALL, drawn((10.0, 5.0), (10.0, -5.0))], [(1, -5.0, 5.0, 8.0)]),
-    "a door": (
-        [WALL, drawn((10.0, -1.0), (10.0, 3.0), DOOR)],
-        [(0, -5.0, -1.0, 8.0), (1, -1.0, 3.0, 8.0), (0, 3.0, 5.0, 8.0)],
-    ),
-    "a door drawn first": ([drawn((10.0, -1.0), (10.0, 3.0), DOOR), WALL], [(1, -5.0, 5.0, 8.0)]),
-    "beyond its end": (
-        [WALL, drawn((10.0, 2.0), (10.0, 9.0), DOOR)],
-        [(0, -5.0, 2.0, 8.0), (1, 2.0, 9.0, 8.0)],
-    ),
+    "reversed": ([WALL, along(5.0, -5.0)], WHOLE[1:]),
+    "a door": ([WALL, along(-1.0, 3.0, DOOR)], [(0, -5.0, -1.0, 8.0), (1, -1.0, 3.0, 8.0), (0, 3.0, 5.0, 8.0)]),
+    "a door drawn first": ([along(-1.0, 3.0, DOOR), WALL], WHOLE[1:]),
+    "beyond its end": ([WALL, along(2.0, 9.0, DOOR)], [(0, -5.0, 2.0, 8.0), (1, 2.0, 9.0, 8.0)]),
     "a low door": (
-        [WALL, drawn((10.0, -1.0), (10.0, 3.0), DOOR, 2.1)],
+        [WALL, along(-1.0, 3.0, DOOR, 2.1)],
         [(0, -5.0, -1.0, 8.0), (1, -1.0, 3.0, 8.0), (0, 3.0, 5.0, 8.0)],
     ),
-    "a kerb": ([WALL, drawn((10.0, -1.0), (10.0, 3.0), DOOR, 0.2)], [(0, -5.0, 5.0, 8.0)]),
+    "a kerb": ([WALL, along(-1.0, 3.0, DOOR, 0.2)], WHOLE[:1]),
     "a tall door on a low wall": (
-        [drawn((10.0, -5.0), (10.0, 5.0), METAL, 2.0), drawn((10.0, -1.0), (10.0, 9.0), DOOR)],
+        [along(-5.0, 5.0, METAL, 2.0), along(-1.0, 9.0, DOOR)],
         [(0, -5.0, -1.0, 2.0), (1, -1.0, 9.0, 8.0)],
     ),
     "a low wall over a tall one": (
-        [drawn((10.0, -1.0), (10.0, 2.0)), drawn((10.0, -5.0), (10.0, 5.0), DOOR, 2.0)],
+        [along(-1.0, 2.0), along(-5.0, 5.0, DOOR, 2.0)],
         [(1, -5.0, -1.0, 2.0), (1, -1.0, 2.0, 8.0), (1, 2.0, 5.0, 2.0)],
     ),
-    "half a millimetre off": ([WALL, drawn((10.0005, -5.0), (10.0005, 5.0))], [(1, -5.0, 5.0, 8.0)]),
-    "two faces of a thick wall": (
-        [WALL, drawn((10.1, -5.0), (10.1, 5.0))],
-        [(0, -5.0, 5.0, 8.0), (1, -5.0, 5.0, 8.0)],
-    ),
-    "end to end": (
-        [WALL, drawn((10.0, 5.0), (10.0, 9.0))],
-        [(0, -5.0, 5.0, 8.0), (1, 5.0, 9.0, 8.0)],
-    ),
-    "an arc twice": (
-        [
-            drawn((10.0, -5.0), (10.0, 5.0), curvature_per_m=0.05),
-            drawn((10.0, 5.0), (10.0, -5.0), curvature_per_m=-0.05),
-        ],
-        [(1, -5.0, 5.0, 8.0)],
-    ),
-    "two arcs that bend apart": (
-        [
-            drawn((10.0, -5.0), (10.0, 5.0), curvature_per_m=0.05),
-            drawn((10.0, -5.0), (10.0, 5.0), curvature_per_m=-0.05),
-        ],
-        [(0, -5.0, 5.0, 8.0), (1, -5.0, 5.0, 8.0)],
-    ),
-    "a hedge before it": (
-        [WALL, drawn((10.0, -5.0), (10.0, 5.0), "vegetation")],
-        [(0, -5.0, 5.0, 8.0), (1, -5.0, 5.0, 8.0)],
-    ),
-    "a hedge twice": ([drawn((10.0, -5.0), (10.0, 5.0), "vegetation")] * 2, [(1, -5.0, 5.0, 8.0)]),
+    "half a millimetre off": ([WALL, along(-5.0, 5.0, x_m=10.0005)], WHOLE[1:]),
+    "two faces of a thick wall": ([WALL, along(-5.0, 5.0, x_m=10.1)], WHOLE),
+    "end to end": ([WALL, along(5.0, 9.0)], [(0, -5.0, 5.0, 8.0), (1, 5.0, 9.0, 8.0)]),
+    "an arc twice": ([along(*ends, curvature_per_m=0.01 * ends[1]) for ends in ((-5.0, 5.0), (5.0, -5.0))], WHOLE[1:]),
+    "two arcs that bend apart": ([along(-5.0, 5.0, curvature_per_m=bend) for bend in (0.05, -0.05)], WHOLE),
+    "a hedge before it": ([WALL, HEDGE], WHOLE),
+    "a hedge twice": ([HEDGE, HEDGE], WHOLE[1:]),
 }
 
 #: Of which nothing is left out.

@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 import pytest
 
-import sim_player.player
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
 from models.physics.antenna import element_field
@@ -42,7 +41,7 @@ class Point:
         scene = Scene(name="any", objects=(SceneObject(class_="car", x_m=15.0, y_m=0.0),))
         self._one = trace(prepare(scene)).take(np.array([0]))
 
-    def __call__(self, _world: object, time_s: float = 0.0, *_: object) -> Paths:
+    def __call__(self, time_s: float) -> Paths:
         self.asked_s.append(time_s)
         range_m = np.array([RANGE_M + self.speed_mps * time_s])
         angles = dict.fromkeys(("azimuth_rad", "departure_azimuth_rad"), np.array([AZIMUTH_RAD]))
@@ -64,7 +63,7 @@ def player(
         RADAR, chirps_per_beam=chirps, samples_per_chirp=samples, sample_rate_hz=samples / RADAR.chirp_period_s
     )
     point = Point(speed_mps - ego_mps * math.cos(AZIMUTH_RAD))
-    monkeypatch.setattr(sim_player.player, "trace", point)
+    monkeypatch.setattr(ScenePlayer, "_trace", lambda _self, time_s, _effects: point(time_s))
     thing = SceneObject(class_="car", x_m=15.0, y_m=0.0, speed_mps=speed_mps)
     scene = Scene(name="point", radar=SceneRadar(preset="77ghz"), objects=(thing,), ego=Ego(speed_mps=ego_mps))
     return ScenePlayer(scene, 3, msgspec.structs.replace(SETUP, radar=radar)), point

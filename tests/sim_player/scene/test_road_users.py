@@ -15,14 +15,6 @@ def towards(aspect_deg: float) -> np.ndarray:
     return np.array([[np.cos(np.radians(aspect_deg)), np.sin(np.radians(aspect_deg))]])
 
 
-@pytest.mark.parametrize("name", CLASSES)
-def test_mean_rcs_is_that_of_the_class(name: str) -> None:
-    """Average over aspects of the incoherent sum, any seed; tolerance: rounding (it is normalised to it)."""
-    for seed in range(5):
-        level_dbsm = 10.0 * np.log10(mean_rcs_m2(scattering_centres(name, seed, 0)))
-        assert level_dbsm == pytest.approx(OBJECT_KINDS[name].mean_rcs_dbsm, abs=1e-9)
-
-
 def test_coherent_rcs_averages_to_the_same() -> None:
     """Speckle: the coherent sum |sum sqrt(rcs) e^{j(phase + 2 k r)}|^2 averages to the incoherent one.
 

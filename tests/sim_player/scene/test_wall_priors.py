@@ -85,10 +85,3 @@ def test_of_too_many_walls_the_nearest_are_sent() -> None:
     posts = scene(*(((float(x), 10.0), (float(x), 11.0)) for x in range(MAX_PRIOR_WALLS + 44)))
     ends_m = ends_of(scene_walls(posts, Pose2(), 0, seed=0))
     assert ends_m[..., 0].max() == MAX_PRIOR_WALLS - 1
-
-
-def test_errors_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"map_errors.missing_share must lie in 0..1, got 1.5"):
-        MapErrors(missing_share=1.5)
-    with pytest.raises(ValueError, match=r"map_errors.offset_std_m must lie in 0.0001..100, got 0.0"):
-        MapErrors(offset_std_m=0.0)

@@ -53,7 +53,7 @@ def test_what_is_shown_is_what_runs(scene: str, purpose: Purpose, capsys: pytest
     stored = labelled_scan(loaded, 0, purpose=purpose.value)
     called = resolve_plan(prepare(loaded), loaded.setup, "auto", purpose=purpose)
     used = {row["name"] for row in shown["effects"] if row["used"]}
-    for plan in (played.plan(0), stored.plan, called):
+    for plan in (played.plan, stored.plan, called):
         assert plan is not None
         assert plan.used == used
         assert (len(plan.echoes), plan.traced) == (shown["paths"], shown["traced"])

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from benchmarks.simulator import physics_anchors as anchors
+from lab.full_wave.shot_rays import mesh_field
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
-from sim_player.bodies import mesh_rcs
-from sim_player.bodies.mesh_rcs import mesh_field
+from sim_player.bodies import triangles
 from sim_player.bodies.meshes import Mesh, cylinder, dihedral, mesh_from_arrays, plate, sphere, trihedral
 
 XBAND_M, WBAND_M = (299_792_458.0 / carrier_hz for carrier_hz in anchors.CARRIERS_HZ)
@@ -154,13 +154,13 @@ def test_search_tree_finds_what_all_triangles_say() -> None:
     """500 rays through 300 random triangles: the nearest hit is the one that trying every triangle finds."""
     rng = np.random.default_rng([7, 0])
     corners = rng.uniform(0.0, 1.0, (300, 1, 3)) + rng.normal(0.0, 0.15, (300, 3, 3))
-    tree = mesh_rcs._search_tree(corners)
+    tree = triangles.search_tree(corners)
     start, way = rng.uniform(-1.0, 2.0, (500, 3)), directions(500, 8)
     hits = 0
     for one, towards in zip(start, way, strict=True):
-        each = np.array([mesh_rcs._meet(face, tuple(one), tuple(towards)) for face in tree[0]])
+        each = np.array([triangles.meet(face, tuple(one), tuple(towards)) for face in tree[0]])
         expected = each[each > 0.0].min() if (each > 0.0).any() else math.inf
-        found, _ = mesh_rcs._first_hit(*tree, 0, tuple(one), tuple(towards), 0.0)
+        found, _ = triangles.first_hit(*tree, 0, tuple(one), tuple(towards), 0.0)
         assert found == pytest.approx(expected, rel=1e-12)
         hits += math.isfinite(expected)
     assert 50 < hits < 450
