@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench faults fuzz mutants tables sample pictures fdtd-figures full-wave compare object-network clean
+.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench faults soak fuzz mutants tables sample pictures fdtd-figures full-wave compare results-gpu object-network clean
 
 # $(call beat,WORDS) COMMAND: a line of WORDS every ten seconds until COMMAND, or the shell that runs it, has ended
 beat = (s=0; while sleep 1 && kill -0 $$$$ 2>/dev/null; do s=$$((s + 1)); [ $$((s % 10)) -ne 0 ] || echo "$(1), $$s s"; done) & trap "kill $$!" EXIT;
@@ -122,6 +122,9 @@ bench: setup-dev  ## the live graph, measured for a minute
 faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/results/README.md (half an hour)
 	$(BIN)/python -m benchmarks.live.faults
 
+soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/README.md
+	$(BIN)/python -m benchmarks.live.soak --figure runs/soak.png
+
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000
 FUZZ_SECONDS ?= 3600
@@ -175,6 +178,9 @@ compare: setup  ## three sensors over all sweeps, the tables and pictures of doc
 	$(BIN)/mirrorwave compare --scene launch/scenes/hidden_car_xband.yaml --out runs/compare
 	cp runs/compare/compare.md docs/results/compare.md && cp runs/compare/compare.png docs/images/compare.png
 	cp runs/compare/hidden_car_xband.png docs/images/three-sensors.png
+
+results-gpu: setup-dev  ## the networks at full size and ours from data drawn meanwhile, on one GPU and many cores (8 minutes; goes on if stopped)
+	$(BIN)/python -m benchmarks.accuracy.full_size --work runs/full_size --out runs/full_size/results
 
 # the committed networks are of this recipe in stages, each from the weights of the one before (see their cards)
 object-network: setup-dev  ## field and evidence network from places and drives drawn for them (six hours on two cores; goes on if stopped)

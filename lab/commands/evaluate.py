@@ -14,6 +14,7 @@ from mirrorwave.console import AsJson, former_name, print_json, print_line, prin
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
+    from lab.evaluate.method_report import Context
     from lab.evaluate.method_runs import Run, SweepPoint
     from lab.evaluate.methods import Method
     from lab.training.data.frames import DataSet, Splits
@@ -117,7 +118,7 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="results.json, results.md, pr.png; with --objects and --table "
+            help="results.json, results.md, pr.png, scenes.png, qualitative.png; with --objects and --table "
             "[runs/table5-SEED] also a file a place: the same command goes on where it stopped.",
         ),
     ] = None,
@@ -174,10 +175,7 @@ def evaluate(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_report(report, out)
-        if sweeps:
-            from lab.evaluate.method_figures import draw_curves
-
-            draw_curves(report, out / "pr.png")
+        _draw(report, run, dataset, context, out)
     _show(report, out, as_json)
 
 
@@ -233,6 +231,18 @@ def _run(
                 sweeps[method_run.method.name] = sweep(method_run, run.truth, sweep_count)
                 tick()
     return run, sweeps
+
+
+def _draw(report: dict[str, Any], run: Run, dataset: DataSet, context: Context, out: Path) -> None:
+    from lab.evaluate.method_figures import draw_curves, draw_groups, draw_scenes, shown_frames
+
+    if report["methods"][0]["sweep"]:
+        draw_curves(report, out / "pr.png")
+    if report["methods"][0]["groups"]:
+        draw_groups(report, out / "scenes.png")
+    if positions := shown_frames(run):
+        frames = [dataset.frame(run.facts[position].index) for position in positions]
+        draw_scenes(run, frames, positions, context.reference, out / "qualitative.png")
 
 
 def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:

@@ -52,7 +52,7 @@ def tradeoff(
         _simulator(out, full, seed, as_json)
         return
     from lab.studies.report import busy_reason, load_per_core, write_report
-    from lab.tradeoff.row_figures import draw_front
+    from lab.tradeoff.row_figures import draw_front, draw_stages
     from lab.tradeoff.row_report import make_report, markdown
     from lab.tradeoff.row_runs import Plan, peak_memory_mib, run_plan
     from lab.tradeoff.rows import DEFAULT_SETTINGS, read_settings
@@ -74,6 +74,7 @@ def tradeoff(
     report = make_report(plan, results, memory_mib, _command(plan, row or [], profile or []))
     write_report(out, "tradeoff", report, markdown(report))
     draw_front(report, out / "front.png")
+    draw_stages(report, out / "stages.png")
     _show(report, out, as_json)
 
 
@@ -126,4 +127,4 @@ def _show(report: Report, out: Path, as_json: bool) -> None:
     print_table(COLUMNS, [cells(row) for row in report.rows], LEAST)
     if report.busy:
         print_line(f"the times do not count, the machine was busy: {report.busy}")
-    print_line(f"{out}: tradeoff.json, tradeoff.md, front.png")
+    print_line(f"{out}: tradeoff.json, tradeoff.md, front.png, stages.png")

@@ -1,14 +1,27 @@
-"""Picture of an evaluation: precision against recall (section 4)."""
+"""Pictures of an evaluation: precision against recall, measures by kind of scene, scenes side by side (section 4)."""
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lab.evaluate.method_report import CURVES
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from lab.evaluate.method_report import CURVES, GROUPED
+from lab.evaluate.method_runs import Run
+from lab.measures.frame_scores import FrameAnswer, FrameTruth
+from lab.training.data.frames import Frame
+from mirrorwave.plots.bird_eye_view import DYNAMIC_RANGE_DB
 from mirrorwave.plots.style import (
     BLUE,
     GREEN,
+    GREY,
     ORANGE,
     SKY,
     VERMILION,
@@ -17,6 +30,9 @@ from mirrorwave.plots.style import (
     new_figure,
     save,
 )
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthMap
 
 #: Okabe-Ito, with a mark of its own for each when colours come round again.
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, SKY, "#CC79A7", "#000000")
@@ -26,17 +42,24 @@ TITLES = {
     "mirrored": "mirrored peaks",
     "recovered_1m": "recovered places, 1 m",
     "hidden_1m": "hidden objects alone, 1 m",
+    "dense_macro_f1": "dense Macro-F1",
+    "recovered_1m_f1": "recovered F1, 1 m",
+    "hidden_1m_f1": "hidden objects alone, F1, 1 m",
+    "recovered_chamfer_capped_m": "recovered Chamfer, capped [m]",
 }
+TRUE_PLACE = "true position of a mirror image"
 #: Width of a figure that is read at the width of a page, and columns of its legend.
 PAGE_FIGURE_INCH, LEGEND_COLUMNS = 10.0, 3
+#: Scenes of the qualitative figure, and those of a picture, wide enough to be read.
+SHOWN, COLUMNS = 9, 3
+SCENE_INCH = 4.2
 
 
 def draw_curves(report: dict[str, Any], out: Path) -> None:
     """Precision against recall over the threshold; a mark where each method works, its interval not shown."""
     columns = min(2, len(CURVES))
     rows, legend_rows = -(-len(CURVES) // columns), -(-len(report["methods"]) // LEGEND_COLUMNS)
-    figure = new_figure(PAGE_FIGURE_INCH, 3.9 * rows + 0.2 * legend_rows + 0.4)
-    panels = figure.subplots(rows, columns, squeeze=False)
+    figure, panels = _figure((PAGE_FIGURE_INCH, 3.9 * rows + 0.2 * legend_rows + 0.4), rows, columns)
     for axes, curve in zip(panels.ravel(), CURVES, strict=True):
         for index, method in enumerate(report["methods"]):
             line = [(point[curve]["recall"], point[curve]["precision"]) for point in method["sweep"]]
@@ -54,8 +77,199 @@ def draw_curves(report: dict[str, Any], out: Path) -> None:
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", title=TITLES[curve])
         axes.grid(alpha=0.3)
     legend_of_figure(figure, handles_of(panels[0, 0]), columns=LEGEND_COLUMNS)
-    save(figure, out, dpi=100)
+    _save(figure, out)
+
+
+def draw_groups(report: dict[str, Any], out: Path) -> None:
+    """Measures of each kind of scene with their intervals, a row a group."""
+    groups = report["methods"][0]["groups"]
+    names = [f"{group['group']}: {group['value']} ({group['frames']})" for group in groups]
+    height = 0.13 * len(groups) * (len(report["methods"]) + 1.5) + 1.5
+    figure, panels = _figure((PAGE_FIGURE_INCH, min(max(height, 4.0), 60.0)), 1, len(GROUPED))
+    for axes, measure in zip(panels[0], GROUPED, strict=True):
+        for index, method in enumerate(report["methods"]):
+            value, low, high = np.array([group[measure] for group in method["groups"]], float).reshape(-1, 3).T
+            # a sum over few frames may lie outside its own percentile interval
+            reach = np.nan_to_num(np.maximum(np.stack([value - low, high - value]), 0.0))
+            colour, mark = _style(index)
+            at = np.arange(len(value)) + 0.8 * ((index + 0.5) / len(report["methods"]) - 0.5)
+            axes.errorbar(
+                value, at, xerr=reach, color=colour, marker=mark, linestyle="", markersize=4, label=method["name"]
+            )
+        axes.set(ylim=(len(groups) - 0.5, -0.5))
+        axes.set_title(textwrap.fill(TITLES[measure], 20), fontsize=10)
+        axes.tick_params(labelsize=8)
+        axes.set_yticks(range(len(groups)), names if axes is panels[0][0] else [""] * len(groups))
+        axes.grid(alpha=0.3)
+    # above: the figure may be longer than a screen
+    legend_of_figure(figure, handles_of(panels[0][-1]), columns=LEGEND_COLUMNS, loc="outside upper center")
+    _save(figure, out)
+
+
+def shown_frames(run: Run) -> list[int]:
+    """Positions of the frames of the qualitative figure: evenly over those with something hidden, chosen by nothing."""
+    with_hidden = [position for position, truth in enumerate(run.truth) if len(truth.hidden_m)]
+    if not with_hidden:
+        return []
+    return [with_hidden[index] for index in np.unique(np.linspace(0, len(with_hidden) - 1, SHOWN).astype(int))]
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One scene of the qualitative figure."""
+
+    frame: Frame
+    truth: FrameTruth
+    answers: list[FrameAnswer]
+    limits_m: tuple[float, float]
+
+
+def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], reference: str, out: Path) -> None:
+    """Write pictures of three scenes, a column each: `out`, and with -2, -3 behind its name those that do not fit.
+
+    Rows: from above, the map, the peaks of the first method and of the reference, the places the reference recovers.
+    """
+    columns = [
+        _Column(
+            frame, run.truth[position], [item.answers[position] for item in run.runs], _limits_m(run.truth[position])
+        )
+        for frame, position in zip(frames, positions, strict=True)
+    ]
+    names = [method_run.method.name for method_run in run.runs]
+    shown = list(dict.fromkeys((0, names.index(reference))))
+    labels = ["scene", "map", *(f"{names[index]}: peaks" for index in shown), f"{reference}: recovered"]
+    for start in range(0, len(columns), COLUMNS):
+        part = columns[start : start + COLUMNS]
+        figure, panels = scene_panels(labels, len(part))
+        for index, column in enumerate(part):
+            _draw_column(panels[:, index], column, shown)
+        legend_of_figure(figure, _signs(panels), columns=len(part), fontsize=10)
+        _save(figure, out if not start else out.with_stem(f"{out.stem}-{start // COLUMNS + 1}"))
+
+
+def scene_panels(labels: Sequence[str], columns: int) -> tuple[Figure, np.ndarray]:
+    """Return a figure of a column a scene, with its rows named."""
+    figure, panels = _figure((SCENE_INCH * columns + 0.6, SCENE_INCH * len(labels)), len(labels), columns)
+    for axes, label in zip(panels[:, 0], labels, strict=True):
+        axes.set_ylabel(label, fontsize=12)
+    return figure, panels
+
+
+def _signs(panels: np.ndarray) -> list[Artist]:
+    """A sign for each kind of mark, whatever panel it is in; the walls of the scenes among them."""
+    return handles_of(*panels[2:].ravel(), *panels[0])
+
+
+def _draw_column(panels: np.ndarray, column: _Column, shown: Sequence[int]) -> None:
+    _draw_scene(panels[0], column)
+    draw_map(panels[1], column.frame.ra_map, column.limits_m)
+    for axes, index in zip(panels[2:-1], shown, strict=True):
+        draw_peaks(axes, column.truth, column.answers[index])
+    _draw_places(panels[-1], column.truth, column.answers[shown[-1]])
+    panels[0].set_title(f"{column.frame.index}: {column.frame.place or column.frame.sequence}", fontsize=11)
+    forward, side = column.limits_m
+    for axes in panels:
+        axes.set(xlim=(side, -side), ylim=(-2.0, forward), aspect="equal")
+        axes.plot(0.0, 0.0, marker="^", color="black", markersize=6)
+        axes.tick_params(labelsize=9)
+
+
+def _draw_scene(axes: Axes, column: _Column) -> None:
+    if column.frame.scene_yaml:
+        from mirrorwave.plots.scene import draw_scene
+        from sim_player.scene.description import scene_from_yaml
+
+        draw_scene(axes, scene_from_yaml(column.frame.scene_yaml))
+    _draw_truth(axes, column.truth)
+    places_m = column.truth.places_m
+    axes.scatter(
+        places_m[:, 1],
+        places_m[:, 0],
+        s=22,
+        facecolors="none",
+        edgecolors=GREEN,
+        linewidths=1.0,
+        zorder=6,
+        label=TRUE_PLACE,
+    )
+
+
+def _draw_truth(axes: Axes, truth: FrameTruth) -> None:
+    """Truth points as they appear: dots and crosses in grey."""
+    for path_class, mark, label in (
+        (PathClass.LOS, ".", "true direct"),
+        (PathClass.MIRRORED, "x", "true mirror image"),
+    ):
+        points_m = truth.points_m[truth.path_class == path_class]
+        axes.scatter(
+            points_m[:, 1], points_m[:, 0], s=9, marker=mark, color=GREY, linewidths=0.6, alpha=0.7, label=label
+        )
+
+
+def draw_map(axes: Axes, ra_map: RangeAzimuthMap, limits_m: tuple[float, float]) -> None:
+    """Draw a map in the plane, as far forward and sideways as the limits."""
+    grid = ra_map.grid
+    forward, side = limits_m
+    bins = min(int(np.hypot(forward, side) / grid.range_bin_m) + 2, grid.range_bins)
+    power = np.square(np.abs(ra_map.values[:bins, ::2])).astype(np.float64)
+    level_db = 10.0 * np.log10(np.maximum(power, 1e-30))
+    centres = xy_from_polar(*np.meshgrid(grid.range_m[:bins], grid.azimuth_rad[::2], indexing="ij"))
+    top = float(level_db.max())
+    axes.set_facecolor("black")
+    axes.pcolormesh(
+        centres[..., 1],
+        centres[..., 0],
+        level_db,
+        cmap="cividis",
+        vmin=top - DYNAMIC_RANGE_DB,
+        vmax=top,
+        shading="nearest",
+        rasterized=True,
+    )
+
+
+def draw_peaks(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
+    """Draw peaks by class over the truth."""
+    _draw_truth(axes, truth)
+    for path_class, colour, mark, label in (
+        (PathClass.LOS, BLUE, "o", "peak taken as direct"),
+        (PathClass.MIRRORED, ORANGE, "D", "peak taken as mirror image"),
+    ):
+        points_m = answer.points_m[answer.path_class == path_class]
+        axes.scatter(
+            points_m[:, 1], points_m[:, 0], s=16, marker=mark, facecolors="none", edgecolors=colour, linewidths=1.0,
+            label=label,
+        )  # fmt: skip
+
+
+def _draw_places(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
+    """Recovered places, the true ones about them; those of objects that mirrors alone show are filled."""
+    direct_m = answer.points_m[answer.path_class == PathClass.LOS]
+    marks: tuple[tuple[np.ndarray, dict[str, Any]], ...] = (
+        (direct_m, {"s": 6, "color": SKY, "label": "direct peak"}),
+        (truth.places_m, {"s": 34, "facecolors": "none", "edgecolors": GREEN, "linewidths": 1.2, "label": TRUE_PLACE}),
+        (truth.hidden_m, {"s": 34, "color": GREEN, "alpha": 0.4, "label": "of an object that mirrors alone show"}),
+        (answer.recovered_m, {"s": 26, "marker": "x", "color": VERMILION, "linewidths": 1.2, "label": "recovered"}),
+    )
+    for points_m, style in marks:
+        axes.scatter(points_m[:, 1], points_m[:, 0], **style)
+
+
+def _limits_m(truth: FrameTruth) -> tuple[float, float]:
+    """Forward and sideways reach that shows the truth."""
+    every = np.concatenate([truth.points_m, truth.places_m, [[20.0, 10.0]]])
+    forward, side = np.quantile(every[:, 0], 0.98) + 4.0, np.quantile(np.abs(every[:, 1]), 0.98) + 4.0
+    return float(max(forward, 1.2 * side)), float(max(side, 0.6 * forward))
 
 
 def _style(index: int) -> tuple[str, str]:
     return COLOURS[index % len(COLOURS)], MARKS[index % len(MARKS)]
+
+
+def _figure(size_inch: tuple[float, float], rows: int, columns: int) -> tuple[Figure, np.ndarray]:
+    figure = new_figure(*size_inch)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _save(figure: Figure, out: Path) -> None:
+    save(figure, out, dpi=100)

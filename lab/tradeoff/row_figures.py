@@ -1,4 +1,4 @@
-"""Figure of the trade-off: the front of accuracy over latency."""
+"""Figures of the trade-off: the front of accuracy over latency, and where the time goes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from lab.tradeoff.row_report import Report, Row, point_of
+from lab.tradeoff.row_runs import PARTS
 from lab.tradeoff.rows import PROFILE
 from mirrorwave.plots.style import BLACK, VERMILION, handles_of, legend_of_figure, new_figure, save
 from msgs.values.wording import counted
@@ -95,3 +96,24 @@ def _colour(row: Row, profile: Row | None) -> str:
     before = {} if profile is None else profile.params
     changed = [part for stage, part in PART_OF.items() if row.params.get(stage) != before.get(stage)]
     return COLOURS[changed[0]] if len(changed) == 1 else BLACK
+
+
+def draw_stages(report: Report, path: Path) -> None:
+    """Median time of each part of every row, fastest first."""
+    rows = sorted((row for row in report.rows if point_of(row) is not None), key=lambda row: point_of(row) or (0, 0))
+    figure = new_figure(10.0, 1.8 + 0.24 * len(rows))
+    axes = figure.subplots()
+    left, at = np.zeros(len(rows)), np.arange(len(rows))
+    for part in PARTS:
+        widths = np.array([row.stages_ms[part].p50 or 0.0 for row in rows])
+        axes.barh(at, widths, left=left, color=COLOURS[part], label=part, height=0.8)
+        left += widths
+    axes.set_yticks(at, [row.name for row in rows], fontsize=8)
+    axes.invert_yaxis()
+    axes.margins(y=0.01)
+    axes.set_xlabel("median time of each part [ms]")
+    axes.set_title("Where the time goes after the last beam", loc="left")
+    # above: the figure may be longer than a screen
+    legend_of_figure(figure, handles_of(axes), columns=len(PARTS), loc="outside upper center")
+    axes.grid(alpha=0.25, axis="x")
+    save(figure, path)

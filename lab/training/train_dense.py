@@ -59,6 +59,8 @@ class RunConfig:
 
     training: TrainDenseConfig
     data: DataConfig
+    #: What made the run, if not `train dense`.
+    command: str = ""
 
     def __post_init__(self) -> None:
         config, encoding = self.training.network.resolved, self.data.encoding

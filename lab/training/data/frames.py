@@ -195,6 +195,12 @@ class DataSet:
         return {kind: value for kind, value in properties.items() if value}
 
 
+def shard_scans(path: Path) -> list[Scan]:
+    """Return the scenes of one shard, numbered from 0: for a folder that still grows."""
+    arrays = _arrays(path, path.stat().st_mtime_ns)
+    return [_scan(path, arrays, scene, scene) for scene in range(len(arrays["noise_power_mw"]))]
+
+
 #: Kinds of numbers (`numpy.dtype.kind`) and axes of a shard's arrays; other arrays are ignored.
 ARRAYS = {
     **dict.fromkeys(("profiles", "values"), ("cfiu", 3)),

@@ -222,6 +222,20 @@ def export_run(
     return card
 
 
+def export_scored(run_dir: Path, model_path: Path, tally: DetectionTally) -> ModelCard:
+    """Export the best network of a run in fp32 at once: its card has the scores of `tally`, no probabilities, and does
+    not say where the data came from.
+    """
+    network, run, epoch = load_best(run_dir)
+    model = Exported(network)
+    draft = _draft(model, run, run.data.encoding, epoch, run_dir, ExportConfig())
+    card = msgspec.structs.replace(
+        draft, name=model_path.stem, sha256=export_onnx(model, model_path), scores=_scores(tally)
+    )
+    write_card(card, model_path)
+    return card
+
+
 def write_card(card: msgspec.Struct, model_path: Path) -> None:
     """Write the card beside its network file."""
     card_path(model_path).write_bytes(json_lines(card))
@@ -285,6 +299,8 @@ def _draft(
 
 def _training_command(run: RunConfig, run_dir: Path) -> str:
     """Return the command of a run as far as its folder states it; `config` on the card is complete."""
+    if run.command:
+        return run.command
     choice, schedule = run.training.network, run.training.schedule
     resolved, channels = choice.resolved, run.data.encoding.channels
     sizes = FAMILIES[choice.family].sizes.items()

@@ -59,9 +59,7 @@ def dataset(
     scans: Annotated[
         int | None, typer.Option(metavar="N", help="Scans of a drive, 1 to 100.", show_default=False)
     ] = None,
-    places: Annotated[
-        PlacesOption, typer.Option(help="Type of place.")
-    ] = PlacesOption.ANY,
+    places: Annotated[PlacesOption, typer.Option(help="Type of place.")] = PlacesOption.ANY,
     preset: Annotated[PresetOption, typer.Option(help="Radar.")] = PresetOption.XBAND,
     effects: Annotated[
         str | None,

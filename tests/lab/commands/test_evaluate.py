@@ -126,7 +126,8 @@ def test_one_run_with_all_its_files(folder: Path, tmp_path: Path, capsys: pytest
     assert low <= value <= high
     assert value == pytest.approx(report["methods"][0]["measures"]["thinned"]["dense_macro_f1"][0] - f1)
     assert "## Minus net, paired draws" in (out / "results.md").read_text()
-    assert (out / "pr.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("pr.png", "scenes.png", "qualitative.png"):
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_words_of_the_command_are_checked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

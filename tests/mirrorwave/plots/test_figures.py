@@ -12,8 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from benchmarks.accuracy import severity
+from benchmarks.live import soak
 from lab.evaluate.method_figures import draw_curves as draw_precision
-from lab.tradeoff.row_figures import draw_front
+from lab.evaluate.method_figures import draw_groups
+from lab.tradeoff.row_figures import draw_front, draw_stages
 from lab.tradeoff.row_report import Report
 from lab.training.training_curves import draw_curves as draw_training
 from mirrorwave.plots.style import legend_below, legend_beside, legend_of_figure, new_figure, save
@@ -73,26 +75,33 @@ def words(figure: Figure) -> list[str]:
 
 
 @pytest.mark.slow
-def test_front_of_the_committed_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
+def test_front_and_stages_of_the_committed_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
     report = msgspec.json.decode(Path("docs/results/tradeoff.json").read_bytes(), type=Report)
     draw_front(report, tmp_path / "front.png")
-    (front,) = saved_figures
+    draw_stages(report, tmp_path / "stages.png")
+    front, stages = saved_figures
     assert {"profile", "changes forming alone", "changes several"} <= set(words(front))
     # the numbered settings of the front stand in the legend, not beside the axes
     assert sum(one.startswith("on the front: ") for one in words(front)) == sum(row.pareto for row in report.rows)
-    assert_readable_at_page_width(front)
+    assert words(stages) == ["transport", "forming", "detection", "geometry"]
+    for figure in saved_figures:
+        assert_readable_at_page_width(figure)
 
 
 @pytest.mark.slow
-def test_precision_of_many_methods(tmp_path: Path, saved_figures: list[Figure]) -> None:
+def test_precision_and_groups_of_many_methods(tmp_path: Path, saved_figures: list[Figure]) -> None:
     """26 methods: no name of the legend falls off the figure."""
     curves = ("los", "mirrored", "recovered_1m", "hidden_1m")
     point = {curve: {"recall": 0.5, "precision": 0.6} for curve in curves}
+    measures = ("dense_macro_f1", "recovered_1m_f1", "hidden_1m_f1", "recovered_chamfer_capped_m")
+    group = {"group": "place", "value": "street", "frames": 9, **{name: [0.5, 0.4, 0.6] for name in measures}}
     methods = [
-        {"name": f"method {index} (of some more words)", "threshold": 0.5, "sweep": [{"threshold": 0.5, **point}]}
+        {"name": f"method {index} (of some more words)", "threshold": 0.5, "sweep": [{"threshold": 0.5, **point}],
+         "groups": [group] * 6}
         for index in range(26)
-    ]
+    ]  # fmt: skip
     draw_precision({"methods": methods}, tmp_path / "pr.png")
+    draw_groups({"methods": methods}, tmp_path / "groups.png")
     for figure in saved_figures:
         assert len(words(figure)) == 26
         assert_readable_at_page_width(figure)
@@ -125,10 +134,35 @@ def severity_rows() -> list[severity.Row]:
     ]  # fmt: skip
 
 
+def an_hour() -> dict[str, Any]:
+    nodes = {name: 100.0 + 10.0 * index for index, name in enumerate(("geometry", "dense_predictor", "player"))}
+    latency = {"p50": 45.0, "p99": 64.0, "max": 80.0}
+    minutes = [
+        {
+            "at_s": 60.0 * minute,
+            "latency_ms": latency,
+            "resident_mib": nodes,
+            "phase": "kills" if minute > 3 else "calm",
+        }
+        for minute in range(1, 6)
+    ]
+    return {"minutes": minutes}
+
+
 @pytest.mark.slow
-def test_figure_of_faults(tmp_path: Path, saved_figures: list[Figure]) -> None:
-    severity.draw(severity_rows(), tmp_path / "a.png")
+@pytest.mark.parametrize(
+    ("draw", "result", "signs"),
+    [
+        (severity.draw, severity_rows, {"made up, per scan", "flagged in half of the scans or more"}),
+        (soak.draw, an_hour, {"p99", "deadline", "kills", "dense_predictor"}),
+    ],
+    ids=["severity", "soak"],
+)
+def test_figures_of_benchmarks(
+    draw: Any, result: Any, signs: set[str], tmp_path: Path, saved_figures: list[Figure]
+) -> None:
+    draw(result(), tmp_path / "a.png")
     (figure,) = saved_figures
-    assert {"made up, per scan", "flagged in half of the scans or more"} <= set(words(figure))
+    assert signs <= set(words(figure))
     assert_readable_at_page_width(figure)
     assert np.all(np.array(figure.get_size_inches()) < 40.0)

@@ -1,0 +1,1 @@
+"""Training by the clock, from arrays made beforehand, and its runs made small."""
