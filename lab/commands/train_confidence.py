@@ -19,7 +19,7 @@ def confidence(
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
     ] = None,
     refine: Annotated[
-        Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"],
+        Literal["none", "pursuit"],
         typer.Option(help="Where its peaks are placed."),
     ] = "pursuit",
     threshold: Annotated[

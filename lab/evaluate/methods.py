@@ -12,8 +12,7 @@ A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with comma
   `geometry=ours`;
 - `geometry=ours` (default) or `geometry=specification` (formerly `published`);
 - `threshold=T`: score a peak must have; default: the network's card, none for CFAR;
-- `peaks.KEY=`, `named.KEY=`, `refinement.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of
-  that stage.
+- `peaks.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of that stage.
 """
 
 from __future__ import annotations
@@ -34,8 +33,6 @@ from models.perception.find.cfar_nlos import CfarNlosParams, privileged_peaks
 from models.perception.find.detectors import CfarDetector, NetworkDetector, Refine
 from models.perception.find.onnx_model import load_card
 from models.perception.find.peaks import PeakParams
-from models.perception.find.refinement import RefinementParams
-from models.perception.find.ridge_matching import RidgeMatchingParams
 from models.perception.mirrors.confidence import PositionConfidence, load_confidence
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.published import PublishedParams, recover_published
@@ -49,7 +46,7 @@ from nodes.process.launch_file import parse_yaml
 FLOOR = 0.05
 GEOMETRIES = ("ours", "specification")
 #: Parameter groups that a source can take beside `geometry`.
-GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx": ("peaks", "named", "refinement")}
+GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx": ("peaks",)}
 WORDS = (
     "refine",
     "refine=" + "|".join(Refine),
@@ -209,26 +206,15 @@ def _built(spec: MethodSpec, threshold: float | None, threads: int, setup: Radar
 def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> tuple[Detect, Detect | None]:
     """`detect` and `detect_all` of a method."""
     peaks = overridden(PeakParams(), "peaks", spec.parameters)
-    ridge_matching = overridden(RidgeMatchingParams(), "named", spec.parameters)
-    refinement = overridden(RefinementParams(), "refinement", spec.parameters)
-    refined = Refine.of(spec.refine) is not Refine.NONE
 
-    def at(peak: float, name: float) -> Detect:
-        detector = NetworkDetector(
-            setup,
-            Path(spec.source),
-            threads,
-            msgspec.structs.replace(peaks, threshold=peak),
-            msgspec.structs.replace(ridge_matching, threshold=name),
-            spec.refine,
-            refinement,
-            flip_test=spec.flip_test,
-        )
+    def at(threshold: float) -> Detect:
+        params = msgspec.structs.replace(peaks, threshold=threshold)
+        detector = NetworkDetector(setup, Path(spec.source), threads, params, spec.refine, flip_test=spec.flip_test)
         return lambda frame: detector.detect(frame.ra_map)
 
-    floor = at(min(FLOOR, threshold), min(FLOOR, ridge_matching.threshold))
-    # local maxima over a threshold are those over a lower one whose score reaches it; ridges are not
-    return (at(threshold, ridge_matching.threshold), floor) if refined else (floor, None)
+    floor = at(min(FLOOR, threshold))
+    # local maxima over a threshold are those over a lower one whose score reaches it; pursued peaks are not
+    return (floor, None) if Refine.of(spec.refine) is Refine.NONE else (at(threshold), floor)
 
 
 def _cfar(spec: MethodSpec, setup: RadarSetup) -> Detect:

@@ -612,7 +612,7 @@ def tiny_network() -> Path:
 
 
 def make_network(folder: Path, seed: int, script: Sequence[Step]) -> Node:
-    refine: Any = ("pursuit", "none", "ridge", "likelihood")[seed % 4]
+    refine: Any = ("pursuit", "none")[seed % 2]
     return dense_predictor.create(
         dense_predictor.Params(model=str(tiny_network()), refine=refine, flip_test=seed % 8 > 3)
     )

@@ -111,7 +111,7 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
     params = dense_predictor.Params(
         model="compact_unet.int8",
         threads=3,
-        refine="likelihood",
+        refine=False,
         flip_test=True,
         threshold=0.35,
         cfar=CfarParams(false_alarm_rate=1e-3),

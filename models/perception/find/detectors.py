@@ -13,8 +13,6 @@ from models.perception.find.cfar import PHOTON_CFAR, CfarParams, cfar_peaks, war
 from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.find.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
 from models.perception.find.pursuit import PursuitParams, pursued_peaks
-from models.perception.find.refinement import EchoRefiner, RefinementParams, refined_peaks
-from models.perception.find.ridge_matching import RidgeMatchingParams, ridge_matched_peaks
 from models.perception.mirrors.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
 from models.perception.trained_radar import SetupCheck
 from msgs.values.perception import UNTRAINED_SETUP, Peaks
@@ -22,30 +20,26 @@ from msgs.values.radar import RadarSetup, RangeAzimuthMap
 
 
 class Refine(StrEnum):
-    """Placement of a network's peaks; profiles and committed cards use `PURSUIT`, the published form is `NONE`.
+    """Placement of a network's peaks: `PURSUIT`, or the published local maxima of the heatmap."""
 
-    The other three are rows of the committed accuracy-versus-time table, each below `PURSUIT` in it.
-    """
-
-    #: At the maxima of the heatmap.
     NONE = "none"
-    #: On the ridges of the map.
-    RIDGE = "ridge"
-    #: On the ridges, then moved to the likeliest positions of point echoes on the complex map.
-    LIKELIHOOD = "likelihood"
-    #: At the maxima, then moved likewise.
-    MAXIMA_LIKELIHOOD = "maxima_likelihood"
-    #: As many peaks as the heatmap's mass is worth: the best on the validation scenes (docs/results/README.md).
+    #: As many peaks as the heatmap's mass explains: the best on the validation scenes (docs/results/README.md).
     PURSUIT = "pursuit"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Refine | None:
+        """Read the placements on ridges and by likelihood of earlier files, which lost, as `PURSUIT`."""
+        return cls.PURSUIT if value in ("ridge", "likelihood", "maxima_likelihood") else None
 
     @classmethod
     def of(cls, spelling: bool | str) -> Refine:
         """Return the placement of a switch or a word (true: `PURSUIT`, false: `NONE`); `ValueError` for others."""
         if isinstance(spelling, bool):
             return cls.PURSUIT if spelling else cls.NONE
-        if spelling not in tuple(cls):
-            raise ValueError(f"refine must be a bool or one of {', '.join(cls)}, got {spelling!r}")
-        return cls(spelling)
+        try:
+            return cls(spelling)
+        except ValueError:
+            raise ValueError(f"refine must be a bool or one of {', '.join(cls)}, got {spelling!r}") from None
 
 
 class Detector(Protocol):
@@ -58,13 +52,11 @@ class Detector(Protocol):
 class NetworkDetector:
     """Dense prediction (section 3.1.1): a heatmap of LOS and mirrored returns, then peaks.
 
-    `refine` "pursuit" (True) takes as many peaks as the heatmap's mass is worth. "ridge" takes peaks from the ridges of
-    the map that the heatmap names, and the heatmap's own maxima only where the map has no ridge; "likelihood" then
-    moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
-    moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `params`
-    None: the released settings with the card's threshold. Peaks of a radar that is not the one in training are flagged
-    "untrained_setup", and `doubt` says in what it differs. Raises ValueError for another word, and where the network's
-    input is too coarse for the set-up's array.
+    `refine` "pursuit" (True) takes as many peaks as the heatmap's mass explains; "none" (False) are the published local
+    maxima, also of networks that answer at anchors. `flip_test`: as `DensePredictor`. `params` None: the released
+    settings with the card's threshold. Peaks of a radar that is not the one in training are flagged "untrained_setup",
+    and `doubt` names the difference. Raises `ValueError` for another word, and where the network's input is too coarse
+    for the set-up's array.
     """
 
     def __init__(
@@ -73,9 +65,7 @@ class NetworkDetector:
         model: Path = DEFAULT_MODEL,
         threads: int = 1,
         params: PeakParams | None = None,
-        ridge_matching: RidgeMatchingParams | None = None,
         refine: bool | str = Refine.PURSUIT,
-        refinement: RefinementParams | None = None,
         flip_test: bool = False,
     ) -> None:
         placement = Refine.of(refine)
@@ -85,29 +75,21 @@ class NetworkDetector:
         if placement is Refine.PURSUIT:
             # compile now: the first map must not wait for it
             pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, PursuitParams())
-        self._ridge_matching, self._refine = ridge_matching or RidgeMatchingParams(), placement
+        self._refine = placement
         self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
-        self._refiner = (
-            EchoRefiner(setup, refinement) if placement in (Refine.LIKELIHOOD, Refine.MAXIMA_LIKELIHOOD) else None
-        )
         self._sensitivity_db = sensitivity_db(setup)
         self._check = SetupCheck(self._predictor.card.name, self._predictor.card.radar, setup)
-        #: In what the radar of the last map is not the one in training; empty: in nothing.
+        #: How the radar of the last map differs from the one in training; empty: not at all.
         self.doubt = self._check.doubt()
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the classified peaks of one map."""
         self.doubt = self._check.doubt(ra_map.unused_beams)
         peaks = self._own_peaks(ra_map)
-        if self._refiner is not None:
-            peaks = refined_peaks(peaks, ra_map, self._refiner)
         faults = (*peaks.faults, UNTRAINED_SETUP) if self.doubt else peaks.faults
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name, faults=faults)
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Return the peaks before any refinement on the complex map."""
-        if self._refine in (Refine.RIDGE, Refine.LIKELIHOOD):
-            return ridge_matched_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
         if self._refine is Refine.PURSUIT:
             return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         if self._predictor.card.head == "heatmap":

@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_text_of_a_method() -> None:
-    spec = parse_method("ours=net.onnx,refine,residual=r.onnx,geometry=published,threshold=0.4,named.reach=[1, 2]")
+    spec = parse_method("ours=net.onnx,refine,residual=r.onnx,geometry=published,threshold=0.4,peaks.min_distance=3")
     assert (spec.name, spec.source, spec.refine, spec.geometry, spec.threshold) == (
         "ours",
         "net.onnx",
@@ -38,7 +38,7 @@ def test_text_of_a_method() -> None:
         0.4,
     )
     assert spec.residual == Path("r.onnx")
-    assert spec.parameters == {"named": {"reach": [1, 2]}}
+    assert spec.parameters == {"peaks": {"min_distance": 3}}
     assert (parse_method("cfar").name, parse_method("a/net.onnx").name) == ("cfar", "net")
 
 
@@ -51,7 +51,7 @@ def test_text_of_a_method() -> None:
         ("n=a.onnx,refine=more", "got 'refine=more'"),
         ("cfar,geometry=best", "got 'geometry=best'"),
         ("cfar,threshold=2", "got 'threshold=2'"),
-        ("cfar,named.reach=1", "group must be one of cfar, geometry, got 'named'"),
+        ("cfar,peaks.min_distance=1", "group must be one of cfar, geometry, got 'peaks'"),
         ("cfar,cfar.false=4", "cfar.false must be one of false_alarm_rate, ridges"),
         ("cfar,cfar.false_alarm_rate=wide", "Expected `float`"),
         ("n=missing.onnx", "missing.json"),

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.cramer_rao import azimuth_response
-from models.perception.find.refinement import EchoRefiner
 from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, ideal_beams, peak_field
-from models.perception.form.ra_forming import BeamFolder, FormingParams, ScanProfiles, form_map
+from models.perception.form.ra_forming import BeamFolder, FormingParams
 from models.physics.antenna import element_field, one_way_pattern, row_field, setup_weights, two_way_pattern
-from models.physics.waveform import tone_profile
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup, RangeAzimuthGrid
 
 SETUP = RadarSetup(array=ArrayParams(rows=1, phase_bits=7, steered_ways=1))
@@ -113,19 +111,6 @@ def test_the_way_out_has_the_pattern_of_one_element() -> None:
     out = element_field(SETUP.element, departure, level)
     expected = one_way_pattern(SETUP, weights, arrival, level) * out
     np.testing.assert_allclose(pattern, expected, rtol=1e-12)
-
-
-def test_sub_cell_refinement_places_one_way_echoes() -> None:
-    """Three clean echoes at fractional cells, starts half a bin and 2 cells off. Tolerance: a thousandth of a cell."""
-    place = np.array([[40.2, 60.3], [80.4, 128.7], [120.1, 200.2]])
-    tones = tone_profile(SETUP.radar.samples_per_chirp, place[:, 0], GRID.range_bins)
-    profiles = azimuth_response(SETUP, GRID.azimuth_at(place[:, 1])).T @ tones
-    scan = ScanProfiles(0, 0, profiles.astype(np.complex64), 1e-14, np.zeros(25, np.int64))
-    ra_map = form_map(scan, AzimuthInterpolator(SETUP))
-    found = EchoRefiner(SETUP).refine(ra_map, place + np.array([0.4, -2.0]))
-    assert found.refined.all()
-    np.testing.assert_allclose(found.fractional, place, atol=1e-3)
-    np.testing.assert_allclose(np.abs(found.amplitude), 1.0, atol=1e-3)
 
 
 def test_rests_between_chirps_stretch_slow_time() -> None:
