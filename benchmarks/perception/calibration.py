@@ -19,9 +19,9 @@ import msgspec
 import numpy as np
 
 from contrib.calibrate.drive import DriveParams, solve_drive
+from contrib.calibrate.mounting import Mounting
 from lab.studies.report import machine
 from mirrorwave.console import progress_bar
-from models.vehicle.mounting import Mounting
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.frames import Pose2
 from sim_player.drive import Drive

@@ -31,7 +31,7 @@ import numpy as np
 from benchmarks.captures import add_data_option, capture_folder
 from contrib.boards.config_file import read_config
 from contrib.boards.dca1000_capture import Dca1000Config, array_params, frame_samples, map_grid
-from models.perception.form.digital_array import DigitalArrayParams, form_digital_map, slots_turned
+from contrib.boards.digital_array import DigitalArrayParams, form_digital_map, slots_turned
 from models.perception.track.odometry import stationary_pose
 from models.perception.track.tracker import Tracker, TrackerParams
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track

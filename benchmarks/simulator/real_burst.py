@@ -24,9 +24,9 @@ import numpy as np
 from benchmarks.captures import add_data_option, capture_folder
 from contrib.boards.phaser import PhaserCalibration, PhaserParams, beam_samples, beam_table, radar_setup
 from contrib.calibrate.capture import Capture
+from contrib.calibrate.front_end_faults import FaultParams
+from contrib.calibrate.noise_floor import NoiseFloor
 from contrib.calibrate.radar_alone import measure_noise, scene_with_receiver
-from models.perception.form.front_end_faults import FaultParams
-from models.perception.form.noise_floor import NoiseFloor
 from msgs.recording.sigmf import write_capture
 from msgs.values.radar import BeamGrid, RadarBeam, RadarSetup
 from sim_player.player import ScenePlayer

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 import scipy.fft
 
-from models.perception.form.digital_array import DigitalArrayParams
+from contrib.boards.digital_array import DigitalArrayParams
 from msgs.values.arrays import require_array, require_positive
 from msgs.values.known_names import with_known_names
 from msgs.values.radar import RangeAzimuthGrid

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from contrib.boards.dca1000_capture import Dca1000Config, array_params
-from models.perception.form.digital_array import DigitalArrayParams, slots_aligned
+from contrib.boards.digital_array import DigitalArrayParams, slots_aligned
 from models.physics.antenna import setup_weights
 from msgs.values.radar import ArrayParams, RadarBeam, RadarParams, RadarSetup, orthogonal_beams
 

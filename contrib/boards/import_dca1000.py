@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 
 from contrib.boards.dca1000_capture import Dca1000Config, FileFrames, array_params, frame_samples, map_grid
+from contrib.boards.digital_array import DigitalArrayMap, form_digital_map
 from contrib.boards.digital_row import beam_messages, radar_setup, row_beams
 from models.perception.find.peaks import keep_apart, local_maxima
-from models.perception.form.digital_array import DigitalArrayMap, form_digital_map
 from msgs.files.checksums import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
 from msgs.recording.mcap import whole_recording

@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from contrib.boards.phaser import PhaserCalibration
+from contrib.calibrate.background import mean_chirp
 from contrib.calibrate.capture import Capture, complete_scans
 from contrib.calibrate.element_calibration import (
     ElementResponses,
@@ -18,7 +19,6 @@ from contrib.calibrate.element_calibration import (
     columns_of_elements,
     element_responses,
 )
-from models.perception.form.background import mean_chirp
 from msgs.files.whole_files import write_whole
 from msgs.values.arrays import require_within
 

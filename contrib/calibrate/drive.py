@@ -16,12 +16,12 @@ import msgspec
 import numpy as np
 
 from contrib.calibrate.capture import Capture
+from contrib.calibrate.mounting import Motion, Mounting, Sighting, solve_mounting
 from models.perception.find.detectors import CfarDetector
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
 from models.perception.mirrors.recovery import cartesian_covariance
-from models.vehicle.mounting import Motion, Mounting, Sighting, solve_mounting
 from msgs.values.arrays import require_finite
 from msgs.values.frames import Pose2
 from msgs.values.perception import PathClass, Peaks

@@ -12,7 +12,7 @@ from msgs.files.whole_files import write_whole
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
-    from models.vehicle.mounting import CalibratedQuantity, Mounting
+    from contrib.calibrate.mounting import CalibratedQuantity, Mounting
 
 
 def write_params(out: Path, params: dict[str, Any], mounting: Mounting) -> None:

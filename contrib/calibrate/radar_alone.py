@@ -10,16 +10,16 @@ import msgspec
 import numpy as np
 import yaml
 
-from contrib.calibrate.capture import Capture, complete_scans
-from models.perception.form.background import (
+from contrib.calibrate.background import (
     MIN_SCANS,
     BackgroundQuality,
     background_of,
     background_quality,
     mean_chirp,
 )
-from models.perception.form.front_end_faults import FaultParams
-from models.perception.form.noise_floor import NoiseFloor, NoiseMeter
+from contrib.calibrate.capture import Capture, complete_scans
+from contrib.calibrate.front_end_faults import FaultParams
+from contrib.calibrate.noise_floor import NoiseFloor, NoiseMeter
 from msgs.files.whole_files import whole
 from msgs.values.units import db_from_ratio
 

@@ -22,7 +22,7 @@ from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from contrib.calibrate.drive import Solved
-    from models.vehicle.mounting import Mounting
+    from contrib.calibrate.mounting import Mounting
 
 app = typer.Typer(
     no_args_is_help=True, help="Background and noise of the radar; its pose on the vehicle; its clock against CAN."
@@ -93,8 +93,8 @@ def noise(
 ) -> None:
     """Noise, 1/f corner, spurs, leakage, I/Q imbalance of the receiver, for the simulator; sidebands are told."""
     from contrib.calibrate.capture import Capture
+    from contrib.calibrate.front_end_faults import FaultParams
     from contrib.calibrate.radar_alone import draw_noise, floor_lines, measure_noise, receiver_text
-    from models.perception.form.front_end_faults import FaultParams
     from msgs.files.whole_files import write_whole
 
     _require_new(out, plot)

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
+from lab.compare.detection_snr import half_range, radar_threshold
 from lab.compare.sensors import FALSE_ALARM, SENSORS, Equal, Sensor, SpadSensor
 from lab.compare.sweeps import SWEEPS, Plan, SceneResult, Seen, Value
 from lab.measures.frame_scores import INTERVAL, bootstrap_weights
 from lab.studies.report import DRAWS, Interval, Provenance, machine, versions
 from mirrorwave.plots.markdown import table
 from models.physics.fresnel import coherent_power
-from models.physics.link_budget import half_range, radar_threshold, spad_threshold
+from models.physics.link_budget import spad_threshold
 from msgs.values.units import db_from_ratio
 from msgs.values.wording import counted
 

@@ -17,12 +17,12 @@ import numpy as np
 from scipy.stats import poisson
 
 from lab.compare.comparison_scenes import MirrorPath, with_sensor
+from lab.compare.detection_snr import photon_snr, radar_snr, radar_threshold
 from models.perception.find.peaks import PeakParams
 from models.perception.find.ridges import RidgeParams
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.photon_map import photon_map, project_counts
 from models.perception.form.ra_forming import ScanProfiles, form_map
-from models.physics.link_budget import photon_snr, radar_snr, radar_threshold
 from models.physics.photons.counting import expected_histogram
 from models.physics.photons.optics import (
     OBJECT_ALBEDO,

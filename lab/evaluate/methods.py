@@ -26,16 +26,15 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
+from lab.evaluate.cfar_nlos import CfarNlosParams, privileged_peaks
 from lab.training.data.frames import Frame
 from lab.training.data.residual_samples import truth_peaks
 from models.perception.find.cfar import CfarParams
-from models.perception.find.cfar_nlos import CfarNlosParams, privileged_peaks
 from models.perception.find.detectors import CfarDetector, NetworkDetector, Refine
 from models.perception.find.onnx_model import load_card
 from models.perception.find.peaks import PeakParams
-from models.perception.mirrors.confidence import PositionConfidence, load_confidence
-from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
-from models.perception.mirrors.published import PublishedParams, recover_published
+from models.perception.mirrors.confidence import load_confidence
+from models.perception.mirrors.peaks_to_view import BackEnd, GeometryParams, fold_scan
 from models.perception.mirrors.recovery import Residual
 from models.perception.mirrors.residual_model import LearnedResidual
 from msgs.values.perception import Peaks
@@ -74,7 +73,7 @@ class MethodSpec:
     flip_test: bool = False
     residual: Path | None = None
     confidence: Path | None = None
-    geometry: str = "ours"
+    geometry: BackEnd = "ours"
     threshold: float | None = None
     #: group -> dotted key -> value.
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -244,28 +243,15 @@ def peaks_above(peaks: Peaks, threshold: float) -> Peaks:
 
 
 def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:
-    if spec.geometry == "specification":
-        published = overridden(PublishedParams(), "geometry", spec.parameters)
-        return lambda peaks: _published_places(peaks, published, residual)
-    params = overridden(GeometryParams(), "geometry", spec.parameters)
-    confidence = None if spec.confidence is None else load_confidence(spec.confidence)
-    return lambda peaks: _our_places(peaks, params, residual, confidence)
-
-
-def _published_places(
-    peaks: Peaks, params: PublishedParams, residual: Residual | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The published back end rejects nothing."""
-    recovered = recover_published(peaks, params, residual)
-    return recovered.points_m, np.ones(len(recovered), bool)
-
-
-def _our_places(
-    peaks: Peaks, params: GeometryParams, residual: Residual | None, confidence: PositionConfidence | None
-) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions from which `recover_bev` forms its points, without the objects and the visibility mask."""
-    scan = fold_scan(peaks, params, residual, confidence)
-    return scan.recovered.points_m, scan.hidden
+    params = overridden(GeometryParams(back_end=spec.geometry), "geometry", spec.parameters)
+    confidence = None if spec.confidence is None else load_confidence(spec.confidence)
+
+    def place(peaks: Peaks) -> tuple[np.ndarray, np.ndarray]:
+        scan = fold_scan(peaks, params, residual, confidence)
+        return scan.recovered.points_m, scan.hidden
+
+    return place
 
 
 def _residual(spec: MethodSpec, threads: int) -> tuple[Residual | None, int]:

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lab.evaluate.cfar_nlos import privileged_peaks
 from lab.evaluate.labelled_beams import LabelledPlace
 from lab.evaluate.method_runs import answer_of
 from lab.measures.frame_scores import FrameScores, bootstrap_weights, estimates, score_frames
@@ -28,7 +29,6 @@ from lab.tradeoff.row_runs import FrameResult, PlaceTruth
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.plots.markdown import table
 from mirrorwave.profiles import DEFAULT, read_profile
-from models.perception.find.cfar_nlos import privileged_peaks
 from models.perception.find.encoding import COMPLEX
 from models.perception.find.onnx_model import ModelCard, load_card
 from models.perception.form.ra_former import RaFormer

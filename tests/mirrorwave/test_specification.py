@@ -25,7 +25,7 @@ from models.perception import cards
 from models.perception.find.encoding import COMPLEX, Encoding, encode_map
 from models.perception.find.onnx_model import DensePredictor, ModelCard
 from models.perception.find.peaks import PeakParams, find_peaks
-from models.perception.mirrors.published import PublishedParams, recover_published
+from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.residual_model import LearnedResidual, ResidualCard
 from msgs.files.shipped import WEIGHTS
 from msgs.values.radar import RangeAzimuthGrid
@@ -88,7 +88,9 @@ def test_it_runs_section_3_from_raw_beams(weights: Path) -> None:
     assert not encoded[2].any()
     peaks = find_peaks(predictor.predict(view.ra_map), view.ra_map, PeakParams(threshold=THRESHOLD))
     np.testing.assert_array_equal(view.peaks.range_m, peaks.range_m)
-    recovered = recover_published(peaks, PublishedParams(), LearnedResidual(weights / "residual_reflect_net.onnx"))
+    recovered = fold_scan(
+        peaks, GeometryParams(back_end="specification"), LearnedResidual(weights / "residual_reflect_net.onnx")
+    ).recovered
     assert len(recovered) > 0
     np.testing.assert_array_equal([(one.x_m, one.y_m) for one in view.frame.points], recovered.points_m)
 

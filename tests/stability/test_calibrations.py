@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.form.background import background_of
-from models.perception.form.front_end_faults import FaultMeter, FaultParams, sidebands_of
-from models.perception.form.noise_floor import _median_mean
-from models.vehicle.mounting import Motion
+from contrib.calibrate.background import background_of
+from contrib.calibrate.front_end_faults import FaultMeter, FaultParams, sidebands_of
+from contrib.calibrate.mounting import Motion
+from contrib.calibrate.noise_floor import _median_mean
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
@@ -20,7 +20,7 @@ EPOCH_NS = 1_763_750_000_123_456_789
 
 
 @pytest.mark.hard(
-    where="models.perception.form.background.background_of",
+    where="contrib.calibrate.background.background_of",
     naive="plain mean over scans",
     bound=3.0,
     unit="rms of the background's noise",
@@ -42,7 +42,7 @@ def test_lorry_in_the_open_field(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.form.noise_floor._median_mean",
+    where="contrib.calibrate.noise_floor._median_mean",
     naive="mean power of the bins",
     bound=0.1,
     unit="dB",
@@ -59,7 +59,7 @@ def test_tone_in_the_noise(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.vehicle.mounting.Motion.poses",
+    where="contrib.calibrate.mounting.Motion.poses",
     naive="headings wrapped to half a turn, then interpolated",
     bound=1e-3,
     unit="rad",
@@ -82,7 +82,7 @@ def test_roundabout(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.form.front_end_faults.FaultMeter.imbalance",
+    where="contrib.calibrate.front_end_faults.FaultMeter.imbalance",
     naive="ratio of image to echo, however small the echo",
     bound=0.0,
     unit="of the echo's field",
@@ -102,7 +102,7 @@ def test_a_capture_of_noise_alone(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.form.front_end_faults.sidebands_of",
+    where="contrib.calibrate.front_end_faults.sidebands_of",
     naive="strongest line beside the echoes",
     bound=0.5,
     unit="dB",

@@ -12,7 +12,6 @@ from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.image_walls import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
 from models.perception.mirrors.mirror_table import NO_WALL, RADAR, hits, wall_arrays
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
-from models.perception.mirrors.published import PublishedParams, recover_published
 from models.perception.mirrors.recovered_objects import ObjectParams, form_objects
 from models.perception.mirrors.recovery import Recovered, cartesian_covariance, folded
 from models.perception.mirrors.walls import WallParams, find_walls
@@ -167,7 +166,9 @@ def test_the_published_back_end_is_plain():
     """An image nearest in angle to a return of no wall: folded about the facing line through that return, never
     rejected, even on the return itself."""
     peaks = peaks_of(np.array([[10.0, 0.0]]), np.array([[10.4, 0.0]]))
-    np.testing.assert_allclose(recover_published(peaks, PublishedParams()).points_m, [[9.6, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(
+        fold_scan(peaks, GeometryParams(back_end="specification")).recovered.points_m, [[9.6, 0.0]], atol=1e-9
+    )
     assert recover_bev(peaks, GeometryParams()).points == ()
 
 
@@ -176,7 +177,7 @@ def test_empty_and_tiny_scans_give_a_view(direct, images):
     peaks = peaks_of(spread((9.0, 0.0), (9.0, 4.0), direct), spread((20.0, 0.0), (20.0, 4.0), images))
     bev = recover_bev(peaks, GeometryParams())
     assert len(bev.los_points_m) == direct
-    assert np.isfinite(recover_published(peaks, PublishedParams()).points_m).all()
+    assert np.isfinite(fold_scan(peaks, GeometryParams(back_end="specification")).recovered.points_m).all()
 
 
 def test_a_return_at_the_radar_itself_faces_back():
@@ -184,7 +185,7 @@ def test_a_return_at_the_radar_itself_faces_back():
     np.testing.assert_allclose(normal, [[-1.0, 0.0], [-0.6, -0.8]])
     np.testing.assert_allclose(offset_m, [0.0, 5.0])
     peaks = peaks_of(np.array([[0.0, 0.0]]), np.array([[20.0, 1.0]]))
-    assert np.isfinite(recover_published(peaks, PublishedParams()).points_m).all()
+    assert np.isfinite(fold_scan(peaks, GeometryParams(back_end="specification")).recovered.points_m).all()
 
 
 def test_images_of_what_is_seen_are_folded_and_not_hidden():

@@ -7,7 +7,8 @@ import pytest
 from mpmath import mp, mpf
 from scipy.special import ndtri
 
-from models.physics.link_budget import photon_snr, spad_threshold
+from lab.compare.detection_snr import photon_snr
+from models.physics.link_budget import spad_threshold
 from msgs.values.lidar import SpadParams
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS

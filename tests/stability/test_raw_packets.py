@@ -10,7 +10,7 @@ import pytest
 
 from contrib.boards.dca1000_capture import frame_samples, parse_cfg
 from contrib.boards.dca1000_packets import PAYLOAD_BYTES, FrameAssembler, datagram
-from models.perception.form.digital_array import DigitalArrayParams, range_doppler, slots_aligned
+from contrib.boards.digital_array import DigitalArrayParams, range_doppler, slots_aligned
 from tests.contrib.boards.test_import_dca1000 import CFG, LOOPS, SAMPLES, two_lanes
 from tests.stability.catalogue import Errors
 
@@ -67,7 +67,7 @@ def test_a_chirp_of_which_two_of_four_lanes_are_stored(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.form.digital_array", naive="channels added as they were sent", bound=0.6, unit="deg",
+    where="contrib.boards.digital_array", naive="channels added as they were sent", bound=0.6, unit="deg",
     source="a step of 256 azimuths, and the loops' ends",
 )  # fmt: skip
 def test_transmitters_half_a_turn_apart(errors: Errors) -> None:

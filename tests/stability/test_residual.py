@@ -12,8 +12,7 @@ import torch
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.export.onnx import write_card
 from lab.training.export.residual import export_residual_onnx
-from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
-from models.perception.mirrors.published import PublishedParams, recover_published
+from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
 from models.perception.mirrors.recovery import ReflectionState
 from models.perception.mirrors.residual_model import (
     MAX_SHIFT_M,
@@ -80,7 +79,7 @@ def test_scans_without_much_in_them_pass(
     peaks = peaks_of(returns, images)
     view = recover_bev(peaks, GeometryParams(), residual)
     assert np.isfinite([[point.x_m, point.y_m] for point in view.points]).all()
-    assert np.isfinite(recover_published(peaks, PublishedParams(), residual).points_m).all()
+    assert np.isfinite(fold_scan(peaks, GeometryParams(back_end="specification"), residual).recovered.points_m).all()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.find.cfar_nlos import CfarNlosParams, privileged_peaks
+from lab.evaluate.cfar_nlos import CfarNlosParams, privileged_peaks
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from sim_player.dataset.domain_shift import ShiftParams, domain_shifted_scene, draw_faults, faulty_profiles

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from contrib.boards.digital_array import DigitalArrayParams, range_doppler
 from models.perception.find.encoding import Encoding, encode_columns
 from models.perception.find.peaks import PeakParams, peaks_at
-from models.perception.form.digital_array import DigitalArrayParams, range_doppler
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
 from models.perception.form.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
@@ -257,7 +257,7 @@ def test_converter_past_full_scale(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.form.digital_array",
+    where="contrib.boards.digital_array",
     naive="transformed as it is",
     bound=0.0,
     unit="of the cells",
@@ -276,7 +276,7 @@ def test_a_float_capture_that_is_not_finite(value: float, errors: Errors) -> Non
 
 
 @pytest.mark.hard(
-    where="models.perception.form.digital_array",
+    where="contrib.boards.digital_array",
     naive="mean of complex64",
     bound=0.06,
     unit="",

@@ -12,8 +12,6 @@ from models.perception.mirrors.clustering import NOISE, dbscan
 from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
 from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.mirror_table import NO_WALL
-from models.perception.mirrors.recovery import Recovered, Residual, corrected, recover, reflection_state
-from msgs.values.arrays import require_positive
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
 
@@ -30,27 +28,9 @@ class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     nearest_share: float = 0.2
     seed: int = 0
 
-    def __post_init__(self) -> None:
-        for name in ("cluster_eps_m", "cluster_min_points", "rounds", "inlier_m"):
-            require_positive(f"published.{name}", getattr(self, name))
-        if self.min_inliers < 2:
-            raise ValueError(f"published.min_inliers must be at least 2, got {self.min_inliers!r}")
-
 
 #: An image belongs to the wall of the direct return nearest in angle; one mirror each.
 BUDDY = RecoveryParams(association="buddy", second_order=False)
-
-
-def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual | None = None) -> Recovered:
-    """Return every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
-
-    Without direct returns nothing is recovered.
-    """
-    returns, walls = published_structure(peaks, params)
-    recovered = recover(peaks, walls, returns, BUDDY)
-    if residual is None or len(recovered) == 0:
-        return recovered
-    return corrected(recovered, residual(reflection_state(recovered, walls, returns)))
 
 
 def published_structure(peaks: Peaks, params: PublishedParams) -> tuple[DirectReturns, list[Wall]]:

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from lab.compare.detection_snr import map_noise_gain, photon_snr, radar_snr
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.photon_map import photon_map
 from models.physics.fresnel import half_space_reflection
-from models.physics.link_budget import map_noise_gain, photon_snr, radar_snr
 from models.physics.materials import permittivity
 from models.physics.photons.counting import expected_histogram
 from models.physics.roughness import specular_gain

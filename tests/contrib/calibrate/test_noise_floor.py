@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.form.noise_floor import NoiseFloor, NoiseMeter
+from contrib.calibrate.noise_floor import NoiseFloor, NoiseMeter
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import db_from_ratio, ratio_from_db
 

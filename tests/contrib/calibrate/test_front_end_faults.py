@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.form.front_end_faults import FaultMeter, FaultParams, sidebands_of
-from models.perception.form.noise_floor import NoiseFloor, NoiseMeter
+from contrib.calibrate.front_end_faults import FaultMeter, FaultParams, sidebands_of
+from contrib.calibrate.noise_floor import NoiseFloor, NoiseMeter
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import ratio_from_db
 from sim_player.scene.front_end import FrontEnd

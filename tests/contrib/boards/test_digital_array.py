@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.form.digital_array import (
+from contrib.boards.digital_array import (
     DigitalArrayParams,
     form_digital_map,
     range_doppler,

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from lab.evaluate.cfar_nlos import CfarNlosParams, privileged_peaks
 from models.perception.find.cfar import CfarParams
-from models.perception.find.cfar_nlos import CfarNlosParams, privileged_peaks
 from models.perception.find.ridges import RidgeParams
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap

@@ -18,7 +18,7 @@ from scipy import fft
 from scipy.optimize import least_squares
 from scipy.special import gammaincinv
 
-from models.perception.form.front_end_faults import (
+from contrib.calibrate.front_end_faults import (
     FaultMeter,
     FaultParams,
     Imbalance,

@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 from scipy.special import erfc
 
-from models.physics.link_budget import (
-    half_range,
-    map_noise_gain,
-    photon_snr,
-    radar_snr,
-    radar_threshold,
-    spad_threshold,
-)
+from lab.compare.detection_snr import half_range, map_noise_gain, photon_snr, radar_snr, radar_threshold
+from models.physics.link_budget import spad_threshold
 from models.physics.photons.first_photon import first_photon_probability
 from models.physics.photons.optics import direct_photons
 from models.physics.roughness import specular_gain

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.perception.form.background import background_of, background_quality, load_background, mean_chirp
+from contrib.calibrate.background import background_of, background_quality, mean_chirp
+from models.perception.form.background import load_background
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup
 from tests.builders import example_beam
 

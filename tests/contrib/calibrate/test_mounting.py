@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.vehicle.mounting import Motion, MountingParams, Sighting, _Problem, solve_mounting
+from contrib.calibrate.mounting import Motion, MountingParams, Sighting, _Problem, solve_mounting
 from msgs.values.frames import Pose2, polar_from_xy, xy_from_polar
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
