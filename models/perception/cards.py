@@ -57,9 +57,7 @@ def _wrong_fields(text: str, kind: Any) -> list[str]:
 
 
 def read_learned(path: Path, limit_bytes: int) -> bytes:
-    """Return a whole learned file; raises `ValueError` naming one that cannot be read, is no file or larger than the
-    limit.
-    """
+    """Return a whole learned file; `ValueError` naming one that cannot be read, is no file or exceeds the limit."""
     try:
         size, is_file = path.stat().st_size, path.is_file()
         # check before reading: a larger file would take the memory of other nodes

@@ -78,9 +78,7 @@ def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
 def _distances_m(
     report: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
 ) -> tuple[float, float, float, float]:
-    """Return face error, centre error, distance to the box and squared Mahalanobis distance, at the reported object's
-    time.
-    """
+    """Return face and centre error, distance to the box and squared Mahalanobis distance at the report's time."""
     # an object without a stamp of its own was measured at the scene's
     elapsed_s = s_from_ns(report.stamp_ns - scene.stamp_ns) if report.stamp_ns else 0.0
     moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])

@@ -14,9 +14,7 @@ CHANNELS = NOISE + 3
 
 
 def anchor_cells(count: int, stride: int) -> np.ndarray:
-    """Return the fractional cells of the map [count] on which the anchors of one axis lie: the middle of each
-    `stride` cells.
-    """
+    """Return the fractional cells [count] of the anchors of one axis: the middle of each `stride` cells of the map."""
     return stride * np.arange(count) + 0.5 * (stride - 1)
 
 

@@ -208,9 +208,7 @@ def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, so far as they lie on the
-    map.
-    """
+    """Return the fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, within the map."""
     step = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1), indexing="ij"), axis=-1).reshape(9, 2)
     around = cells[:, None] + step  # [N, 9, 2]
     inside = ((around >= 0) & (around < values.shape)).all(axis=-1)
@@ -247,9 +245,7 @@ def _snr_db(power: np.ndarray, noise_power_mw: float) -> np.ndarray:
 
 
 def polar_covariance(snr_db: np.ndarray, incoherent: np.ndarray, range_bin_m: float, params: PeakParams) -> np.ndarray:
-    """Return the diagonal covariances (range [m], azimuth [rad]) [N, 2, 2]: resolution over sqrt(2 SNR), within
-    bounds.
-    """
+    """Return the diagonal covariances (range [m], azimuth [rad]) [N, 2, 2]: resolution over sqrt(2 SNR), bounded."""
     spread = 1.0 / np.sqrt(2.0 * 10.0 ** (snr_db / 10.0))
     range_std_m = np.clip(range_bin_m * spread, RANGE_STD_FLOOR_M, RANGE_STD_LIMIT_M)
     azimuth_deg = np.clip(

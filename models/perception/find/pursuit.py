@@ -79,9 +79,7 @@ def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across:
 
 
 def _kept(explained: tuple[float, float]) -> np.ndarray:
-    """Return the factor that a point leaves of the cells about it: 1 less its Gaussian, out to three standard
-    deviations.
-    """
+    """Return the factor that a point leaves of the cells about it: 1 less its Gaussian, out to three sigma."""
     row, column = (np.arange(-int(np.ceil(3.0 * std)), int(np.ceil(3.0 * std)) + 1) / std for std in explained)
     return 1.0 - np.exp(-0.5 * np.add.outer(row**2, column**2))
 

@@ -68,9 +68,7 @@ def find_ridges(
 
 
 def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Return the cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it;
-    highest first.
-    """
+    """Return the cells [N, 2], highest first, that top their range bin over `spacing` azimuths to either side."""
     # imported here: pursuit needs no ridges, and a restarted node must not wait for it
     from scipy import ndimage
 
@@ -81,9 +79,7 @@ def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either
-    side.
-    """
+    """Return the fractional azimuth bins [N]: vertex of the parabola through levels three cells to either side."""
     reach = 3
     inner = np.clip(cells[:, 1], reach, level_db.shape[1] - 1 - reach)
     before, here, after = (level_db[cells[:, 0], inner + k] for k in (-reach, 0, reach))
@@ -108,9 +104,7 @@ def beyond_the_map(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: RidgeParams) -> np.ndarray:
-    """Return which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its
-    beam; [N].
-    """
+    """Return the peaks that are lobes of a stronger one at their range, or near it within their beam; bool [N]."""
     range_apart = np.abs(cells[:, 0, None] - cells[:, 0])
     azimuth_apart = np.abs(cells[:, 1, None] - cells[:, 1])
     weaker_db = level_db - level_db[:, None]  # [N, N]: how much stronger the other one is

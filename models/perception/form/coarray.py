@@ -115,9 +115,7 @@ def peak_field(setup: RadarSetup) -> float:
 
 
 def coefficient_phases(setup: RadarSetup) -> np.ndarray:
-    """Return the phase k d p of each co-array coefficient per unit of sin(azimuth), centred; float64 [2N-1], or [N]
-    one way.
-    """
+    """Return the phase k d p of each co-array coefficient per unit of sin(azimuth), float64 [2N-1], or [N] one way."""
     columns, wavelength_m = setup.array.columns, setup.radar.wavelength_m
     reach = 0.5 * setup.array.steered_ways * (columns - 1)
     step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
@@ -125,9 +123,7 @@ def coefficient_phases(setup: RadarSetup) -> np.ndarray:
 
 
 def beam_matrix(setup: RadarSetup) -> np.ndarray:
-    """Return the co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1], or [beams, N]
-    one way.
-    """
+    """Return the matrix from coefficients to beams, weights as set; complex128 [beams, 2N-1], or [beams, N] one way."""
     weights = setup_weights(setup)
     if setup.array.steered_ways == 2:
         weights = coarray_weights(weights)
@@ -135,9 +131,7 @@ def beam_matrix(setup: RadarSetup) -> np.ndarray:
 
 
 def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Return the co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1], or [..., N] one
-    way.
-    """
+    """Return the matrix from coefficients to ideal beams at azimuths [...]; complex128 [..., 2N-1], one way [..., N]."""
     if setup.array.steered_ways == 2:
         return _ideal_two_way(setup, azimuth_rad)
     steering = np.exp(1j * np.multiply.outer(np.sin(azimuth_rad), coefficient_phases(setup)))
@@ -220,9 +214,7 @@ class AzimuthInterpolator:
     def interpolate_magnitude(
         self, magnitudes: np.ndarray, missing: tuple[int, ...] = (), look_azimuth_rad: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as
-        above.
-        """
+        """Return magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as above."""
         present = self._present(missing)
         looks = None if look_azimuth_rad is None else look_azimuth_rad[present]
         values = self._magnitudes(np.ascontiguousarray(magnitudes[present].T), self._inverse(missing), looks)
@@ -263,9 +255,7 @@ class AzimuthInterpolator:
         return self._inverses[missing]
 
     def _incoherent(self, beams: np.ndarray, inverse: _Inverse, noise_power_mw: float) -> np.ndarray:
-        """Return the bins [range] whose residual neither noise nor model errors explain; none without degrees of
-        freedom.
-        """
+        """Return the bins [range] whose residual neither noise nor model errors explain; none without freedom."""
         # imported here: a detector uses arrays, but forms no maps
         from scipy.special import gammainccinv
 
@@ -290,9 +280,7 @@ class AzimuthInterpolator:
         return np.asarray(grid_rad - off_rad / np.clip(1.0 + slope, 0.5, 2.0))
 
     def _steered(self, coefficients: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-        """Return the ideal beams of coefficients [range, 2N-1], each range at azimuths of its own [range, azimuth];
-        complex64.
-        """
+        """Return ideal beams complex64 of coefficients [range, 2N-1], each range at own azimuths [range, azimuth]."""
         first, second = coefficient_phases(self.setup)[:2].tolist()
         sine = np.sin(azimuth_rad.astype(np.float32))
         terms = (coefficients * ideal_beams(self.setup, np.zeros(()))).astype(np.complex64)
@@ -333,9 +321,7 @@ def _share(achieved: np.ndarray, steering: np.ndarray) -> np.ndarray:
 
 
 def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the beams to azimuths [azimuth, beams] and to coefficients [2N-1, beams], at the least ridge noise
-    allows.
-    """
+    """Return beams to azimuths [azimuth, beams] and to coefficients [2N-1, beams], at the least ridge noise allows."""
     largest = np.linalg.norm(beams, 2) ** 2 if len(beams) else 1.0
     gram = beams.conj().T @ beams
     for ridge in _RIDGES:

@@ -39,9 +39,7 @@ ARRAY_LIMIT = 0.12
 
 
 def lost_chirps(samples: np.ndarray) -> int:
-    """Return the chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise alone never is all
-    zeros.
-    """
+    """Count the chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise never is all zeros."""
     step = max(samples.shape[1] // _LOOKED_AT, 1)
     return int(np.count_nonzero(~samples[:, ::step].any(axis=(1, 2))))
 
@@ -94,9 +92,7 @@ def wiring_faults(sides: np.ndarray, power: float, product: complex) -> tuple[st
 
 
 def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
-    """Return the beams that hold noise alone where others hear loud echoes; bool [beams] of profiles complex [beams,
-    range].
-    """
+    """Return the beams of noise alone where others hold loud echoes; bool [beams] of complex [beams, range]."""
     power = _power(profiles[:, _NEAR_BINS:])
     loud = power.max(axis=0, initial=0.0) > ratio_from_db(_LOUD_DB) * noise_power_mw
     if np.count_nonzero(loud) < _LOUD_BINS or len(np.unique(power[:, loud].argmax(axis=0))) < _LOUD_DIRECTIONS:
@@ -116,9 +112,7 @@ def interfered_beams(noise_power_mw: np.ndarray) -> np.ndarray:
 
 
 def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
-    """Return whether a range bin beyond the near ones is about equally full in every beam [beams, range]: no echo
-    is.
-    """
+    """Return whether a range bin beyond the near ones is equally full in every beam [beams, range]: no echo is."""
     power = _power(profiles[:, _NEAR_BINS:])
     if len(power) < 3 or not noise_power_mw > 0.0:
         return False

@@ -141,9 +141,7 @@ def _pieces(spad: SpadParams) -> _Pieces:
 
 
 def _bin_edges_s(spad: SpadParams) -> np.ndarray:
-    """Return the times since the pulse from which events fall into each bin, ascending, [bins]; of ticks of a run
-    the mean.
-    """
+    """Return the times since the pulse from which events fall into each bin, ascending; of a run of ticks the mean."""
     edges_s, later_s = spad.bin_s * np.arange(spad.bins), 0.0
     if spad.tick_s:
         tick, bin_ = Fraction(str(spad.tick_s)), 1 / (Fraction(str(spad.repetition_rate_hz)) * spad.bins)

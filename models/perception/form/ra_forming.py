@@ -292,9 +292,7 @@ class BeamFolder:
     def _radial_speed_mps(
         self, profiles: np.ndarray, row: np.ndarray, heard: np.ndarray, ego: EgoCorrection | None
     ) -> np.ndarray:
-        """Return the radial speed of each bin that is heard, NaN in the others, float32 [range]; `row` is that of the
-        strongest Doppler.
-        """
+        """Return the radial speed of each bin heard, float32 [range]; `row`: that of the strongest Doppler."""
         speed_mps = np.full(profiles.shape[1], np.nan, np.float32)
         series = profiles[:, heard] if ego is None else profiles[:, heard] * ego.group_phase[:, None]
         coarse_rad_ps = 2.0 * np.pi * self._doppler_hz[row[heard]]
@@ -302,9 +300,7 @@ class BeamFolder:
         return speed_mps
 
     def _beats(self, sums: np.ndarray, beam_index: int) -> np.ndarray:
-        """Return the sums as complex64 [groups, samples], without background, positive frequencies for positive
-        range.
-        """
+        """Return the sums complex64 [groups, samples] less the background, beat frequencies positive with range."""
         series: np.ndarray = sums.astype(np.float32).view(np.complex64)[..., 0]
         if self.setup.background is not None:
             series -= self._group_chirps[:, None] * self.setup.background[beam_index]
@@ -411,9 +407,7 @@ def _windowed(spectra: np.ndarray, first: int, count: int, taps: tuple[float, ..
 
 
 def _median_power(power: np.ndarray, averages: int) -> float:
-    """Return the mean power of complex white noise from the median of `averages`-fold periodograms (one: median / ln
-    2).
-    """
+    """Return the mean power of complex white noise from the median of `averages`-fold periodograms."""
     return float(np.median(power) * averages / gammaincinv(averages, 0.5))
 
 

@@ -73,9 +73,7 @@ class _Arc:
 
 
 def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: ArcParams) -> list[LineFit]:
-    """Return the lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by
-    it.
-    """
+    """Return the lines of points [N, 2] with covariances [N, 2, 2], with arcs where these explain them better."""
     result: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
@@ -165,9 +163,7 @@ def _grow(
 def _fitted(
     s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, axes: np.ndarray, members: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the weighted least squares of an arc through members; coefficients, covariance, what each free point
-    adds to it.
-    """
+    """Fit an arc through members by weighted least squares; coefficients, covariance, gain of each free point."""
     coefficients = np.zeros(3)
     inverse: np.ndarray = np.zeros((3, 3))
     for _ in range(2):

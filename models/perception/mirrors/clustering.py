@@ -56,9 +56,7 @@ def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray
 
 @compiled
 def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N]
-    each.
-    """
+    """Return for each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond."""
     start, stop = np.zeros(len(x_m), np.int64), np.empty(len(x_m), np.int64)
     last = 0
     for k in range(len(x_m)):

@@ -86,9 +86,7 @@ def _echo(context: _FoldContext) -> dict[str, np.ndarray]:
 
 
 def _fold(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return the features of the crossing of its ray with the wall, and the distance to the nearest return of the
-    wall.
-    """
+    """Return the features of the crossing of its ray with the wall and the distance to the wall's nearest return."""
     recovered, wall = context.recovered, context.recovered.wall
     range_m = np.maximum(np.hypot(recovered.images_m[:, 0], recovered.images_m[:, 1]), NEAREST_M)
     crossings = RayWallCrossings.of(recovered.images_m, context.image_sigma_m / range_m, context.walls)
@@ -138,9 +136,7 @@ def _surroundings(context: _FoldContext) -> dict[str, np.ndarray]:
 
 
 def _company(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return the features of the other positions: by other walls at the same spot, by the same wall near it, their
-    number.
-    """
+    """Return the features of other positions: by other walls at the same spot, by the same wall near, their number."""
     recovered = context.recovered
     distance_m = np.linalg.norm(recovered.points_m[:, None] - recovered.points_m, axis=-1)
     same = (recovered.wall[:, None] == recovered.wall) & (recovered.second[:, None] == recovered.second)

@@ -168,17 +168,13 @@ class RayWallCrossings:
         )
 
     def behind(self, depth_m: float) -> np.ndarray:
-        """Return whether the image lies more than `depth_m` behind a wall that its ray crosses before the image; bool
-        [N, W].
-        """
+        """Return whether the image lies over `depth_m` behind a wall that its ray crosses before it; bool [N, W]."""
         return (self.depth_m > depth_m) & (self.met.along_ray > 0.0) & (self.met.along_ray < 1.0)
 
 
 @dataclass(frozen=True)
 class _MirrorPaths:
-    """Paths radar -> wall -> folded position of each image by each wall, [N, W, 2], and the walls that may block
-    them.
-    """
+    """Paths radar -> wall -> folded position of each image by each wall, [N, W, 2], and the walls that block."""
 
     mirror_m: np.ndarray
     position_m: np.ndarray
@@ -211,9 +207,7 @@ class _MirrorPaths:
         return crosses(origin_m, end_m, a, b) & deep & sure & (np.arange(len(self.walls)) != own[:, None])
 
     def second(self, image: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Return the second mirror of images [M] whose first is `first` [M]: the next wall on the path, if the rest is
-        free.
-        """
+        """Return the second mirror of images [M] by their `first` [M]: the next wall on a path whose rest is free."""
         start, end = self.mirror_m[image, first], self.position_m[image, first]
         met = hits(start, end, self.walls)
         crossed = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
@@ -256,9 +250,7 @@ def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectRetu
 
 
 def facing_radar(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; one at the radar
-    faces back.
-    """
+    """Return normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; at the radar, back."""
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])
     away = np.where(range_m[:, None] > 0.0, points_m, [1.0, 0.0])
     return -away / np.hypot(away[:, 0], away[:, 1])[:, None], range_m

@@ -44,9 +44,7 @@ class WallArrays(ArrayTable):
         return np.linalg.norm(self.b - self.a, axis=1)
 
     def distance_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Return the signed distance of points [N, 2] from each wall's chord line, positive on the radar's side; [N,
-        W].
-        """
+        """Return the signed distances [N, W] of points [N, 2] from each chord, positive on the radar's side."""
         return points_m @ self.normal.T + self.offset_m
 
     def trimmed(self, trim_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -67,9 +65,7 @@ class Hits:
     offset_m: np.ndarray
 
     def missed_m(self, length_m: np.ndarray) -> np.ndarray:
-        """Return the distance beyond a wall's ends at which its line is met [N, W]; chords of `length_m` [W]; infinite:
-        never.
-        """
+        """Return the distance [N, W] beyond the ends of chords of `length_m` [W] of each hit; infinite: none."""
         share = np.maximum(np.maximum(-self.along_wall, self.along_wall - 1.0), 0.0)
         return np.where(np.isnan(share), np.inf, share * length_m)
 
@@ -98,9 +94,7 @@ def wall_arrays(walls: list[Wall]) -> WallArrays:
 
 
 def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
-    """Return where rays from `origin` ([2] or [N, 2]) towards `targets` [N, 2] meet each wall or its line beyond the
-    ends.
-    """
+    """Intersect rays from `origin` ([2] or [N, 2]) towards `targets` [N, 2] with each wall's line or arc."""
     along_ray, along_wall = crossing_parameters(origin, targets, walls.a, walls.b)
     shape = along_ray.shape
     normal = np.broadcast_to(walls.normal, (*shape, 2)).copy()
@@ -148,9 +142,7 @@ def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def mirrors_met(images_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals [N, 2] and offsets [N] of the mirrors that walls [N] are to the radar's rays towards images [N,
-    2].
-    """
+    """Return normals [N, 2] and offsets [N] of the mirrors that walls [N] are to rays towards images [N, 2]."""
     return hits(RADAR, images_m, walls).mirrors(wall, walls)
 
 

@@ -69,9 +69,7 @@ def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: 
 
 
 def visibility_at(mask: np.ndarray, grid: BevGrid, points_m: np.ndarray) -> np.ndarray:
-    """Return the `Visibility` in a mask [rows, columns] of points [N, 2] in the radar's axes, unknown off its grid;
-    int64 [N].
-    """
+    """Return the `Visibility` of points [N, 2] in a mask [rows, columns], unknown off its grid; int64 [N]."""
     column = np.floor((points_m[:, 0] - grid.x_min_m) / grid.cell_m)
     row = np.floor((points_m[:, 1] - grid.y_min_m) / grid.cell_m)
     inside = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.columns)
@@ -82,9 +80,7 @@ def visibility_at(mask: np.ndarray, grid: BevGrid, points_m: np.ndarray) -> np.n
 
 @lru_cache(maxsize=2)
 def _field(grid: BevGrid, params: VisibilityParams) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centres of a grid's cells [N, 2] and the loss of the direct path to each [N] in dB, the same for all
-    scans.
-    """
+    """Return the centres [N, 2] of a grid's cells and the loss [N] of the direct path in dB, common to all scans."""
     cells_m = grid.cell_centres_m().reshape(-1, 2)
     return cells_m, _all_lost_db(cells_m, _receiver(0.0, params))
 
@@ -152,9 +148,7 @@ def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, r
 
 @compiled
 def _wall(walls, w):  # type: ignore[no-untyped-def]
-    """Return the ends, normal and offset of a wall as plain numbers: row views are reference-counted in the inner
-    loop.
-    """
+    """Return a wall's ends, normal and offset as plain numbers: row views are counted in the inner loop."""
     return walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6]
 
 

@@ -215,9 +215,7 @@ def warm(params: GeometryParams) -> None:
 
 
 def made_up_peaks() -> Peaks:
-    """Return a facade with a kink, a vehicle before it, and two images behind it of which one belongs to that
-    vehicle.
-    """
+    """Return a facade with a kink, a vehicle before it, and two images behind it, one of that vehicle."""
     along = np.linspace(0.0, 10.0, 9)
     facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)
     oblique = np.stack([20.0 - 0.4 * along, along + 1.0], axis=1)

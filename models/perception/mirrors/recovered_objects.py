@@ -108,9 +108,7 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
 
 
 def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
-    """Return whether a cluster has enough evidence, is no longer than a vehicle, and is not the next face of a
-    building.
-    """
+    """Return whether a cluster has evidence, the length of a vehicle, and is no next face of a building."""
     extent_m = _extent_m(cluster)
     if extent_m > params.max_length_m or not _has_evidence(cluster, walls, params):
         return False
@@ -197,9 +195,7 @@ def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> b
 
 
 def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
-    """Return whether each point of a cluster has one of the other, no weaker, at its image range and within a beam
-    of it.
-    """
+    """Return whether each point of a cluster has one of the other, as strong, at its image range in its beam."""
     range_m, azimuth_rad = polar_from_xy(cluster.images_m)
     other_range_m, other_azimuth_rad = polar_from_xy(other.images_m)
     near = np.abs(range_m[:, None] - other_range_m) <= params.satellite_range_m

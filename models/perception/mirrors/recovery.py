@@ -142,9 +142,7 @@ class Folded:
 def folded(
     points_m: np.ndarray, covariance_m2: np.ndarray, arrays: WallArrays, first: np.ndarray, second: np.ndarray
 ) -> Folded:
-    """Return the images [N, 2] folded about their first wall and, where there is one, about their second; Eq. (19)
-    for each.
-    """
+    """Fold images [N, 2] about their first wall and, where there is one, their second; Eq. (19) for each."""
     if len(points_m) == 0:
         return Folded(points_m, covariance_m2, covariance_m2)
     start = np.zeros_like(points_m)
@@ -192,9 +190,7 @@ def _turned(from_pivot_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wall: np.ndarray) -> np.ndarray:
-    """Return the covariance [N, 2, 2] of folded positions from the error of their walls, common to all images of a
-    wall.
-    """
+    """Return the covariance [N, 2, 2] that the errors of their walls give folded positions."""
     turn = _turned(points_m - 0.5 * (arrays.a + arrays.b)[wall], normal) * arrays.angle_std_rad[wall][:, None]
     shift = 2.0 * normal * arrays.offset_std_m[wall][:, None]
     return np.asarray(turn[:, :, None] * turn[:, None, :] + shift[:, :, None] * shift[:, None, :])

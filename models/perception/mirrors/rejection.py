@@ -46,9 +46,7 @@ def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns,
 def _behind_something(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """Return the positions that a wall hides, lengthened by the margin, or a group of returns of a vehicle's size;
-    bool [N].
-    """
+    """Return the positions that a wall, lengthened by the margin, or a vehicle's returns hide; bool [N]."""
     behind = ~in_open_view(recovered.points_m, walls, params.open_view_margin_m)
     range_m, azimuth_rad = polar_from_xy(recovered.points_m)
     for group in _vehicle_groups(wall_arrays(walls), returns, params):
@@ -107,9 +105,7 @@ def _on_visible_vehicle(
 
 
 def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
-    """Return the returns of a group and all others on its walls: a missed return must not split one front into two
-    objects.
-    """
+    """Return a group's returns and all others on its walls: a missed return must not split one front into two."""
     # one more entry, at the end, for the returns on no wall (-1)
     touched = np.zeros(returns.wall.max(initial=NO_WALL) + 2, bool)
     touched[returns.wall[group]] = True

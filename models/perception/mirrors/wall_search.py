@@ -78,9 +78,7 @@ def best_segment(
 
 @compiled(error_model="numpy")
 def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return the lines (nx, ny, offset) [H, 3] through the numbered pairs of points, without those of coinciding
-    points.
-    """
+    """Return the lines (nx, ny, offset) [H, 3] through the numbered pairs of points that do not coincide."""
     lines = np.empty((len(pairs), 3))
     count, first, row_start = 0, 0, 0
     for pair in pairs:
@@ -172,9 +170,7 @@ def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -
 
 @compiled(error_model="numpy")
 def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, run: np.ndarray) -> np.ndarray:
-    """Return the points that a wall does not explain: not its own, nor between its ends within their errors; bool
-    [N].
-    """
+    """Return the points that a wall does not explain: not its own, nor between its ends; bool [N]."""
     line = segment.line
     low, high = segment.ay * line.nx - segment.ax * line.ny, segment.by * line.nx - segment.bx * line.ny
     gain = gains(points_m, covariance_m2, line.nx, line.ny, line.offset_m)

@@ -130,9 +130,7 @@ def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
 def _walls_of_cluster(
     points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Fit walls by sequential RANSAC: the best wall, then the best among the remaining points, until none has
-    support.
-    """
+    """Fit walls by sequential RANSAC: the best, then the best among the remaining points, while supported."""
     fits: list[LineFit] = []
     limits = _limits(params)
     while len(members) >= params.min_inliers:
@@ -216,9 +214,7 @@ def _merge_duplicates(
 def _joined(
     points_m: np.ndarray, covariance_m2: np.ndarray, first: LineFit, second: LineFit, params: WallParams
 ) -> LineFit | None:
-    """Return one wall in place of two, None where they are different walls: the joint line must keep 90 % of their
-    score.
-    """
+    """Return one wall in place of two, None for different ones: the joint line must keep 90 % of their score."""
     if abs(float(first.normal @ second.normal)) < math.cos(math.radians(30.0)):
         return None
     members = np.flatnonzero(claimed(len(points_m), (first, second)))
@@ -317,9 +313,7 @@ def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:
 
 
 def _hides(wall: LineFit, points_m: np.ndarray) -> bool:
-    """Return whether all rays from the radar to the points [N, 2] cross the wall, which they pass by more than its
-    error.
-    """
+    """Return whether all rays from the radar to points [N, 2] cross the wall and pass it by more than its error."""
     depth_m = -(points_m @ wall.normal + wall.offset_m)
     if not (depth_m > 1.0).all():
         return False

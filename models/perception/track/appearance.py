@@ -29,9 +29,7 @@ SLOW_MPS = 0.5
 
 @dataclass(frozen=True)
 class Outlook:
-    """Positions of the radar from now on [steps, 2], and the ends of walls that hide objects, each [W, 2]; odometry
-    frame.
-    """
+    """Radar positions from here on [steps, 2] and the ends of walls that hide, [W, 2] each; odometry frame."""
 
     radar_m: np.ndarray
     a: np.ndarray
@@ -54,9 +52,7 @@ class Outlook:
 
 
 def radar_ahead(pose: OdometryPose, vehicle_from_radar: Pose2) -> np.ndarray:
-    """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
-    rate.
-    """
+    """Return the radar's positions [steps, 2] in the odometry frame at constant speed and yaw rate."""
     times_s = STEPS_S
     if pose.speed_mps == pose.yaw_rate_rps == 0.0:
         # at rest it stays where it is

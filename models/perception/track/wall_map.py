@@ -221,9 +221,7 @@ class WallMap:
             line.covariance = line.covariance + np.diag([offset, angle])
 
     def _merge(self, walls: list[Wall], radar_from_odom: Pose2) -> tuple[list[Wall], set[int]]:
-        """Merge each straight wall of a scan with its kept line, or keep it as a new one; also return the `id` of those
-        lines.
-        """
+        """Merge each straight wall of a scan with its kept line, or keep it as a new one; return their `id`s too."""
         merged: list[Wall] = []
         met: set[int] = set()
         for wall in walls:

@@ -86,9 +86,7 @@ class BiasEstimate(NamedTuple):
 
 
 class YawRateBias:
-    """Estimator of the bias from vehicle states in the order of their stamps; a standstill has priority over
-    driving.
-    """
+    """Estimator of the bias from vehicle states in order of their stamps; a standstill precedes driving."""
 
     def __init__(self) -> None:
         self._driving = DrivingBias()
@@ -281,9 +279,7 @@ class DrivingBias:
             self._update(*self._by_wheels(block, block.wheels_mps), self._wheels, block)
 
     def _by_steering(self, block: _Block) -> tuple[float, np.ndarray]:
-        """Return the yaw rate that the steering gives, with its derivatives; understeer takes from it as the speed
-        grows.
-        """
+        """Return the yaw rate of the steering with its derivatives; understeer takes from it at speed."""
         bias_rps, centre, ratio, understeer, _, _ = self._mean
         speed_mps, steered = block.speed_mps, block.steered
         grip = 1.0 + understeer * speed_mps**2
