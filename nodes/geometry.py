@@ -119,7 +119,7 @@ class GeometryNode(Node):
         return out
 
     def change_params(self, params: Params) -> None:
-        """See by other parameters from the next peaks on; tracks and walls of earlier scans are kept."""
+        """See by other parameters from the next peaks on; tracks and walls are kept."""
         if (params.object_network == "none") != (self._stage.predictor is None):
             raise ValueError("object_network: whether there is one is fixed at its start: with one it listens to maps")
         if params.memory != self._memory:

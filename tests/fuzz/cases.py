@@ -651,7 +651,7 @@ def make_detection_peaks(folder: Path, seed: int, script: Sequence[Step]) -> Nod
 def make_geometry(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     grid = BevGrid(rows=12, columns=10, cell_m=4.0)
     confidence = "default" if seed % 4 == 3 else "none"
-    memory = MemoryParams(wall_map=seed % 2 == 1)
+    memory = MemoryParams(tracking=seed % 2 == 1)
     return geometry.create(geometry.Params(grid=grid, confidence=confidence, memory=memory))
 
 

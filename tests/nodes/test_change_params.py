@@ -89,7 +89,7 @@ def test_what_earlier_scans_have_left_outlives_a_change_of_the_geometry() -> Non
     [
         ({"object_threshold": 2.0}, "object_threshold must lie in 0..1, got 2.0"),
         ({"object_network": "evidence_unet.int8"}, "object_network: whether there is one is fixed at its start"),
-        ({"memory": {"wall_map": True}}, "memory: what is kept from scan to scan is fixed"),
+        ({"memory": {"tracking": False}}, "memory: what is kept from scan to scan is fixed"),
         ({"residual": "nowhere.onnx"}, "nowhere"),
     ],
 )

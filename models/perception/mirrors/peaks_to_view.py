@@ -33,7 +33,7 @@ from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, PathClass, Peaks, SensorLimits, Wall
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
-#: -> the last two, extended by the walls of earlier scans.
+#: -> the last two, extended by walls from elsewhere.
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
 #: Walls of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
 ObjectJudge = Callable[[list[Wall]], Callable[[], tuple[HiddenObject, ...]]]
@@ -45,7 +45,7 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Parameters of the geometry stage; defaults are the released settings where those exist.
 
     Of `specification` the back end takes the clusters and `objects`; it has no use for `walls`, `wall_points`,
-    `recovery` and walls of earlier scans.
+    `recovery` and walls from elsewhere.
     """
 
     #: Walls, association and rejection: ours, or those of the specification.

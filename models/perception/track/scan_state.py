@@ -1,22 +1,20 @@
-"""State across scans: the vehicle's path, the walls it passed, the tracked objects."""
+"""State across scans: the vehicle's path, the walls that it is told, the tracked objects."""
 
 from __future__ import annotations
 
 from functools import partial
 
 import msgspec
-import numpy as np
 
 from models.perception.mirrors.peaks_to_view import WallPrior
 from models.perception.see.wall_memory import RadarPose, WallMemory
 from models.perception.track.odometry import ScanOdometry, stationary_pose
 from models.perception.track.tracker import Tracker, TrackerParams
-from models.perception.track.wall_map import WallMap
 from models.perception.track.wall_priors import WallPriorStore
 from models.perception.track.yaw_rate_bias import BiasEstimate
 from msgs.values.environment import WallPriors
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Peaks, Wall
+from msgs.values.perception import BevFrame, Peaks
 from msgs.values.vehicle import VehicleState
 
 
@@ -24,8 +22,6 @@ class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Parameters of the state kept across scans."""
 
     tracking: bool = True
-    #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
-    wall_map: bool = False
     tracker: TrackerParams = TrackerParams()
 
 
@@ -35,7 +31,6 @@ class ScanMemory:
     def __init__(self, params: MemoryParams) -> None:
         self._odometry = ScanOdometry()
         self._tracker = Tracker(params.tracker) if params.tracking else None
-        self._walls = WallMap() if params.wall_map else None
         self._priors = WallPriorStore()
         self._elements = WallMemory()
 
@@ -62,21 +57,9 @@ class ScanMemory:
         return self._odometry.yaw_rate_bias
 
     def walls_at(self, peaks: Peaks) -> WallPrior | None:
-        """Return the wall prior for `recover_bev`: walls of earlier scans, then those from elsewhere; None: neither."""
-        earlier = self._earlier_walls(peaks)
+        """Return the wall prior of a scan for `recover_bev`: walls of maps and other sensors; None: there are none."""
         priors = self._priors.at(peaks.stamp_ns, self._odometry.before, peaks.vehicle_from_radar)
-        if not priors:
-            return earlier
-        elsewhere = partial(self._priors.fused, priors)
-        return elsewhere if earlier is None else partial(_in_turn, earlier, elsewhere)
-
-    def _earlier_walls(self, peaks: Peaks) -> WallPrior | None:
-        """Return the prior of earlier scans; None where no walls are kept or no state has arrived."""
-        pose = self._odometry.at(peaks.stamp_ns)
-        # a radar that only seems to stand would find every wall at several positions
-        if self._walls is None or pose is None or pose == stationary_pose():
-            return None
-        return partial(self._walls.step, peaks.stamp_ns, pose, peaks.vehicle_from_radar)
+        return partial(self._priors.fused, priors) if priors else None
 
     def tracked(self, view: BevFrame, vehicle_from_radar: Pose2, ego_compensated: bool = True) -> BevFrame:
         """Return the view with its tracks; the radar is stationary as long as no vehicle state has arrived (`view.ego`
@@ -86,16 +69,3 @@ class ScanMemory:
             return view
         tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar, ego_compensated)
         return msgspec.structs.replace(view, tracks=tracks)
-
-
-def _in_turn(
-    first: WallPrior,
-    second: WallPrior,
-    points_m: np.ndarray,
-    covariance_m2: np.ndarray,
-    walls: list[Wall],
-    wall_of_point: np.ndarray,
-) -> tuple[list[Wall], np.ndarray]:
-    """Return the walls of a scan after two wall priors, one after the other."""
-    walls, wall_of_point = first(points_m, covariance_m2, walls, wall_of_point)
-    return second(points_m, covariance_m2, walls, wall_of_point)

@@ -110,7 +110,7 @@ def test_a_chain_follows_objects_unless_it_is_told_not_to(tracking: bool) -> Non
 @pytest.mark.slow
 def test_the_chain_says_the_same_as_the_node() -> None:
     player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4, effects="basic"))
-    chain = cfar_chain(player.setup, memory=MemoryParams(wall_map=True))
+    chain = cfar_chain(player.setup)
     memory = ScanMemory(MemoryParams())
     for number in range(4):
         state = player.vehicle_state(player.stamp_ns(number))

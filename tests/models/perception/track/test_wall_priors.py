@@ -159,34 +159,6 @@ def test_a_pose_that_jumped_moves_no_walls() -> None:
         assert len(store.at(START_NS + 5, poses.get, Pose2())) == count
 
 
-def test_walls_of_earlier_scans_and_from_elsewhere_stand_together() -> None:
-    """A facade that four scans showed and the fifth does not, and one that only the map knows."""
-    views = stage(wall_map=True)
-    for state in driven(0.2, until_s=2.0):
-        views.add_state(state)
-    for number in range(4):
-        views.view(scan(number))
-    hidden = scan(4)
-    mirrored = {name: getattr(hidden, name)[hidden.path_class == 1] for name in COLUMNS}
-    views.add_walls(message(hidden.stamp_ns))
-    walls = views.view(msgspec.structs.replace(hidden, **mirrored)).walls
-    assert sorted(round(wall.offset_m) for wall in walls) == [12, 20]
-
-
-def test_priors_are_no_evidence_of_a_wall_map() -> None:
-    """What a map says of walls is not gathered as if scans had shown it: with its message gone, so is the wall."""
-    views = stage(wall_map=True)
-    for state in driven(1.0, until_s=4.0):
-        views.add_state(state)
-    counts = []
-    for number in range(12):
-        if number < 4:
-            views.add_walls(message(START_NS + number * PERIOD_NS))
-        counts.append(len(views.view(scan(number)).walls))
-    assert counts[0] == 2
-    assert counts[-1] == 1
-
-
 def test_sources_and_messages_are_bounded() -> None:
     """The source that has been silent for longest goes first; of each, the newest messages wait."""
     store = WallPriorStore()
