@@ -131,7 +131,7 @@ def beam_matrix(setup: RadarSetup) -> np.ndarray:
 
 
 def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Return the matrix from coefficients to ideal beams at azimuths [...], complex128 [..., 2N-1]; one way [..., N]."""
+    """Return the matrix from coefficients to ideal beams at azimuths [...], complex128 [..., 2N-1] or [..., N]."""
     if setup.array.steered_ways == 2:
         return _ideal_two_way(setup, azimuth_rad)
     steering = np.exp(1j * np.multiply.outer(np.sin(azimuth_rad), coefficient_phases(setup)))
