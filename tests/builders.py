@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from models.perception.form.beams_to_maps import FormingStage
 from models.perception.form.ra_forming import FormingParams
 from models.perception.track.scan_state import MemoryParams
 from models.perception.track.views_over_scans import ViewStage
+from models.physics.mirror import wall_from_ends
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import PathClass, Peaks, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 
@@ -36,3 +40,25 @@ def example_beam(**fields: Any) -> RadarBeam:
     """The first of 25 beams, straight ahead, of one sample of silence, unless told otherwise."""
     plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "beam_index": 0, "beam_count": 25, "azimuth_rad": 0.0}
     return RadarBeam(**{"samples": np.zeros((1, 1, 2), np.int16), "full_scale_dbm": 0.0} | plain | fields)
+
+
+def peaks_at(direct_m: Any, images_m: Any = (), stds: tuple[float, float] = (0.1, 0.01), **fields: Any) -> Peaks:
+    """Peaks of direct returns and of images at points, score 0.9 and 30 dB each, unless told otherwise.
+
+    `stds`: of range [m] and azimuth [rad].
+    """
+    classes = [np.asarray(points_m, np.float64).reshape(-1, 2) for points_m in (direct_m, images_m)]
+    range_m, azimuth_rad = polar_from_xy(np.concatenate(classes))
+    count = len(range_m)
+    plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "score": np.full(count, 0.9), "snr_db": np.full(count, 30.0)}
+    plain["path_class"] = np.repeat(np.array([PathClass.LOS, PathClass.MIRRORED], np.uint8), [len(c) for c in classes])
+    plain["covariance"] = np.tile(np.diag(np.square(stds)), (count, 1, 1))
+    plain["peak_stamp_ns"] = np.full(count, fields.get("stamp_ns", 0), np.int64)
+    return Peaks(range_m=range_m, azimuth_rad=azimuth_rad, **plain | fields)
+
+
+def wall_between(a: Sequence[float], b: Sequence[float], **fields: Any) -> Wall:
+    """A wall of nine returns between two ends, its normal towards the radar, unless told otherwise."""
+    normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
+    plain: dict[str, Any] = {"inliers": 9, "angle_std_rad": 0.01, "offset_std_m": 0.05}
+    return Wall(normal=tuple(normal.tolist()), offset_m=offset_m, ends_m=(tuple(a), tuple(b)), **plain | fields)

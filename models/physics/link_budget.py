@@ -28,7 +28,9 @@ def beam_snr(
     Source: Eqs. (1), (4), (5).
     """
     range_m = require_positive_values("range_m", range_m)
-    wall = require_shares("wall_power_per_bounce", wall_power_per_bounce)
+    wall = np.asarray(wall_power_per_bounce, np.float64)
+    if not ((wall >= 0.0) & (wall <= 1.0)).all():
+        raise ValueError(f"wall_power_per_bounce must lie in 0..1, got {wall.tolist()!r}")
     rcs_m2 = require_not_negative("rcs_m2", rcs_m2)
     radar = setup.radar
     # divided twice: the square of a huge range would overflow
@@ -72,14 +74,6 @@ def require_not_negative(name: str, value: float | np.ndarray) -> np.ndarray:
     value = np.asarray(value, np.float64)
     if not (np.isfinite(value) & (value >= 0.0)).all():
         raise ValueError(f"{name} must be finite and not negative, got {value.tolist()!r}")
-    return value
-
-
-def require_shares(name: str, value: float | np.ndarray) -> np.ndarray:
-    """Return the values, float64; `ValueError` unless all lie in 0..1."""
-    value = np.asarray(value, np.float64)
-    if not ((value >= 0.0) & (value <= 1.0)).all():
-        raise ValueError(f"{name} must lie in 0..1, got {value.tolist()!r}")
     return value
 
 

@@ -15,8 +15,8 @@ from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import NO_WALL
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
 from models.perception.mirrors.recovery import Recovered
-from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, Wall
+from tests.builders import peaks_at
 
 FACADE = [[12.0, y] for y in np.linspace(-6.0, 6.0, 13)]
 
@@ -32,14 +32,7 @@ def model() -> PositionConfidence:
 
 
 def peaks_of(returns: list[list[float]], images: list[list[float]], std_rad: float = 1e-2) -> Peaks:
-    range_m, azimuth_rad = polar_from_xy(np.array([*returns, *images], np.float64).reshape(-1, 2))
-    count = len(range_m)
-    return Peaks(
-        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=np.array([0] * len(returns) + [1] * len(images), np.uint8),
-        covariance=np.tile(np.diag([1e-2, std_rad**2]), (count, 1, 1)), peak_stamp_ns=np.zeros(count, np.int64),
-        snr_db=np.full(count, 30.0),
-    )  # fmt: skip
+    return peaks_at(returns, images, (0.1, std_rad))
 
 
 @pytest.mark.parametrize("association", ["crossing", "buddy"])

@@ -16,9 +16,10 @@ from models.perception.mirrors.recovered_objects import ObjectParams, form_objec
 from models.perception.mirrors.recovery import Recovered, cartesian_covariance, folded
 from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points
-from models.physics.mirror import reflect, wall_from_ends
+from models.physics.mirror import reflect
 from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
+from tests.builders import peaks_at, wall_between
 from tests.models.physics.curved_reference import fermat_points
 from tests.stability.catalogue import Errors
 
@@ -27,11 +28,7 @@ FAR, SIDE = ((20.0, -8.0), (20.0, 6.0)), ((8.0, 6.0), (20.0, 6.0))
 
 
 def wall(a, b, curvature_per_m: float = 0.0) -> Wall:
-    normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
-    return Wall(
-        normal=(float(normal[0]), float(normal[1])), offset_m=offset_m, ends_m=(a, b), inliers=9,
-        angle_std_rad=0.01, offset_std_m=0.05, curvature_per_m=curvature_per_m,
-    )  # fmt: skip
+    return wall_between(a, b, curvature_per_m=curvature_per_m)
 
 
 def mirrored(point, one: Wall) -> np.ndarray:
@@ -39,15 +36,7 @@ def mirrored(point, one: Wall) -> np.ndarray:
 
 
 def peaks_of(direct: np.ndarray, images: np.ndarray) -> Peaks:
-    points = np.concatenate([np.reshape(direct, (-1, 2)), np.reshape(images, (-1, 2))]).astype(np.float64)
-    range_m, azimuth_rad = polar_from_xy(points)
-    count = len(points)
-    return Peaks(
-        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=np.repeat(np.array([0, 1], np.uint8), [len(direct), count - len(direct)]),
-        covariance=np.tile(np.diag([RANGE_STD_M**2, AZIMUTH_STD_RAD**2]), (count, 1, 1)),
-        peak_stamp_ns=np.zeros(count, np.int64), snr_db=np.full(count, 30.0),
-    )  # fmt: skip
+    return peaks_at(direct, images, (RANGE_STD_M, AZIMUTH_STD_RAD))
 
 
 def spread(a, b, count: int) -> np.ndarray:

@@ -22,9 +22,8 @@ from models.perception.mirrors.residual_model import (
     in_frames,
 )
 from msgs.bus.interface import Envelope, Received
-from msgs.values.frames import polar_from_xy
-from msgs.values.perception import Peaks
 from nodes import geometry
+from tests.builders import peaks_at
 
 
 def write_network(network: ResidualReflectNet, path: Path) -> Path:
@@ -48,17 +47,6 @@ def residual(model: Path) -> LearnedResidual:
     return LearnedResidual(model)
 
 
-def peaks_of(returns: list[list[float]], images: list[list[float]]) -> Peaks:
-    range_m, azimuth_rad = polar_from_xy(np.array([*returns, *images], np.float64).reshape(-1, 2))
-    count = len(range_m)
-    return Peaks(
-        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=np.array([0] * len(returns) + [1] * len(images), np.uint8),
-        covariance=np.tile(np.diag([1e-2, 1e-4]), (count, 1, 1)), peak_stamp_ns=np.zeros(count, np.int64),
-        snr_db=np.full(count, 30.0),
-    )  # fmt: skip
-
-
 FACADE = [[12.0, y] for y in np.linspace(-6.0, 6.0, 13)]
 
 
@@ -76,7 +64,7 @@ def test_scans_without_much_in_them_pass(
     residual: LearnedResidual, returns: list[list[float]], images: list[list[float]]
 ) -> None:
     """Both back ends answer, and every place they give is finite."""
-    peaks = peaks_of(returns, images)
+    peaks = peaks_at(returns, images)
     view = recover_bev(peaks, GeometryParams(), residual)
     assert np.isfinite([[point.x_m, point.y_m] for point in view.points]).all()
     assert np.isfinite(fold_scan(peaks, GeometryParams(back_end="specification"), residual).recovered.points_m).all()
@@ -151,7 +139,7 @@ def test_a_file_of_noise_is_refused(model: Path, tmp_path: Path) -> None:
 def test_the_geometry_node_moves_places_only_with_a_residual(model: Path) -> None:
     """One image behind a facade: the node's place with `residual` is that without plus the network's correction."""
     envelope = Envelope(publisher="test", topic="perception/peaks", sequence=0, sent_ns=0)
-    scan = [Received("perception/peaks", peaks_of(FACADE, [[18.0, 4.0]]), envelope)]
+    scan = [Received("perception/peaks", peaks_at(FACADE, [[18.0, 4.0]]), envelope)]
     views = [geometry.create(geometry.Params(residual=name)).step(scan, 0)[0].message for name in ("none", str(model))]
     (without,), (with_residual,) = (view.points for view in views)
     assert (without.x_m, without.y_m) == pytest.approx((6.0, 4.0), abs=1e-6)

@@ -28,8 +28,15 @@ def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distanc
     # here: a network of heatmaps has no anchors
     from scipy import ndimage
 
-    _require_answer(output, stride)
-    probability = _softmax(output[: NOISE + 1].astype(np.float64))
+    if output.ndim != 3 or output.shape[0] != CHANNELS:
+        raise ValueError(f"output must have shape ({CHANNELS}, rows, columns), got {output.shape}")
+    if stride < 1:
+        raise ValueError(f"stride must be at least 1, got {stride}")
+    if not np.isfinite(output).all():
+        raise ValueError(f"output must be finite, got {np.count_nonzero(~np.isfinite(output))} values that are not")
+    logits = output[: NOISE + 1].astype(np.float64)
+    weight = np.exp(logits - logits.max(axis=0))
+    probability = weight / weight.sum(axis=0)
     cells, score = [], []
     for channel in probability[:NOISE]:
         # Anchors are kept apart by where they point to, not by their own positions: with a stride, two points may lie
@@ -43,20 +50,6 @@ def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distanc
         score.append(level[kept])
     path_class = np.repeat(np.arange(NOISE, dtype=np.uint8), [len(at) for at in cells])
     return Points(cells=np.concatenate(cells), score=np.concatenate(score), path_class=path_class)
-
-
-def _require_answer(output: np.ndarray, stride: int) -> None:
-    if output.ndim != 3 or output.shape[0] != CHANNELS:
-        raise ValueError(f"output must have shape ({CHANNELS}, rows, columns), got {output.shape}")
-    if stride < 1:
-        raise ValueError(f"stride must be at least 1, got {stride}")
-    if not np.isfinite(output).all():
-        raise ValueError(f"output must be finite, got {np.count_nonzero(~np.isfinite(output))} values that are not")
-
-
-def _softmax(logits: np.ndarray) -> np.ndarray:
-    weight = np.exp(logits - logits.max(axis=0))
-    return weight / weight.sum(axis=0)
 
 
 def _points(output: np.ndarray, anchors: np.ndarray, stride: int) -> np.ndarray:

@@ -49,15 +49,6 @@ PHOTON_CFAR = CfarParams(
 )
 
 
-def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Return the cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R,
-    A].
-
-    The noise of counts is known and need not be measured beside a cell, where a period's end or a wall may lie.
-    """
-    return power > spad_threshold(params.false_alarm_rate)
-
-
 def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     """Return the OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
 
@@ -113,8 +104,9 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
     power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
-    mask = (photon_mask if ra_map.mode == "photons" else ordered_statistic_mask)(power, params)
     has_lobes = ra_map.mode != "photons"
+    # the noise of counts is known and need not be measured beside a cell, where a period's end or a wall may lie
+    mask = ordered_statistic_mask(power, params) if has_lobes else power > spad_threshold(params.false_alarm_rate)
     cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges, has_lobes)
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
     score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))

@@ -153,7 +153,10 @@ class _Sampled:
 
     @cached_property
     def power_mw(self) -> np.ndarray:
-        return _power_mw(self.columns)
+        # in float64: the square of a float32 magnitude may leave float32
+        power_mw = self.columns.real.astype(np.float64) ** 2 + self.columns.imag.astype(np.float64) ** 2
+        power_mw[~np.isfinite(power_mw)] = 0.0
+        return power_mw
 
     @cached_property
     def level(self) -> np.ndarray:
@@ -202,13 +205,6 @@ ENCODERS: dict[str, Callable[[_Sampled], np.ndarray]] = {
 COMPLEX = ("real", "imaginary", "zero")
 LOG_MAGNITUDE = ("log_magnitude", "log_magnitude", "log_magnitude")
 BOTH = ("real", "imaginary", "log_magnitude")
-
-
-def _power_mw(columns: np.ndarray) -> np.ndarray:
-    """Return the power of each cell, float64: the square of a float32 magnitude may leave float32."""
-    power_mw = columns.real.astype(np.float64) ** 2 + columns.imag.astype(np.float64) ** 2
-    power_mw[~np.isfinite(power_mw)] = 0.0
-    return power_mw
 
 
 def _level(encoding: Encoding, power_mw: np.ndarray, noise_power_mw: np.ndarray) -> np.ndarray:

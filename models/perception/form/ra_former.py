@@ -66,8 +66,10 @@ class RaFormer:
             self.repeated_beams += 1
         elif self._sweep.complete:
             maps += self.flush()
-        elif self._rolls_at(beam.beam_index):
-            maps += self._rolling(self._sweep, beam.beam_index)
+        elif self._last is not None and self._rolls_at(beam.beam_index):
+            # none where another motion completes the sweep
+            profiles = self._sweep.completed_by(self._last, beam.beam_index)
+            maps += [] if profiles is None else [self._map(profiles)]
         return maps
 
     def flush(self) -> list[RangeAzimuthMap]:
@@ -88,11 +90,6 @@ class RaFormer:
         """Return whether a map is due after a beam, before the next one in use."""
         step, every = self.folder.params.beam_step, self.folder.params.rolling_beams
         return every is not None and (beam_index + step) // every > beam_index // every
-
-    def _rolling(self, sweep: Sweep, beam_index: int) -> list[RangeAzimuthMap]:
-        """Return the map of the newest beams up to one; none where no sweep before, or another motion, completes it."""
-        profiles = None if self._last is None else sweep.completed_by(self._last, beam_index)
-        return [] if profiles is None else [self._map(profiles)]
 
     def _is_stale(self, beam: RadarBeam) -> bool:
         """Count and refuse beams of scans already closed."""

@@ -263,7 +263,9 @@ class BeamFolder:
         if self.params.decimation > 1:
             series = series.reshape(self.groups, self.samples, -1).sum(axis=2)
         spectra = scipy.fft.fft(series, axis=1, overwrite_x=True, workers=1)
-        spectra *= np.float32(self._amplitude(beam.full_scale_dbm))
+        # milliwatt per code, over all that was summed
+        codes = self.setup.radar.samples_per_chirp * self.chirps
+        spectra *= np.float32(amplitude_per_code(beam.full_scale_dbm) / codes)
         speed_mps = None
         if self.params.mode == "welch":
             profile, noise_power_mw = self._welch(spectra)
@@ -305,10 +307,6 @@ class BeamFolder:
         if self.setup.background is not None:
             series -= self._group_chirps[:, None] * self.setup.background[beam_index]
         return np.conj(series, out=series) if self.setup.beat_sign < 0 else series
-
-    def _amplitude(self, full_scale_dbm: float) -> float:
-        """Return the square root of milliwatt per code, over all that was summed."""
-        return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
 
     def resolved(
         self, profiles: np.ndarray, noise_power_mw: float, ego: EgoCorrection | None = None

@@ -109,7 +109,7 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
 
 def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
     """Return whether a cluster has evidence, the length of a vehicle, and is no next face of a building."""
-    extent_m = _extent_m(cluster)
+    extent_m = float(np.linalg.norm(cluster.points_m[:, None] - cluster.points_m, axis=-1).max())
     if extent_m > params.max_length_m or not _has_evidence(cluster, walls, params):
         return False
     return not (extent_m > params.face_length_m and _starts_at_wall_end(cluster, walls))
@@ -129,11 +129,6 @@ def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -
 def joint_score(scores: np.ndarray) -> float:
     """Return the probability that at least one of the points is real, 1 - prod(1 - s)."""
     return float(1.0 - np.prod(1.0 - np.clip(scores, 0.0, 1.0)))
-
-
-def _extent_m(cluster: Recovered) -> float:
-    """Return the largest distance between two of its points."""
-    return float(np.linalg.norm(cluster.points_m[:, None] - cluster.points_m, axis=-1).max())
 
 
 def _starts_at_wall_end(cluster: Recovered, walls: list[Wall]) -> bool:
@@ -173,12 +168,12 @@ def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list
         cluster
         for cluster in clusters
         if len(cluster) > params.satellite_points
-        or not any(len(other) >= 2 * len(cluster) and _belongs_to(cluster, other, params) for other in clusters)
+        or not any(
+            len(other) >= 2 * len(cluster)
+            and (_in_one_beam(cluster, other, params) or _along_side(cluster, other, params))
+            for other in clusters
+        )
     ]
-
-
-def _belongs_to(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
-    return _in_one_beam(cluster, other, params) or _along_side(cluster, other, params)
 
 
 def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
@@ -229,7 +224,8 @@ def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
         y_m=float(centre[1]),
         length_m=float(np.clip(length_m, params.min_length_m, params.max_length_m)),
         width_m=float(np.clip(width_m, params.min_width_m, params.max_length_m)),
-        yaw_rad=_half_turn(yaw_rad),
+        # a box has no front: the same axis in (-pi/2, pi/2]
+        yaw_rad=math.pi / 2.0 - (math.pi / 2.0 - yaw_rad) % math.pi,
         score=float(calibrated(params.score_table, np.array([joint_score(cluster.score)]))[0]),
         cov_m2=((xx, xy), (xy, yy)),
         stamp_ns=int(cluster.stamp_ns[0]) + int(np.mean(cluster.stamp_ns - cluster.stamp_ns[0])),
@@ -246,8 +242,3 @@ def _across_ray(cluster: Recovered, weights: np.ndarray) -> float:
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     folded = weights @ (step - 2.0 * np.sum(step * normal, axis=1)[:, None] * normal)
     return math.atan2(folded[1], folded[0])
-
-
-def _half_turn(yaw_rad: float) -> float:
-    """Return the same axis in (-pi/2, pi/2]: a box has no front."""
-    return math.pi / 2.0 - (math.pi / 2.0 - yaw_rad) % math.pi

@@ -32,7 +32,9 @@ def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns,
     if params.reject_in_open_view:
         explained |= ~_behind_something(recovered, walls, returns, params)
     if params.reject_on_wall:
-        explained |= _on_wall(recovered.points_m, wall_arrays(walls), reach_m)
+        arrays = wall_arrays(walls)
+        to_walls_m = segment_distance_m(recovered.points_m, arrays.a, arrays.b)
+        explained |= np.logical_or.reduce(to_walls_m <= reach_m[:, None], axis=1)
     if len(returns.points_m) and params.reject_at_return:
         distance_m = np.linalg.norm(recovered.points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
         alike = returns.snr_db >= recovered.snr_db[:, None] - params.comparable_db
@@ -121,8 +123,3 @@ def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np
     outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
     longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
     return ~behind_walls(points_m, longer, 0.0)
-
-
-def _on_wall(points_m: np.ndarray, walls: WallArrays, reach_m: np.ndarray) -> np.ndarray:
-    """Return the positions within their own reach [N] of a wall; bool [N]."""
-    return np.logical_or.reduce(segment_distance_m(points_m, walls.a, walls.b) <= reach_m[:, None], axis=1)

@@ -129,7 +129,8 @@ class Tracker:
             return ()
         if self._is_late(frame.stamp_ns):
             return self._messages
-        if pose.frame != self._frame or self._is_gap(frame.stamp_ns):
+        is_gap = self._last_ns is not None and abs(frame.stamp_ns - self._last_ns) > ns_from_s(MAX_GAP_S)
+        if pose.frame != self._frame or is_gap:
             self._forget(pose.frame)
         odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
         radar = odom_from_radar if ego_compensated else partial(odom_from_radar_after, pose, vehicle_from_radar)
@@ -148,9 +149,6 @@ class Tracker:
         if self._last_ns is None:
             return False
         return 0 <= self._last_ns - stamp_ns <= ns_from_s(MAX_GAP_S)
-
-    def _is_gap(self, stamp_ns: int) -> bool:
-        return self._last_ns is not None and abs(stamp_ns - self._last_ns) > ns_from_s(MAX_GAP_S)
 
     def _forget(self, frame: int | None) -> None:
         """End all tracks; the next id stays."""

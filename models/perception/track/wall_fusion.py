@@ -97,14 +97,13 @@ def fused(priors: Sequence[PlacedPrior], returns: ScanReturns, walls: list[Wall]
     if not nearest:
         return walls, returns.wall
     fusion = _Fusion(returns, walls)
-    for prior in sorted(nearest, key=_certainty):
+    # errors at their middles, then names and ends, so that the order is unique
+    for prior in sorted(
+        nearest,
+        key=lambda prior: (float(np.trace(prior.line.covariance)), prior.source, prior.line.ends_m.ravel().tolist()),
+    ):
         fusion.add(prior)
     return fusion.result()
-
-
-def _certainty(prior: PlacedPrior) -> tuple[float, str, list[float]]:
-    """Return the sort key of priors: errors at their middles, then names and ends, so that the order is unique."""
-    return float(np.trace(prior.line.covariance)), prior.source, prior.line.ends_m.ravel().tolist()
 
 
 def _in_view(line: WallLine) -> np.ndarray:
@@ -186,7 +185,10 @@ class _Fusion:
         is_short = entry.members and 2.0 * entry.line.half_m <= VEHICLE_LENGTH_M
         if is_short or (prior.source in entry.sources and not entry.members):
             return False
-        return self._is_beside(prior.line, entry) or self._is_across(prior.line, entry)
+        # across: both cross well within their ends
+        ends_m = prior.line.trimmed_m(TRIM_M), entry.line.trimmed_m(TRIM_M)
+        is_across = bool(segments_cross(*np.concatenate(ends_m).ravel().tolist(), 0.0))
+        return is_across or self._is_beside(prior.line, entry)
 
     def _is_beside(self, line: WallLine, entry: _Entry) -> bool:
         """Return whether a line runs along a wall, or its arc, at less than `rival_m`, over half of the shorter one."""
@@ -201,11 +203,6 @@ class _Fusion:
         height_m = height_m - 0.5 * entry.curvature_per_m * (over_m**2 - entry.line.half_m**2)
         inside = (over_m >= low_m) & (over_m <= high_m)
         return bool((np.abs(height_m[inside]) < RIVAL_M).all()) if inside.any() else False
-
-    def _is_across(self, line: WallLine, entry: _Entry) -> bool:
-        """Return whether a line and a wall cross well within both."""
-        ends_m = line.trimmed_m(TRIM_M), entry.line.trimmed_m(TRIM_M)
-        return bool(segments_cross(*np.concatenate(ends_m).ravel().tolist(), 0.0))
 
     def _is_seen_through(self, line: WallLine, same: list[_Entry]) -> bool:
         """Return whether direct returns in plain sight lie behind parts of a prior that no wall of the scan covers."""

@@ -276,7 +276,8 @@ class DrivingBias:
             self._update(*self._by_steering(block), self._steering, block)
         if block.wheels_mps is not None:
             self.has_wheels = True
-            self._update(*self._by_wheels(block, block.wheels_mps), self._wheels, block)
+            slope = np.array([1.0, 0.0, 0.0, 0.0, block.speed_mps, block.wheels_mps])
+            self._update(float(slope @ self._mean), slope, self._wheels, block)
 
     def _by_steering(self, block: _Block) -> tuple[float, np.ndarray]:
         """Return the yaw rate of the steering with its derivatives; understeer takes from it at speed."""
@@ -286,11 +287,6 @@ class DrivingBias:
         turn_rps = (centre * speed_mps + ratio * steered) / grip
         slope = np.array([1.0, speed_mps / grip, steered / grip, -turn_rps * speed_mps**2 / grip, 0.0, 0.0])
         return bias_rps + turn_rps, slope
-
-    def _by_wheels(self, block: _Block, wheels_mps: float) -> tuple[float, np.ndarray]:
-        """Return the yaw rate that the wheels give, with its derivatives."""
-        slope = np.array([1.0, 0.0, 0.0, 0.0, block.speed_mps, wheels_mps])
-        return float(slope @ self._mean), slope
 
     def _update(self, expected_rps: float, slope: np.ndarray, source: _Source, block: _Block) -> None:
         """Update the filter with the measured yaw rate of a block; outliers count less."""

@@ -17,9 +17,9 @@ from models.perception.find.cfar import (
 )
 from models.perception.find.ridges import RidgeParams, side_lobes
 from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
-from msgs.values.frames import polar_from_xy
-from msgs.values.perception import PathClass, Peaks
+from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import peaks_at
 
 GRID = RangeAzimuthGrid()
 
@@ -115,14 +115,7 @@ def test_side_lobes_of_a_stronger_peak():
 def test_classes_come_from_the_walls_in_front():
     wall = np.stack([np.full(15, 20.0), np.linspace(-7.0, 7.0, 15)], axis=1)
     image, beside, nearer = [28.0, 3.0], [28.0, 20.0], [10.0, 1.0]
-    points = np.vstack([wall, image, beside, nearer])
-    range_m, azimuth_rad = polar_from_xy(points)
-    count = len(points)
-    peaks = Peaks(
-        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=np.zeros(count, np.uint8), covariance=np.tile(np.diag([0.01, 2e-4]), (count, 1, 1)),
-        peak_stamp_ns=np.zeros(count, np.int64), snr_db=np.full(count, 30.0),
-    )  # fmt: skip
+    peaks = peaks_at(np.vstack([wall, image, beside, nearer]), stds=(0.1, 0.014))
     classified = classify_behind_walls(peaks)
     assert classified.path_class.tolist() == [PathClass.LOS] * 15 + [PathClass.MIRRORED, PathClass.LOS, PathClass.LOS]
 

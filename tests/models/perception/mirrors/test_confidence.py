@@ -22,9 +22,9 @@ from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import NO_WALL
 from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
 from models.perception.mirrors.recovery import Recovered
-from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, Wall
 from nodes import geometry
+from tests.builders import peaks_at
 
 FACADE = Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -10.0), (20.0, 10.0)), inliers=9, angle_std_rad=0.01)
 SIDE = Wall(normal=(0.0, 1.0), offset_m=12.0, ends_m=((2.0, -12.0), (22.0, -12.0)), inliers=9)
@@ -61,15 +61,9 @@ def model(threshold: float = 0.5, **changes: Any) -> PositionConfidence:
 
 def scan_of(snr_db: list[float]) -> Peaks:
     """A facade x = 20 of 19 returns, and images 8 m behind it at y = 4, 5, ... of these strengths."""
-    points = [[20.0, y] for y in np.linspace(-9.0, 9.0, 19)] + [[28.0, 4.0 + k] for k in range(len(snr_db))]
-    range_m, azimuth_rad = polar_from_xy(np.array(points))
-    count = len(points)
-    return Peaks(
-        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=np.array([0] * 19 + [1] * len(snr_db), np.uint8),
-        covariance=np.tile(np.diag([1e-2, 1e-4]), (count, 1, 1)), peak_stamp_ns=np.zeros(count, np.int64),
-        snr_db=np.array([30.0] * 19 + snr_db), sensitivity_db=109.0,
-    )  # fmt: skip
+    facade_m = [[20.0, y] for y in np.linspace(-9.0, 9.0, 19)]
+    images_m = [[28.0, 4.0 + k] for k in range(len(snr_db))]
+    return peaks_at(facade_m, images_m, snr_db=np.array([30.0] * 19 + snr_db), sensitivity_db=109.0)
 
 
 def test_features_of_a_place_worked_out_by_hand() -> None:

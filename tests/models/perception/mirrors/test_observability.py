@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 
 from models.perception.mirrors.observability import VisibilityParams, observability, sensitivity_db, visibility_at
-from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
-from msgs.values.perception import BevGrid, Visibility, Wall
+from models.physics.mirror import blocked, reflect, specular_points
+from msgs.values.perception import BevGrid, Visibility
 from msgs.values.radar import PRESETS, RadarParams, RadarSetup
+from tests.builders import wall_between
 
 GRID = BevGrid()
-
-
-def wall(a: tuple[float, float], b: tuple[float, float]) -> Wall:
-    normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
-    return Wall(normal=(float(normal[0]), float(normal[1])), offset_m=offset_m, ends_m=(a, b), inliers=9)
 
 
 def seen_at(mask: np.ndarray, x: float, y: float) -> int:
@@ -49,7 +45,9 @@ def test_without_walls_the_field_of_view_is_direct():
 def test_facade_shows_what_the_occluder_hides():
     """Facade x = 20, occluder at y = 5: (12, 8) is hidden and seen in the facade, (26, 0) is behind the facade,
     (8, 20) is hidden, and its mirror point y = 12.5 lies past the facade's end."""
-    mask = observability([wall((20, -10), (20, 10)), wall((5, 5), (13, 5))], 110.0, GRID, VisibilityParams())
+    mask = observability(
+        [wall_between((20, -10), (20, 10)), wall_between((5, 5), (13, 5))], 110.0, GRID, VisibilityParams()
+    )
     assert seen_at(mask, 16.0, 8.0) == Visibility.MIRRORED
     assert seen_at(mask, 26.0, 0.0) == Visibility.UNKNOWN
     assert seen_at(mask, 8.0, 20.0) == Visibility.UNKNOWN
@@ -58,7 +56,7 @@ def test_facade_shows_what_the_occluder_hides():
 
 def test_agrees_with_the_forward_law_of_reflection():
     """Every mirrored cell has a specular point on one of the walls."""
-    walls = [wall((20, -10), (22, 10)), wall((4, -6), (18, -7))]
+    walls = [wall_between((20, -10), (22, 10)), wall_between((4, -6), (18, -7))]
     mask = observability(walls, 110.0, GRID, VisibilityParams())
     cells = GRID.cell_centres_m()[mask == Visibility.MIRRORED]
     assert len(cells) > 100
@@ -75,7 +73,7 @@ def test_reach_follows_the_radar_equation():
 
 
 def test_a_fainter_object_is_seen_in_fewer_cells():
-    walls = [wall((20, -10), (20, 10)), wall((5, 5), (13, 5))]
+    walls = [wall_between((20, -10), (20, 10)), wall_between((5, 5), (13, 5))]
     counts = [
         int((observability(walls, 75.0, GRID, VisibilityParams(rcs_dbsm=rcs)) == Visibility.MIRRORED).sum())
         for rcs in (20.0, 10.0, 0.0)
@@ -98,7 +96,7 @@ def test_mask_is_the_definition_cell_by_cell(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ends = np.array([[[20, -10], [20, 10]], [[5, 5], [13, 5]], [[8, -9], [14, -8]], [[25, 12], [33, 14]]])
     ends = ends + rng.uniform(-2.0, 2.0, ends.shape)
-    walls = [wall(tuple(a), tuple(b)) for a, b in ends]
+    walls = [wall_between(tuple(a), tuple(b)) for a, b in ends]
     mask = observability(walls, 75.0, GRID, VisibilityParams()).ravel()
     cells = GRID.cell_centres_m().reshape(-1, 2)
     direct = (85.0 - loss_db(cells) >= 13.0) & ~blocked(np.zeros(2), cells, ends[:, 0], ends[:, 1])

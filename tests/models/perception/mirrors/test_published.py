@@ -7,37 +7,20 @@ import pytest
 
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.published import PublishedParams, published_walls
-from msgs.values.frames import polar_from_xy
-from msgs.values.perception import PathClass, Peaks
-
-
-def peaks_of(direct: np.ndarray, images: np.ndarray) -> Peaks:
-    range_m, azimuth_rad = polar_from_xy(np.concatenate([direct, images]))
-    count = len(range_m)
-    return Peaks(
-        stamp_ns=0,
-        scan_id=0,
-        range_m=range_m,
-        azimuth_rad=azimuth_rad,
-        score=np.ones(count),
-        path_class=np.repeat(np.array([PathClass.LOS, PathClass.MIRRORED], np.uint8), [len(direct), len(images)]),
-        covariance=np.tile(np.diag([0.01, 1e-4]), (count, 1, 1)),
-        peak_stamp_ns=np.zeros(count, np.int64),
-        snr_db=np.full(count, 30.0),
-    )
+from tests.builders import peaks_at
 
 
 def test_images_fold_in_the_wall_of_their_buddy() -> None:
     """Wall x = 20 of nine returns; an image at (32, 3) came from (8, 3). Exact to 1e-9."""
     direct = np.stack([np.full(9, 20.0), np.arange(-4.0, 5.0)], axis=1)
-    recovered = fold_scan(peaks_of(direct, np.array([[32.0, 3.0]])), GeometryParams(back_end="specification")).recovered
+    recovered = fold_scan(peaks_at(direct, np.array([[32.0, 3.0]])), GeometryParams(back_end="specification")).recovered
     assert recovered.points_m == pytest.approx(np.array([[8.0, 3.0]]), abs=1e-9)
 
 
 def test_lonely_buddy_stands_for_a_wall_across_its_ray() -> None:
     """One return at (10, 0), in no cluster: its wall is x = 10, and (16, 0) folds to (4, 0)."""
     recovered = fold_scan(
-        peaks_of(np.array([[10.0, 0.0]]), np.array([[16.0, 0.0]])), GeometryParams(back_end="specification")
+        peaks_at(np.array([[10.0, 0.0]]), np.array([[16.0, 0.0]])), GeometryParams(back_end="specification")
     ).recovered
     assert recovered.points_m == pytest.approx(np.array([[4.0, 0.0]]), abs=1e-9)
 
@@ -45,11 +28,11 @@ def test_lonely_buddy_stands_for_a_wall_across_its_ray() -> None:
 def test_without_direct_returns_or_images_nothing_is_recovered() -> None:
     nothing = np.zeros((0, 2))
     assert (
-        len(fold_scan(peaks_of(nothing, np.array([[9.0, 1.0]])), GeometryParams(back_end="specification")).recovered)
+        len(fold_scan(peaks_at(nothing, np.array([[9.0, 1.0]])), GeometryParams(back_end="specification")).recovered)
         == 0
     )
     assert (
-        len(fold_scan(peaks_of(np.array([[9.0, 1.0]]), nothing), GeometryParams(back_end="specification")).recovered)
+        len(fold_scan(peaks_at(np.array([[9.0, 1.0]]), nothing), GeometryParams(back_end="specification")).recovered)
         == 0
     )
 

@@ -13,26 +13,21 @@ from models.perception.mirrors.rejection import hidden_mask
 from models.physics.mirror import reflect, wall_from_ends
 from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
+from tests.builders import peaks_at, wall_between
 
 FACADE = ((20.0, -10.0), (20.0, 10.0))
 
 
 def wall(a: tuple[float, float], b: tuple[float, float], angle_std: float = 0.01, offset_std: float = 0.05) -> Wall:
-    normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
-    return Wall(
-        normal=(float(normal[0]), float(normal[1])), offset_m=offset_m, ends_m=(a, b), inliers=9,
-        angle_std_rad=angle_std, offset_std_m=offset_std,
-    )  # fmt: skip
+    return wall_between(a, b, angle_std_rad=angle_std, offset_std_m=offset_std)
 
 
 def peaks_of(points: np.ndarray, path_class: list[int], snr_db: float = 30.0) -> Peaks:
-    range_m, azimuth_rad = polar_from_xy(np.asarray(points, np.float64).reshape(-1, 2))
-    count = len(range_m)
-    return Peaks(
-        stamp_ns=5, scan_id=2, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=np.array(path_class, np.uint8),
-        covariance=np.tile(np.diag([0.1**2, math.radians(1.5) ** 2]), (count, 1, 1)),
-        peak_stamp_ns=np.arange(count, dtype=np.int64), snr_db=np.full(count, snr_db), sensitivity_db=109.0,
+    stamps_ns = np.arange(len(path_class), dtype=np.int64)
+    classes, strengths_db = np.array(path_class, np.uint8), np.full(len(path_class), snr_db)
+    return peaks_at(
+        points, stds=(0.1, math.radians(1.5)), stamp_ns=5, scan_id=2, path_class=classes, peak_stamp_ns=stamps_ns,
+        snr_db=strengths_db, sensitivity_db=109.0,
     )  # fmt: skip
 
 

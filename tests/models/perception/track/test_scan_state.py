@@ -25,7 +25,7 @@ from msgs.values.vehicle import VehicleState
 from nodes import geometry
 from nodes.player import Params, scene_player
 from nodes.process.launch_file import read_launch_file
-from tests.builders import cfar_chain
+from tests.builders import cfar_chain, peaks_at
 
 START_NS, PERIOD_NS, STATE_NS = 5_000_000_000, 300_000_000, 20_000_000
 SCANS = 6
@@ -34,15 +34,9 @@ SCANS = 6
 def scan(number: int) -> Peaks:
     """A wall ahead and four images behind it, the same in each scan."""
     wall_m = np.stack([np.full(11, 20.0), np.linspace(-8.0, 12.0, 11)], axis=1)
-    points_m = np.concatenate([wall_m, [[27.0, 6.0], [27.5, 7.0], [28.0, 6.5], [28.0, 8.0]]])
-    range_m, azimuth_rad = polar_from_xy(points_m)
-    count, stamp_ns = len(points_m), START_NS + number * PERIOD_NS
-    return Peaks(
-        stamp_ns=stamp_ns, scan_id=number, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=(np.arange(count) >= len(wall_m)).astype(np.uint8), snr_db=np.full(count, 20.0),
-        covariance=np.tile(np.diag([0.06**2, 0.01**2]), (count, 1, 1)),
-        peak_stamp_ns=np.full(count, stamp_ns, np.int64),
-    )  # fmt: skip
+    images_m = [[27.0, 6.0], [27.5, 7.0], [28.0, 6.5], [28.0, 8.0]]
+    stamp_ns = START_NS + number * PERIOD_NS
+    return peaks_at(wall_m, images_m, (0.06, 0.01), stamp_ns=stamp_ns, scan_id=number, snr_db=np.full(15, 20.0))
 
 
 def states() -> list[VehicleState]:

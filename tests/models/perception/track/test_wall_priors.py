@@ -18,9 +18,10 @@ from models.perception.track.views_over_scans import ViewStage
 from models.perception.track.wall_priors import MAX_SOURCES, MAX_WAITING_MESSAGES, WallPriorStore
 from msgs.bus.codec import encode_inline
 from msgs.values.environment import PriorWall, WallPriors
-from msgs.values.frames import Pose2, polar_from_xy
+from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.vehicle import VehicleState, ego_motion
+from tests.builders import peaks_at
 
 START_NS, PERIOD_NS = 5_000_000_000, 300_000_000
 FRONT = Pose2()
@@ -39,14 +40,11 @@ def message(
 def scan(number: int, vehicle_from_radar: Pose2 = FRONT) -> Peaks:
     """A facade ahead and images behind the wall on the left, of a vehicle that the facade's end hides."""
     facade_m = np.stack([np.full(9, 20.0), np.linspace(-8.0, 4.0, 9)], axis=1)
-    points_m = np.concatenate([facade_m, [[17.0, 18.0], [17.5, 18.5], [17.2, 19.0]]])
-    range_m, azimuth_rad = polar_from_xy(points_m)
-    count, stamp_ns = len(points_m), START_NS + number * PERIOD_NS
-    return Peaks(
-        stamp_ns=stamp_ns, scan_id=number, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
-        path_class=(np.arange(count) >= len(facade_m)).astype(np.uint8), snr_db=np.full(count, 20.0),
-        covariance=np.tile(np.diag([0.06**2, 0.01**2]), (count, 1, 1)), vehicle_from_radar=vehicle_from_radar,
-        peak_stamp_ns=np.full(count, stamp_ns, np.int64),
+    images_m = [[17.0, 18.0], [17.5, 18.5], [17.2, 19.0]]
+    stamp_ns = START_NS + number * PERIOD_NS
+    return peaks_at(
+        facade_m, images_m, (0.06, 0.01), stamp_ns=stamp_ns, scan_id=number, snr_db=np.full(12, 20.0),
+        vehicle_from_radar=vehicle_from_radar,
     )  # fmt: skip
 
 
