@@ -16,6 +16,8 @@ from nodes.process.validation import convert_at, merged
 PROFILES = LAUNCH / "profiles"
 #: The one that runs where none is named.
 DEFAULT = "default"
+#: Former profiles, each read as the one that replaced it.
+FORMER = {"unfiltered": "fast"}
 
 
 def profile_names() -> list[str]:
@@ -26,7 +28,7 @@ def profile_names() -> list[str]:
 
 def profile_path(name: str) -> Path:
     """File of a profile, by its name or by its path; raises `ValueError` with the names there are."""
-    known = profile_names()
+    known, name = profile_names(), FORMER.get(name, name)
     if name in known:
         return PROFILES / f"{name}.yaml"
     path = Path(name)
@@ -50,7 +52,7 @@ def read_profile(name: str) -> dict[str, dict[str, Any]]:
 
 def nodes_of_file(name: str) -> list[tuple[str, str]]:
     """Nodes that a profile by file sets, each with the file; none of a named one, which is known to be right."""
-    return [] if name in profile_names() else [(node, name) for node in read_profile(name)]
+    return [] if FORMER.get(name, name) in profile_names() else [(node, name) for node in read_profile(name)]
 
 
 def checked_profile(name: str) -> dict[str, dict[str, Any]]:

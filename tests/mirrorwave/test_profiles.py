@@ -21,7 +21,6 @@ from mirrorwave.node_chain import SharedParts
 from mirrorwave.offline import launch_for
 from mirrorwave.profiles import over_default, profile_names, read_profile
 from models.perception.find.detectors import CfarDetector, NetworkDetector
-from models.perception.find.onnx_model import DEFAULT_MODEL
 from models.perception.mirrors.confidence import FittedConfidences, load_confidence
 from msgs.files.shipped import LAUNCH, WEIGHTS
 from msgs.values.perception import HiddenObject
@@ -84,7 +83,7 @@ def test_default_is_what_was_chosen() -> None:
     assert objects[0]
     assert all(item.object_class for item in objects[0])
     assert default.predictor is not None
-    assert SharedParts.of(read_profile("unfiltered"), RadarSetup()).predictor is None
+    assert SharedParts.of(read_profile("fast"), RadarSetup()).predictor is None
 
 
 def objects_of(parts: SharedParts, beams: Iterable[RadarBeam]) -> list[HiddenObject]:
@@ -139,11 +138,9 @@ def test_auto_judges_no_peaks_of_a_stranger() -> None:
     assert isinstance(SharedParts.of(read_profile("cfar"), RadarSetup()).detector, CfarDetector)
 
 
-def test_unfiltered_keeps_every_place_of_the_same_network() -> None:
-    parts = SharedParts.of(read_profile("unfiltered"), RadarSetup())
-    assert parts.confidence is None
-    assert parts.detector._name.startswith(NetworkDetector(RadarSetup(), DEFAULT_MODEL)._name)  # type: ignore[attr-defined]
-    assert "unfiltered" in profile_names()
+def test_a_former_profile_is_read_as_the_one_that_replaced_it() -> None:
+    assert read_profile("unfiltered") == read_profile("fast")
+    assert "unfiltered" not in profile_names()
 
 
 def in_the_alley(folder: Path, *words: str) -> tuple[dict[str, Any], float]:

@@ -36,7 +36,6 @@ from lab.tradeoff.rows import DEFAULT_SETTINGS, Setting, profile_setting, read_s
 from mirrorwave.node_chain import STAGE_PARAMS
 from models.perception.cards import WEIGHTS
 from models.perception.find.cfar import CfarParams, cfar_peaks
-from models.perception.find.onnx_model import DEFAULT_MODEL
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import Peaks
 from msgs.values.radar import RangeAzimuthMap
@@ -89,7 +88,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     rows = {row.name: row for row in report.rows}
     assert list(rows) == [
         "default",
-        "unfiltered",
+        "fast",
         "beams: 13 of 25",
         "beams: 9 of 25",
         "beams: 7 of 25",
@@ -102,7 +101,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     assert not failed.pareto
     default = rows["default"]
     assert default.against_over["object_f1"] == Interval(value=0.0, low=0.0, high=0.0)
-    assert rows["unfiltered"].size_bytes == DEFAULT_MODEL.stat().st_size
+    assert rows["fast"].size_bytes == size("compact_unet.near.int8.onnx")
     assert default.size_bytes is not None
     assert default.size_bytes > sum(map(size, ("compact_unet.int8.onnx", "evidence_unet.int8.onnx")))
     assert rows["beams: 7 of 25"].accuracy["dense_macro_f1"] != default.accuracy["dense_macro_f1"]
