@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from benchmarks.accuracy.six_scenes import SCENES
+from lab.measures.point_scores import Counts, recovered_counts
 from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, save
 from models.perception.chain import Chain
 from models.perception.find.detectors import NetworkDetector
@@ -35,7 +36,7 @@ from models.perception.form.beams_to_maps import FormingStage
 from models.perception.track.views_over_scans import ViewStage
 from models.physics.antenna import setup_weights
 from models.physics.waveform import window_noise_gain
-from models.scores.point_metrics import Counts, match_objects, recovered_counts
+from models.scores.object_matching import match_objects
 from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import FULL_SCALE_CODE, RadarBeam, RadarSetup
 from msgs.values.units import db_from_ratio, ratio_from_db

@@ -23,7 +23,7 @@ import numpy as np
 
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.profiles import DEFAULT, read_profile
-from models.scores.point_metrics import match_objects
+from models.scores.object_matching import match_objects
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import BevFrame, SceneTruth
 from nodes.player import Params, scene_player

@@ -36,6 +36,7 @@ from scipy.special import gammainccinv
 from threadpoolctl import threadpool_limits
 
 from lab.evaluate.labelled_beams import LabelledPlace
+from lab.measures.point_scores import match_points
 from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding, sample_columns
 from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
@@ -45,7 +46,6 @@ from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import DOPPLER_EXCESS_DB, DOPPLER_LIMIT_MPS, DOPPLER_SNR_DB, FormingParams
 from models.perception.form.slow_time_sums import fold_chirps, group_edges
 from models.perception.mirrors.peaks_to_view import FoldedScan, GeometryParams, fold_scan, recover_bev
-from models.scores.point_metrics import match_points
 from msgs.bus.codec import encode_inline
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import BevFrame, PathClass, Peaks

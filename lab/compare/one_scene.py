@@ -17,10 +17,10 @@ from scipy.ndimage import maximum_filter
 from lab.compare.comparison_scenes import ShownPoints, shown_points
 from lab.compare.peak_scores import found_peaks, recovered_places, score
 from lab.compare.sensors import GRID, SENSORS, Equal, Sensor, Sight, SpadSensor
+from lab.measures.point_scores import Counts
 from mirrorwave.console import error_line
 from mirrorwave.plots.style import MIRROR_IMAGE, RECOVERED, TRUTH, handles_of, legend_of_figure, new_figure, save
 from models.perception.find.peaks import echo_power
-from models.scores.point_metrics import Counts
 from msgs.values.frames import xy_from_polar
 from sim_player.generate.placement import chords
 from sim_player.lidar.spad import SpadOptions

@@ -13,6 +13,7 @@ import numpy as np
 
 from lab.compare.comparison_scenes import ShownPoints
 from lab.compare.sensors import GRID, Sight
+from lab.measures.point_scores import Counts, recovered_counts
 from models.perception.find.peaks import echo_power, peaks_at
 from models.perception.find.ridges import find_ridges
 from models.perception.mirrors.clustering import dbscan
@@ -23,7 +24,6 @@ from models.perception.mirrors.rejection import hidden_mask
 from models.physics.materials import is_volume
 from models.physics.mirror import wall_from_ends
 from models.physics.plane import segment_distance_m
-from models.scores.point_metrics import Counts, recovered_counts
 from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
 from msgs.values.units import db_from_ratio

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from models.scores.point_metrics import Chamfer, Counts, chamfer, dense_counts, match_points, recovered_counts
+from lab.measures.point_scores import Chamfer, Counts, chamfer, dense_counts, match_points, recovered_counts
 from msgs.values.perception import PathClass
 
 #: Gate of the dense matching and the two of the recovered one (simulated, real captures).

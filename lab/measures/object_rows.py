@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from models.scores.object_error import as_object, object_distances
-from models.scores.point_metrics import assign_within
+from models.scores.object_matching import assign_within
 from msgs.values.perception import HiddenObject, SceneTruth, Track, TruthObject
 
 #: Maximum position error of a found object.

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.optimize import isotonic_regression
 
+from lab.measures.point_scores import match_points
 from lab.training.data.frames import Frame
 from models.perception.find.detectors import Detector
 from models.perception.find.score_calibration import ScoreTable
-from models.scores.point_metrics import match_points
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass
 

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
+from lab.measures.point_scores import Counts, recovered_counts
 from lab.training.calibration import calibration_error
 from lab.training.data.frames import Frame
 from models.perception.find.detectors import Detector
 from models.perception.mirrors.confidence import FEATURES, PositionConfidence, position_features, standardised
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.recovery import Residual
-from models.scores.point_metrics import Counts, recovered_counts
 from msgs.values.arrays import require_positive
 from msgs.values.perception import PathClass
 

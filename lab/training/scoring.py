@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lab.measures.point_scores import Counts, dense_counts
 from lab.training.data.samples import PointLabels
 from models.perception.find.peaks import Points
-from models.scores.point_metrics import Counts, dense_counts
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from mirrorwave.console import print_line, print_table
-from models.scores.point_metrics import ObjectMatch, match_objects
+from models.scores.object_matching import ObjectMatch, match_objects
 from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObject
 
 #: A hidden object is found when its visible face or centre is met within this.

@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.special import gamma
 
 from lab.measures.frame_scores import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
+from lab.measures.point_scores import chamfer, match_points
 from lab.networks.compact_unet import CompactUNet, CompactUNetConfig
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.export.onnx import Exported, export_onnx, write_card
@@ -38,7 +39,7 @@ from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
 from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
-from models.scores.point_metrics import chamfer, match_objects, match_points
+from models.scores.object_matching import match_objects
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, SceneTruth, TruthObject
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -539,7 +540,7 @@ def test_ordered_statistic_rate_without_factorials(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.scores.point_metrics",
+    where="lab.measures.point_scores",
     naive="assign first, drop what is too far",
     bound=0.0,
     unit="pairs",
@@ -555,7 +556,7 @@ def test_gate_belongs_into_the_assignment(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.scores.point_metrics",
+    where="lab.measures.point_scores",
     naive="infinite cost beyond the gate",
     bound=0.0,
     unit="pairs",
@@ -591,7 +592,7 @@ def test_chamfer_of_an_empty_set(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.scores.point_metrics",
+    where="lab.measures.point_scores",
     naive="a.a - 2 a.b + b.b in float32",
     bound=1e-13,
     unit="m",

@@ -20,6 +20,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from lab.evaluate.labelled_beams import LabelledPlace
+from lab.measures.point_scores import chamfer, dense_counts, match_points, recovered_counts
 from models.perception.find.cfar import CfarParams, cfar_peaks
 from models.perception.find.detectors import NetworkDetector
 from models.perception.form.coarray import AzimuthInterpolator
@@ -38,7 +39,6 @@ from models.physics.fresnel import (
     stack_transmission,
 )
 from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
-from models.scores.point_metrics import chamfer, dense_counts, match_points, recovered_counts
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap

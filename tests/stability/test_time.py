@@ -11,7 +11,7 @@ import pytest
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.ra_forming import ScanProfiles, form_map
 from models.perception.state_history import StateHistory
-from models.scores.point_metrics import match_objects
+from models.scores.object_matching import match_objects
 from models.vehicle.can_state import StampMapper
 from msgs.values.frames import Pose2
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
@@ -127,7 +127,7 @@ def test_turn_across_the_heading_wrap(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.scores.point_metrics",
+    where="models.scores.object_matching",
     naive="difference of unsigned stamps",
     bound=1e-14,
     unit="m",

@@ -15,12 +15,12 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from lab.measures.point_scores import Counts, chamfer, match_points, recovered_counts
 from lab.training.data.frames import DataSet, Frame, FrameLabels
 from models.perception.find.detectors import Detector
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
 from models.perception.mirrors.recovery import NEIGHBOURS, Recovered, ReflectionState, recover, reflection_state
-from models.scores.point_metrics import Counts, chamfer, match_points, recovered_counts
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.frames import xy_from_polar

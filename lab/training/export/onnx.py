@@ -17,6 +17,7 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
+from lab.measures.point_scores import Counts
 from lab.networks.compact_unet import CompactUNet
 from lab.training.calibration import fit_table, peak_outcomes
 from lab.training.data.frames import DataSet, Frame, fixed_splits
@@ -31,7 +32,6 @@ from models.perception.find.encoding import Encoding, encode_map
 from models.perception.find.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
 from models.perception.find.peaks import PeakParams, pursued_points
 from models.perception.trained_radar import TrainedRadar
-from models.scores.point_metrics import Counts
 from msgs.files.checksums import file_sha256, json_lines
 from msgs.values.perception import PathClass
 from msgs.values.wording import counted

@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from lab.measures.point_scores import Counts
 from lab.training.data.map_arrays import MapArrays, Maps
 from lab.training.data.samples import PointLabels
 from lab.training.families import FAMILIES
@@ -33,7 +34,6 @@ from lab.training.scoring import DEFAULT_THRESHOLD, THRESHOLDS, DetectionTally
 from lab.training.timed.batches import augmented, encode, flipped_labels, heatmaps, masks, point_table
 from lab.training.train_dense import EpochReport, NonFiniteLossError, RunConfig, RunSummary
 from models.perception.find.peaks import Points
-from models.scores.point_metrics import Counts
 from msgs.files.checksums import json_lines
 from msgs.files.whole_files import write_whole
 from msgs.values.perception import PathClass

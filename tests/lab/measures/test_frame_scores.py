@@ -22,7 +22,7 @@ from lab.measures.frame_scores import (
     score_frames,
     sweep_thresholds,
 )
-from models.scores.point_metrics import Counts
+from lab.measures.point_scores import Counts
 from msgs.values.perception import PathClass
 
 NOTHING = np.zeros((0, 2))

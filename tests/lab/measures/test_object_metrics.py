@@ -17,7 +17,7 @@ from lab.measures.object_metrics import (
 )
 from lab.measures.object_rows import HiddenRow, ImageTruth, ReportRow, ScanRow, band, is_false, is_nothing, scan_row
 from models.scores.object_error import object_distances
-from models.scores.point_metrics import match_objects
+from models.scores.object_matching import match_objects
 from msgs.values.perception import HiddenObject, SceneTruth, Track, TruthObject
 
 SHOWN = ImageTruth(direct=False, mirrored=True, snr_db=30.0, single_snr_db=30.0)

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.measures.point_scores import Counts
 from lab.training.data.samples import PointLabels
 from lab.training.scoring import DetectionTally, positions_m
 from models.perception.find.peaks import Points, heatmap_points
-from models.scores.point_metrics import Counts
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.scores.object_error import object_distances
-from models.scores.point_metrics import match_objects
+from models.scores.object_matching import match_objects
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
 
 #: A car of 4 m by 2 m along x, its centre at (10, 5), that drives at 2 m/s along y.
