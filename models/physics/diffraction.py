@@ -11,61 +11,8 @@ import cmath
 import math
 
 import numpy as np
-from scipy.special import wofz
 
 from models.compiled import compiled
-
-
-def transition(x: np.ndarray) -> np.ndarray:
-    """Return F(x) = 2j sqrt(x) e^{jx} integral from sqrt(x) of e^{-jt^2} dt, for x >= 0; 0 at 0, 1 far away."""
-    root = np.sqrt(x)
-    # the integral is sqrt(pi)/2 e^{-j pi/4} erfc(e^{j pi/4} sqrt x); wofz holds e^{jx} erfc without overflow
-    scaled = wofz(1j * np.exp(0.25j * np.pi) * root)
-    return np.asarray(1j * np.sqrt(np.pi) * np.exp(-0.25j * np.pi) * root * scaled)
-
-
-def wedge_terms(
-    n: np.ndarray,
-    to_source_rad: np.ndarray,
-    to_target_rad: np.ndarray,
-    distance_m: np.ndarray,
-    wavelength_m: float,
-    sin_skew: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return parts of the diffraction coefficient [sqrt(m)] of wedges with exterior angle n pi (broadcast).
-
-    These are the term at the border of the incident field (for an opaque wedge), and the terms at the borders of the
-    fields that the first and the last face reflect, per unit of their reflection. `distance_m` is
-    s s' sin^2(skew) / (s + s'), skew the angle between the ray and the edge (90 deg: level).
-    """
-    k = 2.0 * np.pi / wavelength_m
-    minus, plus = to_target_rad - to_source_rad, to_target_rad + to_source_rad
-    scale = -np.exp(-0.25j * np.pi) / (2.0 * n * np.sqrt(2.0 * np.pi * k) * sin_skew)
-    incident = _term(n, minus, 1.0, k * distance_m, dark=True) + _term(n, minus, -1.0, k * distance_m, dark=True)
-    first, last = _term(n, plus, -1.0, k * distance_m), _term(n, plus, 1.0, k * distance_m)
-    return scale * incident, scale * first, scale * last
-
-
-def edge_field(coefficient: np.ndarray, source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """Return the field via an edge against 1/L of a ray as long as both segments (s', s): D sqrt((s + s') / (s s'))."""
-    return np.asarray(coefficient * np.sqrt((source_m + target_m) / (source_m * target_m)))
-
-
-def _term(n: np.ndarray, beta: np.ndarray, sign: float, kl: np.ndarray, dark: bool = False) -> np.ndarray:
-    """Return cot((pi +- beta) / 2n) F(k L a(beta)), finite where the cotangent is not; on the border: `dark` or lit."""
-    turns = np.round((beta + sign * np.pi) / (2.0 * np.pi * n))
-    a = 2.0 * np.square(np.cos(0.5 * (2.0 * n * np.pi * turns - beta)))
-    angle = (np.pi + sign * beta) / (2.0 * n)
-    sine = np.sin(angle)
-    # next to a border cot ~ 1/x and F ~ sqrt(x): their product tends to a limit with the border's sign
-    near = np.abs(sine) < 1e-7
-    ratio = np.cos(angle) / np.where(near, 1.0, sine)
-    side = np.where((sine < 0.0) | dark, -1.0, 1.0)
-    limit = np.sqrt(2.0 * np.pi * kl) * n * side * np.exp(0.25j * np.pi)
-    return np.where(near, limit * np.cos(angle), ratio * transition(kl * a))
-
-
-# --- one wave at one edge, for callers that are compiled themselves: the same laws
 
 
 def _series(order: int) -> tuple[float, np.ndarray]:
@@ -133,7 +80,7 @@ def faded_share_at(v):  # type: ignore[no-untyped-def]
 def reflected_term_at(n, to_face_rad, distance_m, wavelength_m):  # type: ignore[no-untyped-def]
     """Return the term of one face in a wedge's echo of a wave, per unit of the face's reflection [sqrt(m)].
 
-    As in `wedge_terms`, source and target in one direction `to_face_rad` from the face. At a right angle the face's
+    As in `wedge_terms_at`, source and target in one direction `to_face_rad` from the face. At a right angle the face's
     mirror image begins or ends: where pi - 2 to_face_rad >= 0 it is there, and the term takes half of it away. A
     negative distance is that of an arc's end beyond its focus: the transition function is the conjugate one.
     """
@@ -146,7 +93,13 @@ def reflected_term_at(n, to_face_rad, distance_m, wavelength_m):  # type: ignore
 
 @compiled(error_model="numpy")
 def wedge_terms_at(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew):  # type: ignore[no-untyped-def]
-    """Return `wedge_terms` of one wave."""
+    """Return parts of the diffraction coefficient [sqrt(m)] of a wedge with exterior angle n pi, for one wave.
+
+    These are the term at the border of the incident field (for an opaque wedge), and the terms at the borders of the
+    fields that the first and the last face reflect, per unit of their reflection. `distance_m` is
+    s s' sin^2(skew) / (s + s'), skew the angle between the ray and the edge (90 deg: level). Times
+    sqrt((s + s') / (s s')) it is the field via the edge against 1/L of a ray as long as both segments.
+    """
     k = 2.0 * np.pi / wavelength_m
     minus, plus = to_target_rad - to_source_rad, to_target_rad + to_source_rad
     scale = -cmath.exp(-0.25j * np.pi) / (2.0 * n * math.sqrt(2.0 * np.pi * k) * sin_skew)
@@ -157,10 +110,15 @@ def wedge_terms_at(n, to_source_rad, to_target_rad, distance_m, wavelength_m, si
 
 @compiled(error_model="numpy")
 def _term_at(n, beta, sign, kl, dark):  # type: ignore[no-untyped-def]
+    """Return cot((pi +- beta) / 2n) F(k L a(beta)), finite where the cotangent is not; on the border: `dark` or lit.
+
+    F(x) = 2j sqrt(x) e^{jx} integral from sqrt(x) of e^{-jt^2} dt is 0 at 0 and 1 far away.
+    """
     turns = np.rint((beta + sign * np.pi) / (2.0 * np.pi * n))
     half = math.cos(0.5 * (2.0 * n * np.pi * turns - beta))
     angle = (np.pi + sign * beta) / (2.0 * n)
     sine, cosine = math.sin(angle), math.cos(angle)
+    # next to a border cot ~ 1/x and F ~ sqrt(x): their product tends to a limit with the border's sign
     if abs(sine) < 1e-7:
         side = -1.0 if sine < 0.0 or dark else 1.0
         return math.sqrt(2.0 * np.pi * kl) * n * side * cmath.exp(0.25j * np.pi) * cosine

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from models.physics.diffraction import wedge_terms
+from models.physics.diffraction import wedge_terms_at
 from msgs.values.frames import Pose2
 from sim_player.effects import edge_diffraction, mirrored_diffraction
 from sim_player.effects.edge_diffraction import edges_of
@@ -264,13 +264,14 @@ def test_points_on_walls_and_edges_stay_finite() -> None:
 def test_a_bound_is_over_the_field_of_every_target_and_not_far(
     n: float, to_source: float, to_target: tuple[float, float]
 ) -> None:
-    """Legs of 10 and 7 m: at every turn between the two, all faces perfect, `wedge_terms` add up to less."""
+    """Legs of 10 and 7 m: at every turn between the two, all faces perfect, the terms of the wedge add up to less."""
     edge = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, n, 5.0, 0.0, 1.0])
     bound = edge_diffraction.bend_bound(edge, to_source, to_target, (10.0, 7.0), 1.0, RADAR.wavelength_m)
     turns = np.linspace(*to_target, 31)
     distance_m = np.full(31, 70.0 / 17.0)
     source = np.full(31, to_source)
-    terms = wedge_terms(np.full(31, n), source, turns, distance_m, RADAR.wavelength_m, np.ones(31))
+    terms_of = np.vectorize(wedge_terms_at, otypes=[complex] * 3)
+    terms = terms_of(n, source, turns, distance_m, RADAR.wavelength_m, 1.0)
     # of a field over that of a free ray as long as both legs
     field = sum(np.abs(term) for term in terms) * math.sqrt(17.0 / 70.0)
     assert 0.999 * field.max() < bound < 2.5 * field.max()
