@@ -58,6 +58,8 @@ class ScanMemory:
 
     def walls_at(self, peaks: Peaks) -> WallPrior | None:
         """Return the wall prior of a scan for `recover_bev`: walls of maps and other sensors; None: there are none."""
+        # takes in the states up to the scan: walls move by the motion since their message
+        self._odometry.at(peaks.stamp_ns)
         priors = self._priors.at(peaks.stamp_ns, self._odometry.before, peaks.vehicle_from_radar)
         return partial(self._priors.fused, priors) if priors else None
 
