@@ -64,7 +64,7 @@ MADE = ("--row", "beams", "--row", "network: UNet")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Report]]:
     out = tmp_path_factory.mktemp("tradeoff")
     settings = out / "rows.yaml"
-    absent = "{switch: network, value: UNet, over: unfiltered, params: {dense_predictor: {model: none/here/unet.onnx}}}"
+    absent = "{switch: network, value: UNet, over: fast, params: {dense_predictor: {model: none/here/unet.onnx}}}"
     settings.write_text(f"{DEFAULT_SETTINGS.read_text()}\n  - {absent}\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lab.tradeoff.rows.DEFAULT_SETTINGS", settings)
