@@ -10,16 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
-from tests.models.vehicle.test_mounting import (
-    AZIMUTH_STD_RAD,
-    LATE_S,
-    PRIOR,
-    RANGE_STD_M,
-    TRUE,
-    drive,
-    sightings,
-    states,
-)
 
 from contrib.calibrate.capture import Capture
 from contrib.calibrate.drive import Guess, _formed
@@ -42,6 +32,16 @@ from sim_player.drive import Drive
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface, load_scene, scene_to_yaml
 from sim_player.scene.front_end import FrontEnd, Spur
+from tests.contrib.calibrate.test_mounting import (
+    AZIMUTH_STD_RAD,
+    LATE_S,
+    PRIOR,
+    RANGE_STD_M,
+    TRUE,
+    drive,
+    sightings,
+    states,
+)
 
 EFFECTS = "los_surfaces,thermal_noise,flicker,leakage,adc,spurs"
 WALL = Surface(role="relay", material="concrete", polyline_m=((20.0, -10.0), (20.0, 15.0)), height_m=5.0)
