@@ -31,10 +31,9 @@ from contrib.ros2.ros2_messages import Frames, Ros2Messages
 from contrib.ros2.ros2_topics import INPUT_DEPTH, OF_VEHICLE, Ros2Topic, published_topics, require_topic_name
 from contrib.ros2.ros2_types import CLOUD, COMPRESSED_IMAGE, IMAGE, SCAN, type_store
 from msgs.bus.interface import Outgoing, Received
-from msgs.values.diagnostics import NodeState, NodeStatus
+from msgs.values.diagnostics import NodeState
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Peaks
-from msgs.values.radar import RangeAzimuthMap
+from msgs.values.perception import Peaks
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.refusals import Refusals
@@ -168,13 +167,6 @@ class Ros2Bridge(Node):
         heard = {source for reader, source, _, _ in self._readers}
         self.inputs = tuple(dict.fromkeys(writer.topic.source for writer in self._writers.values()))
         self.outputs = tuple(heard)
-        self._answers: dict[type, Callable[[Any, int], None]] = {
-            BevFrame: self._publish_scene,
-            RangeAzimuthMap: self._publish_map,
-            VehicleState: self._publish_state,
-            Peaks: self._publish_mounting,
-            NodeStatus: self._publish_status,
-        }
 
     def watched(self) -> tuple[int, ...]:
         """Return what can be read when a message of ROS 2 has arrived."""
@@ -225,37 +217,29 @@ class Ros2Bridge(Node):
         by_arrival = self._params.stamps == "arrival"
         self._build.offset_ns = self._wall_from_bus_ns + (now_ns - message.stamp_ns if by_arrival else 0)
         try:
-            self._answers[type(message)](message, message.stamp_ns)
+            for name, build in self._build.drafts(message).items():
+                self._put(name, build)
+            if isinstance(message, VehicleState):
+                self._publish_state(message)
+            elif isinstance(message, Peaks):
+                self._publish_mounting(message)
         except (ValueError, OverflowError, struct.error) as error:
             self._refusals.refuse("message", ValueError(f"{type(message).__name__}: {reason_of(error)}"))
 
-    def _publish_scene(self, frame: BevFrame, stamp_ns: int) -> None:
-        self._put("hidden_objects", lambda: self._build.markers(frame))
-        self._put("hidden_detections", lambda: self._build.detections(frame))
-        self._put("hidden_tracks", lambda: self._build.tracks(frame))
-        self._put("hidden_points", lambda: self._build.cloud(frame))
-        self._put("visibility", lambda: self._build.occupancy(frame))
-
-    def _publish_map(self, ra_map: RangeAzimuthMap, stamp_ns: int) -> None:
-        self._put("ra_map", lambda: self._build.map_image(ra_map))
-
-    def _publish_state(self, state: VehicleState, stamp_ns: int) -> None:
+    def _publish_state(self, state: VehicleState) -> None:
         pose = self._odometry.advance(state)
         if pose is None:
             self.shed.add("state", Odometry.REFUSED)
             return
         self._put("odom", lambda: self._build.odometry(state, pose))
-        self._put("tf", lambda: self._build.transforms(self._build.odom_transform(stamp_ns, pose)))
+        self._put("tf", lambda: self._build.transforms(self._build.odom_transform(state.stamp_ns, pose)))
 
-    def _publish_mounting(self, peaks: Peaks, stamp_ns: int) -> None:
+    def _publish_mounting(self, peaks: Peaks) -> None:
         mounting = peaks.vehicle_from_radar
         if mounting == self._mounting:
             return
         self._mounting = mounting
-        self._put("tf_static", lambda: self._build.transforms(self._build.mounting_transform(stamp_ns, mounting)))
-
-    def _publish_status(self, status: NodeStatus, stamp_ns: int) -> None:
-        self._put("diagnostics", lambda: self._build.diagnostics(status))
+        self._put("tf_static", lambda: self._build.transforms(self._build.mounting_transform(peaks.stamp_ns, mounting)))
 
     def _put(self, name: str, build: Callable[[], Any]) -> None:
         """Build and send a message that has a reader."""

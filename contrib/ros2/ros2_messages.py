@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -68,48 +69,58 @@ class Ros2Messages:
         self._types, self._frames = types, frames or Frames()
         self.offset_ns = 0
 
+    def drafts(self, message: Any) -> dict[str, Callable[[], Any]]:
+        """Return what a message of the graph becomes by itself: topics of ROS 2, and what builds each one's message."""
+        builders: dict[str, Callable[[Any], Any]] = {}
+        match message:
+            case BevFrame():
+                builders = {
+                    "hidden_points": self.cloud, "hidden_objects": self.markers, "visibility": self.occupancy,
+                    "hidden_detections": self.detections, "hidden_tracks": self.tracks,
+                }  # fmt: skip
+            case RangeAzimuthMap():
+                builders = {"ra_map": self.map_image}
+            case NodeStatus():
+                builders = {"diagnostics": self.diagnostics}
+            case LidarPoints():
+                builders = {"lidar/points": self.lidar_cloud}
+            case CameraImage():
+                builders = {"camera/image/compressed": self.compressed_image}
+        return {name: partial(build, message) for name, build in builders.items()}
+
     def cloud(self, frame: BevFrame) -> Any:
         """Recovered points: x, y, z (0) in metres and score, float32."""
         points = np.array([(point.x_m, point.y_m, 0.0, point.score) for point in frame.points], POINT_DTYPE)
-        names = POINT_DTYPE.names or ()
-        fields = [
-            self._make("sensor_msgs/msg/PointField", name=name, offset=4 * at, datatype=_FLOAT32, count=1)
-            for at, name in enumerate(names)
-        ]
-        return self._make(
-            "sensor_msgs/msg/PointCloud2",
-            header=self._header(frame.stamp_ns, self._frames.radar),
-            height=1,
-            width=len(points),
-            fields=fields,
-            is_bigendian=False,
-            point_step=POINT_DTYPE.itemsize,
-            row_step=points.nbytes,
-            data=np.frombuffer(points.tobytes(), np.uint8),
-            is_dense=True,
-        )
+        fields = [(name, 4 * at, _FLOAT32, 1) for at, name in enumerate(POINT_DTYPE.names or ())]
+        data = np.frombuffer(points.tobytes(), np.uint8).reshape(len(points), POINT_DTYPE.itemsize)
+        return self._cloud(frame.stamp_ns, self._frames.radar, fields, data)
 
     def lidar_cloud(self, points: LidarPoints) -> Any:
         """A LiDAR's cloud with all its fields, byte for byte, in the sensor's own frame."""
-        fields = [
-            self._make(
-                "sensor_msgs/msg/PointField",
-                name=field.name, offset=field.offset, datatype=NUMBERS[field.datatype], count=field.count,
-            )
-            for field in points.fields
-        ]  # fmt: skip
-        count, step = points.data.shape
+        fields = [(field.name, field.offset, NUMBERS[field.datatype], field.count) for field in points.fields]
+        is_dense = len(points.positions_m()) == len(points.data)
+        return self._cloud(points.stamp_ns, points.sensor or "lidar", fields, points.data, points.rows, is_dense)
+
+    def _cloud(
+        self, stamp_ns: int, frame: str, fields: Iterable[tuple[str, int, int, int]], data: np.ndarray,
+        rows: int = 1, is_dense: bool = True,
+    ) -> Any:  # fmt: skip
+        """Return bytes [points, step] as a cloud; `fields` are name, offset, type and count of each."""
+        width, step = len(data) // rows, data.shape[1]
         return self._make(
             "sensor_msgs/msg/PointCloud2",
-            header=self._header(points.stamp_ns, points.sensor or "lidar"),
-            height=points.rows,
-            width=count // points.rows,
-            fields=fields,
+            header=self._header(stamp_ns, frame),
+            height=rows,
+            width=width,
+            fields=[
+                self._make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=count)
+                for name, offset, datatype, count in fields
+            ],
             is_bigendian=False,
             point_step=step,
-            row_step=step * (count // points.rows),
-            data=np.ascontiguousarray(points.data).reshape(-1),
-            is_dense=len(points.positions_m()) == count,
+            row_step=step * width,
+            data=np.ascontiguousarray(data).reshape(-1),
+            is_dense=is_dense,
         )
 
     def compressed_image(self, image: CameraImage) -> Any:

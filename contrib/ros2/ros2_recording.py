@@ -10,11 +10,6 @@ from contrib.ros2.ros2_messages import Ros2Messages
 from contrib.ros2.ros2_types import type_store
 from msgs.bus.topics import SIDE_TOPICS
 from msgs.recording.mcap import Recorded, RecordingReader
-from msgs.values.camera import CameraImage
-from msgs.values.diagnostics import NodeStatus
-from msgs.values.lidar import LidarPoints
-from msgs.values.perception import BevFrame
-from msgs.values.radar import RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.recording.shapes import Account, Odometry, counted
 
@@ -61,23 +56,10 @@ class _Sink:
 
     def take(self, recorded: Recorded) -> None:
         """Write what a message becomes."""
-        message, time_ns = recorded.message, recorded.log_time_ns
-        if isinstance(message, BevFrame):
-            self._put("/hidden_points", self._build.cloud(message), time_ns)
-            self._put("/hidden_objects", self._build.markers(message), time_ns)
-            self._put("/visibility", self._build.occupancy(message), time_ns)
-            self._put("/hidden_detections", self._build.detections(message), time_ns)
-            self._put("/hidden_tracks", self._build.tracks(message), time_ns)
-        elif isinstance(message, RangeAzimuthMap):
-            self._put("/ra_map", self._build.map_image(message), time_ns)
-        elif isinstance(message, NodeStatus):
-            self._put("/diagnostics", self._build.diagnostics(message), time_ns)
-        elif isinstance(message, LidarPoints):
-            self._put("/lidar/points", self._build.lidar_cloud(message), time_ns)
-        elif isinstance(message, CameraImage):
-            self._put("/camera/image/compressed", self._build.compressed_image(message), time_ns)
-        elif isinstance(message, VehicleState):
-            self._take_state(message, recorded)
+        for name, build in self._build.drafts(recorded.message).items():
+            self._put(f"/{name}", build(), recorded.log_time_ns)
+        if isinstance(recorded.message, VehicleState):
+            self._take_state(recorded.message, recorded)
 
     def _take_state(self, state: VehicleState, recorded: Recorded) -> None:
         pose = self._odometry.advance(state)

@@ -33,20 +33,51 @@ class EpochOfRun(Protocol):
 Epoch = TypeVar("Epoch", bound=EpochOfRun)
 
 
-class TrainingLoop(ABC, Generic[Epoch]):
-    """One run: network and optimiser, resumable after every epoch.
-
-    `run_dir` receives the curves, the last state and the best network. A run that was killed resumes and ends with the
-    same weights as an uninterrupted one.
-    """
+class KeptRun(Generic[Epoch]):
+    """Network, optimiser and reports of a run, kept in its folder: the curves, the last state and the best network."""
 
     network: nn.Module
     optimiser: torch.optim.Optimizer
 
+    def __init__(self, run_dir: Path, report_type: type[Epoch], device: torch.device | None = None) -> None:
+        self.run_dir, self.reports, self._report_type = run_dir, list[Epoch](), report_type
+        self.device = device or torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+    def state(self) -> dict[str, Any]:
+        """Return what the last state holds beside network, optimiser and reports."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take over what `state` gave."""
+
+    def save(self) -> None:
+        """Write what an epoch has left; the states come last of all: a run killed before them repeats the epoch."""
+        network = self.network.state_dict()
+        if self.reports and self.reports[-1].is_best:
+            save_state(self.run_dir / BEST, {"network": network, "epoch": self.reports[-1].epoch})
+        write_whole(self.run_dir / CURVES, json_lines(self.reports))
+        reports = [asdict(report) for report in self.reports]
+        state = {"network": network, "optimiser": self.optimiser.state_dict(), "reports": reports}
+        save_state(self.run_dir / LAST, state | self.state())
+
+    def resume(self) -> bool:
+        """Go on from the last state, if the folder holds one; return whether it does."""
+        if not (self.run_dir / LAST).exists():
+            return False
+        state = load_state(self.run_dir / LAST, self.device)
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.reports = [self._report_type(**report) for report in state["reports"]]
+        self.restore(state)
+        return True
+
+
+class TrainingLoop(KeptRun[Epoch], ABC):
+    """One run, epoch by epoch: one that was killed resumes and ends with the same weights as an uninterrupted one."""
+
     def __init__(self, run_dir: Path, epochs: int, clip_norm: float, report_type: type[Epoch]) -> None:
-        self.run_dir, self.reports = run_dir, list[Epoch]()
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self._epochs, self._clip_norm, self._report_type = epochs, clip_norm, report_type
+        super().__init__(run_dir, report_type)
+        self._epochs, self._clip_norm = epochs, clip_norm
 
     @abstractmethod
     def train_epoch(self, epoch: int) -> float:
@@ -59,13 +90,6 @@ class TrainingLoop(ABC, Generic[Epoch]):
     def is_over(self, epoch: int) -> bool:
         """Return whether an epoch has no time left."""
         return False
-
-    def state(self) -> dict[str, Any]:
-        """Return what the last state holds beside network, optimiser and reports."""
-        return {}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Take over what `state` gave."""
 
     def run(self, report: Callable[[Epoch], None] = lambda _: None) -> Epoch:
         """Train the remaining epochs, reporting each, and return the best of all."""
@@ -86,25 +110,3 @@ class TrainingLoop(ABC, Generic[Epoch]):
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), self._clip_norm)
         self.optimiser.step()
-
-    def save(self) -> None:
-        """Write what an epoch has left; the states come last of all: a run killed before them repeats the epoch."""
-        newest = self.reports[-1]
-        network = self.network.state_dict()
-        if newest.is_best:
-            save_state(self.run_dir / BEST, {"network": network, "epoch": newest.epoch})
-        write_whole(self.run_dir / CURVES, json_lines(self.reports))
-        reports = [asdict(report) for report in self.reports]
-        state = {"network": network, "optimiser": self.optimiser.state_dict(), "reports": reports}
-        save_state(self.run_dir / LAST, state | self.state())
-
-    def resume(self) -> bool:
-        """Go on from the last state, if the folder holds one; return whether it does."""
-        if not (self.run_dir / LAST).exists():
-            return False
-        state = load_state(self.run_dir / LAST, self.device)
-        self.network.load_state_dict(state["network"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.reports = [self._report_type(**report) for report in state["reports"]]
-        self.restore(state)
-        return True

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,11 +25,12 @@ from lab.measures.point_scores import Counts
 from lab.training.data.map_arrays import MapArrays, Maps
 from lab.training.data.samples import PointLabels
 from lab.training.families import FAMILIES
+from lab.training.loop import KeptRun
 from lab.training.objectives.anchors import anchor_loss, anchor_targets
 from lab.training.objectives.focal import binary_focal_loss
 from lab.training.objectives.losses import heatmap_focal_loss
 from lab.training.objectives.objectives import objective_of
-from lab.training.run_folder import BEST, CURVES, LAST, SUMMARY, adopt_config, load_state, save_state
+from lab.training.run_folder import SUMMARY, adopt_config
 from lab.training.schedules import optimiser_of
 from lab.training.scoring import DEFAULT_THRESHOLD, THRESHOLDS, DetectionTally
 from lab.training.timed.batches import augmented, encode, flipped_labels, heatmaps, masks, point_table
@@ -68,7 +70,7 @@ class Progress:
     steps: int = 0
 
 
-class TimedTraining:
+class TimedTraining(KeptRun[EpochReport]):
     """One run on one device. `limit` (0: all) trains on the first so many scenes alone."""
 
     def __init__(
@@ -76,8 +78,8 @@ class TimedTraining:
     ) -> None:
         if config.training.schedule.minutes is None:
             raise ValueError("schedule.minutes must be set for a run that ends by the clock")
-        self.run_config, self.config, self.train, self.run_dir = config, config.training, train, run_dir
-        self.device, self.limit = device, limit
+        super().__init__(run_dir, EpochReport, device)
+        self.run_config, self.config, self.train, self.limit = config, config.training, train, limit
         torch.manual_seed(self.config.seed)
         family = FAMILIES[self.config.network.family]
         # on processors, oneDNN fails on narrow layers of that order
@@ -88,12 +90,11 @@ class TimedTraining:
         self.objective = objective_of(self.config.objective, self.config.network.resolved)
         self.optimiser, _ = optimiser_of(self.network, self.config.schedule, family.head, 1)
         self.rates = [group["lr"] for group in self.optimiser.param_groups]
-        self.progress, self.reports = Progress(), list[EpochReport]()
+        self.progress = Progress()
         #: Of the steps since the last report.
         self.losses: list[float] = []
         adopt_config(run_dir, config)
-        if (run_dir / LAST).exists():
-            self._resume()
+        self.resume()
 
     @property
     def is_done(self) -> bool:
@@ -151,7 +152,6 @@ class TimedTraining:
             best=self.reports[-1],
             unconverged=False,
         )
-        save_state(self.run_dir / BEST, {"network": self.network.state_dict(), "epoch": self.reports[-1].epoch})
         write_whole(self.run_dir / SUMMARY, json_lines(summary))
         self.save()
         return summary, tally
@@ -186,19 +186,13 @@ class TimedTraining:
                     tally.add(detected, truth)
         return float(np.mean(losses)), tally
 
-    def save(self) -> None:
-        """Write the curves and the state."""
-        write_whole(self.run_dir / CURVES, json_lines(self.reports))
-        state = {"network": self.network.state_dict(), "optimiser": self.optimiser.state_dict()}
-        reports = [asdict(report) for report in self.reports]
-        save_state(self.run_dir / LAST, {**state, "progress": asdict(self.progress), "reports": reports})
+    def state(self) -> dict[str, Any]:
+        """Return what the run has done so far."""
+        return {"progress": asdict(self.progress)}
 
-    def _resume(self) -> None:
-        state = load_state(self.run_dir / LAST, self.device)
-        self.network.load_state_dict(state["network"])
-        self.optimiser.load_state_dict(state["optimiser"])
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take over that."""
         self.progress = Progress(**state["progress"])
-        self.reports = [EpochReport(**report) for report in state["reports"]]
 
     def _batches(self, stop: threading.Event) -> Iterator[Batch]:
         rng = np.random.default_rng((self.config.seed, self.progress.steps))
