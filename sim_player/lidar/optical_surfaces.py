@@ -21,6 +21,7 @@ from models.physics.photons.optics import (
     optical_reflectance,
 )
 from msgs.values.array_table import ArrayTable
+from sim_player.bodies.triangles import cut_triangles
 from sim_player.scene.description import SceneObject
 from sim_player.scene.world import Snapshot, World
 
@@ -196,7 +197,7 @@ def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, n
     """Return the positions, normals and areas of a mesh: pieces of its faces, merged where they share a cube and face
     alike.
     """
-    corners = _split(_triangles(view, index))
+    corners, _ = cut_triangles(_triangles(view, index), PATCH_M)
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if not view.world.scene.objects[index].shape.closed:  # type: ignore[union-attr]
         # a sheet has two sides
@@ -212,19 +213,3 @@ def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, n
     positions = np.column_stack([np.bincount(owner, area * centre[:, axis]) for axis in range(3)]) / total[:, None]
     normal = np.column_stack([np.bincount(owner, doubled[:, axis]) for axis in range(3)])
     return positions, normal / np.linalg.norm(normal, axis=1)[:, None], total
-
-
-def _split(corners: np.ndarray) -> np.ndarray:
-    """Return the triangles [F, 3, 3] halved across their longest edge until none is longer than `PATCH_M`."""
-    done = []
-    while len(corners):
-        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        small = edges.max(axis=1) <= PATCH_M
-        done.append(corners[small])
-        longest = edges.argmax(axis=1)[~small]
-        a, b, c = np.moveaxis(
-            np.take_along_axis(corners[~small], (longest[:, None] + np.arange(3))[..., None] % 3, axis=1), 1, 0
-        )
-        middle = 0.5 * (a + b)
-        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-    return np.concatenate([np.zeros((0, 3, 3)), *done])

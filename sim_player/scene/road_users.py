@@ -56,7 +56,11 @@ def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCe
         phase_rad=rng.uniform(0.0, 2.0 * np.pi, len(position)),
         lobe_exponent=exponent,
     )
-    scale = ratio_from_db(kind.mean_rcs_dbsm) / mean_rcs_m2(centres)
+    # averaged over all aspects and over speckle: the incoherent sum of the centres
+    aspect = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    direction = np.column_stack([np.cos(aspect), np.sin(aspect)])[:, None, :]
+    shown_m2 = seen_rcs_m2(centres.peak_rcs_m2, centres.normals, centres.lobe_exponent, direction)
+    scale = ratio_from_db(kind.mean_rcs_dbsm) / float(shown_m2.sum(axis=1).mean())
     return replace(centres, peak_rcs_m2=centres.peak_rcs_m2 * scale)
 
 
@@ -76,13 +80,6 @@ def seen_rcs_m2(
     cosine = np.maximum(first, second)
     lobe = lobe_floor + (1.0 - lobe_floor) * np.maximum(cosine, 0.0) ** lobe_exponent
     return np.where(cosine > 0.0, peak_rcs_m2 * lobe, 0.0)
-
-
-def mean_rcs_m2(centres: ScatteringCentres) -> float:
-    """Return the RCS averaged over all aspects and over speckle: the incoherent sum of the centres."""
-    aspect = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
-    direction = np.column_stack([np.cos(aspect), np.sin(aspect)])[:, None, :]
-    return float(seen_rcs_m2(centres.peak_rcs_m2, centres.normals, centres.lobe_exponent, direction).sum(axis=1).mean())
 
 
 def _layout(

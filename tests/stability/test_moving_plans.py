@@ -139,7 +139,7 @@ def test_at_rest_a_plan_is_kept_for_ever(monkeypatch: pytest.MonkeyPatch) -> Non
     assert plan is not None
     assert (plan.holds_s, plan.spans) == (math.inf, None)
     monkeypatch.delattr(player_module, "resolve_plan")
-    monkeypatch.delattr(player_module, "trace")
+    monkeypatch.delattr(ScenePlayer, "_trace")
     first, last = (player.echoes(scan, 12)[0] for scan in (0, 1000))
     np.testing.assert_array_equal(first, last)
 

@@ -79,11 +79,14 @@ def test_threshold_of_a_network_is_its_own_then_the_option_then_its_card() -> No
 
 
 def test_labels_as_peaks_are_perfect(folder: Path) -> None:
-    """The dense scores of the truth itself are 1 with Chamfer 0 (1e-6 m): the scale every other row is read on."""
+    """The dense scores of the truth itself are 1 with Chamfer 0: the scale every other row is read on.
+
+    To 5e-6 m: labels have single precision, 4e-6 m at 60 m.
+    """
     run = run_methods([build_method(parse_method("truth"))], DataSet(folder).frames(range(2)))
     found = measures(run.scores(run.runs[0]))
     assert found["dense_macro_f1"][0] == 1.0
-    assert found["dense_macro_chamfer_m"][0] == pytest.approx(0.0, abs=1e-6)
+    assert found["dense_macro_chamfer_m"][0] == pytest.approx(0.0, abs=5e-6)
 
 
 def test_sweep_meets_the_answer_at_the_operating_threshold(folder: Path) -> None:

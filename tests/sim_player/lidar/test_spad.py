@@ -13,7 +13,8 @@ from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.lidar.optical_surfaces import _cut, _split
+from sim_player.bodies.triangles import cut_triangles
+from sim_player.lidar.optical_surfaces import _cut
 from sim_player.lidar.spad import (
     LightRoute,
     OpticalPaths,
@@ -305,7 +306,7 @@ def test_cut_and_split_of_meshes() -> None:
     assert sorted([a[0].tolist(), b[0].tolist()]) == [[0.0, 0.0], [1.0, 0.0]]
     assert level.tolist() == [1.0]
     assert len(_cut(triangle, 2.5)[0]) == 0
-    small = _split(triangle)
+    small, _ = cut_triangles(triangle, 0.25)
     edges = np.linalg.norm(np.roll(small, -1, axis=1) - small, axis=2)
     assert edges.max() <= 0.25
     area = 0.5 * np.linalg.norm(np.cross(small[:, 1] - small[:, 0], small[:, 2] - small[:, 0]), axis=1)

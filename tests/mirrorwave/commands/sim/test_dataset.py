@@ -32,10 +32,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Made, then found again, then made again where it was spoilt; only JSON on stdout."""
-    out = tmp_path / "streets"
+    out = tmp_path / "places"
 
     def said() -> tuple[dict[str, object], str]:
-        dataset(out, 2, seed=1, places=PlacesOption.STREET_V1, as_json=True)
+        dataset(out, 2, seed=1, effects="basic", as_json=True)
         captured = capsys.readouterr()
         return json.loads(captured.out), captured.err
 
@@ -50,8 +50,8 @@ def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert (spoilt["made"], spoilt["kept"]) == (2, 0)
     assert [row["shard"] for row in spoilt["rewritten"]] == ["shard-00000.npz"]  # type: ignore[attr-defined]
     assert f"{shard}: made again: cannot be read" in errors
-    dataset(out, 2, seed=1, places=PlacesOption.STREET_V1)
-    assert re.search(r"streets: 2 scenes in \d+ s, 0.00 a second, 2 there already\n", capsys.readouterr().out)
+    dataset(out, 2, seed=1, effects="basic")
+    assert re.search(r"places: 2 scenes in \d+ s, 0.00 a second, 2 there already\n", capsys.readouterr().out)
 
 
 def test_options_are_those_of_the_simulator() -> None:
