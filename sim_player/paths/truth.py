@@ -42,6 +42,14 @@ def labelled(paths: Paths) -> np.ndarray:
     return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.object_index >= 0)))
 
 
+def may_be_seen(setup: RadarSetup, paths: Paths, most: np.ndarray) -> np.ndarray:
+    """Return which paths truth is made of, bool [P]: objects, and walls over the noise; `most` their fields at the
+    array's peak, sqrt(mW).
+    """
+    visible = np.square(most) > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
+    return labelled(paths) & ((paths.object_index >= 0) | visible)
+
+
 def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
     """Return the power of each path in its best beam, mW, [paths]."""
     pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad, *departure(paths))

@@ -21,7 +21,7 @@ from sim_player.planner.evaluation import NOTHING, SQUINT, WHOLE, HeadChange, er
 from sim_player.planner.purposes import LEAST, Purpose
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.world import Snapshot, World
-from sim_player.signal.clutter import profile_power_mw
+from sim_player.signal.clutter import profile_bound_mw
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import iq_factors, leakage_profile, spur_profile
@@ -79,9 +79,9 @@ def signal_effects(names: frozenset[str]) -> SignalEffects:
 
 
 def clutter_rms(view: Snapshot, setup: RadarSetup, effects: SignalEffects) -> np.ndarray:
-    """Return the rms of the echoes of rain, snow and fog, sqrt(mW), float64 [B, bins]."""
+    """Return a bound of the rms of the echoes of rain, snow and fog, sqrt(mW), float64 [B, bins]."""
     front_end = view.world.scene.radar.front_end
-    return np.asarray(np.sqrt(profile_power_mw(setup, clutter_at(view, effects), effects, front_end)))
+    return np.asarray(np.sqrt(profile_bound_mw(setup, clutter_at(view, effects), effects, front_end)))
 
 
 class EffectAblation:

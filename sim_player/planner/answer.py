@@ -1,7 +1,7 @@
 """The map of the paths that a plan keeps, at the kernel level: evaluated in single precision, its error bounded.
 
-Each path takes as few terms along the sweep as the budget lets it; what they leave out and what is rounded is bounded
-before anything is asked of the map, and over what stands in its cells where that alone is not enough.
+What its terms along the sweep leave out and what is rounded is bounded before anything is asked of the map, and over
+what stands in its cells where that alone is not enough.
 """
 
 from __future__ import annotations
@@ -11,20 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from msgs.values.radar import RadarSetup
-from sim_player.planner.ablation import SIGMAS, crowd, mirrored
+from sim_player.planner.ablation import SIGMAS, mirrored
 from sim_player.planner.cells import cells_of
-from sim_player.planner.evaluation import WHOLE, HeadChange, error, evaluate
+from sim_player.planner.choice import INFLATION, Choice
+from sim_player.planner.evaluation import NOTHING, STEADY, WHOLE, HeadChange, error, evaluate
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.sweep_terms import sweep_terms
-from sim_player.planner.weakest import INFLATION, Choice
+from sim_player.planner.sweep_terms import SweepTerms
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.levels import RANGE_BINS, noise_rms
 from sim_player.signal.receiver import iq_factors
 from sim_player.signal.switches import SignalEffects
-from sim_player.trace.path_table import Paths
 
-#: What terms along the sweep may leave out in a range bin, and the overlap of the weakest, of what errors may take.
-TERMS_SHARE = 0.4
+#: What the overlap of the weakest may leave out, of what errors may take.
+HEADS_SHARE = 0.15
 
 
 @dataclass(frozen=True)
@@ -51,18 +50,16 @@ class Law:
 
 
 def evaluated(
-    setup: RadarSetup, paths: Paths, choice: Choice, effects: SignalEffects, front_end: FrontEnd, law: Law
+    setup: RadarSetup, terms: SweepTerms, choice: Choice, effects: SignalEffects, front_end: FrontEnd, law: Law
 ) -> Answer | None:
-    """Return the profiles of kept paths, all that `choice` holds; None where their errors do not fit the budget."""
-    radar, spare = setup.radar, TERMS_SHARE * law.left * float(law.limit.min())
-    terms = sweep_terms(setup, paths, effects, front_end, spare / crowd(radar, paths), choice.squints)
-    every = np.full(len(terms), WHOLE)
-    bound = error(radar, terms, every, RANGE_BINS)
-    values = evaluate(radar, terms, every, RANGE_BINS)
-    if choice.overlaps.any():
-        heads, loose = HeadChange(radar, terms.take(choice.overlaps), RANGE_BINS, spare)(
-            np.ones(int(choice.overlaps.sum()), bool)
-        )
+    """Return the profiles of the paths that a choice keeps; None where their errors do not fit the budget."""
+    radar, overlaps = setup.radar, choice.overlaps
+    part = np.where(choice.kept, np.where(choice.squints, WHOLE, STEADY), NOTHING)
+    bound = error(radar, terms, part, RANGE_BINS)
+    values = evaluate(radar, terms, part, RANGE_BINS)
+    if overlaps.any():
+        spare = HEADS_SHARE * law.left * float(law.limit.min())
+        heads, loose = HeadChange(radar, terms.take(overlaps), RANGE_BINS, spare)(np.ones(int(overlaps.sum()), bool))
         values, bound = values + heads, bound + loose
     wanted, image = iq_factors(front_end)
     if image != 0.0:
@@ -80,7 +77,13 @@ def evaluated(
 
 def _over_what_stands(setup: RadarSetup, values: np.ndarray, bound: np.ndarray, rms: np.ndarray, law: Law) -> float:
     """Return the largest error over what the law allows where it counts what surely stands in a cell."""
-    cells, everywhere = cells_of(setup), np.broadcast_to(bound.astype(np.float32), values.shape)
     # of everything, what was left out may be missing here
-    floor = cells.floor(values, rms, everywhere + law.limit.astype(np.float32), SIGMAS, law.purpose)
-    return float((cells.bounds(everywhere) / floor).max()) / law.budget
+    unknown, cells = bound + law.limit, cells_of(setup)
+    # most bins are far under it anyhow; for samples bins count for their neighbours
+    asked = bound / law.limit > (law.left if law.purpose is not Purpose.SAMPLES else 0.0)
+    everywhere, missing = (
+        np.broadcast_to(part[asked].astype(np.float32), (len(values), int(asked.sum()))) for part in (bound, unknown)
+    )
+    floor = cells.floor(values[:, asked], rms[asked], missing, SIGMAS, law.purpose)
+    rest = float((bound / law.limit)[~asked].max(initial=0.0))
+    return max(float((cells.bounds(everywhere) / floor).max()) / law.budget, rest)

@@ -25,75 +25,82 @@ OVERSAMPLING, WIDTH, SHAPE = 2, 8, 18.4
 ROUNDING, SPREAD = 1e-6, 1e-7
 #: The grid reaches so many bins beyond the range bins at most: echoes farther off fall under the window's skirts.
 BEYOND_BINS = 128
-#: The grid ends at a multiple of so many bins.
-BLOCK_BINS = 64
+#: The grid begins and ends at multiples of so many bins; echoes are followed so many bins beyond.
+BLOCK_BINS, REACH_BINS = 64, 128
 #: Bins between two at which the overlapped start is evaluated, those beyond either end, taps to either side.
-COARSE, GUARD, TAPS = 8, 80, 10
-#: Shape of the window of that interpolation, which leaves exp(-shape).
-COARSE_SHAPE = 15.0
+COARSE, GUARD, TAPS = 16, 128, 8
+#: Shape of the window of that interpolation, which leaves exp(-shape), and the most of a turn from one to the next.
+COARSE_SHAPE, COARSE_TURN = 9.4, 0.625
 #: Bound of the overlap's closed form, relative: interpolation and rounding; an integral for a sum, by the tone's
 #: distance squared.
-CLOSED_FORM, MIDPOINT = 2e-5, 1.2 / 24.0
+CLOSED_FORM, MIDPOINT = 2e-4, 1.2 / 24.0
 #: Bins to either side of a pole of the closed form where it is taken at twice the distance.
 BESIDE_POLE = 1e-3
 
 #: What of an echo is evaluated.
-NOTHING, WHOLE, SQUINT = 0, 1, 2
+NOTHING, WHOLE, SQUINT, STEADY = 0, 1, 2, 3
 
 
 def evaluate(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bins: int) -> np.ndarray:
-    """Return the profiles of parts of the echoes (int [P]: none, all or the squint of each); complex64 [B, bins].
+    """Return the profiles of parts of the echoes (int [P]: none, all, squint alone, all but that); complex64 [B, bins].
 
     Overlap left out. `error` bounds what is missing.
     """
-    beams = echoes.middle.shape[1]
+    beams, count = echoes.middle.shape[1], radar.samples_per_chirp
     part = np.where(echoes.tone < range_bins + BEYOND_BINS, part, NOTHING)
-    most = int(echoes.count[part != NOTHING].max(initial=0))
+    used = np.where(part == STEADY, np.minimum(echoes.count, 1), echoes.count)
+    most = int(used[part != NOTHING].max(initial=0))
+    profiles = np.zeros((beams, range_bins), np.complex64)
     if most == 0:
-        return np.zeros((beams, range_bins), np.complex64)
-    margin = WIDTH // 2
-    # whole blocks of bins up to the farthest echo, so that scenes share their kernels
-    blocks = int(echoes.tone[part != NOTHING].max()) // BLOCK_BINS + 1
-    size = OVERSAMPLING * BLOCK_BINS * blocks + 2 * margin
-    kernels = _kernels(radar.samples_per_chirp, range_bins, size)
-    grid = np.zeros((most, size, beams), np.complex64)
-    _gather(
-        grid,
-        echoes.terms,
-        echoes.middle,
-        echoes.count,
-        OVERSAMPLING * echoes.tone,
-        margin,
-        part,
-        radar.samples_per_chirp // 2 / radar.samples_per_chirp / OVERSAMPLING,
-    )
+        return profiles
+    start, end, band = _band(echoes.tone[part != NOTHING], range_bins)
+    grid = np.zeros((most, OVERSAMPLING * (end - start) + WIDTH, beams), np.complex64)
+    turns = count // 2 / count / OVERSAMPLING
+    position, margin = OVERSAMPLING * echoes.tone, WIDTH // 2 - OVERSAMPLING * start
+    _gather(grid, echoes.terms, echoes.middle, echoes.count, position, margin, part, turns)
+    kernels = _kernels(count, len(band), grid.shape[1], band.start - start)
     spectrum = _weighted_sum(fft.fft(grid, kernels.shape[1], axis=1), kernels[:most])
-    profiles = fft.ifft(spectrum, axis=0)[: OVERSAMPLING * range_bins : OVERSAMPLING].T
-    count = radar.samples_per_chirp
-    turns = np.exp(-2j * np.pi * (np.arange(range_bins) * (count // 2) % count) / count)
-    return np.asarray(profiles * turns.astype(np.complex64))
+    found = fft.ifft(spectrum, axis=0)[: OVERSAMPLING * len(band) : OVERSAMPLING].T
+    back = np.exp(-2j * np.pi * (np.asarray(band) * (count // 2) % count) / count)
+    profiles[:, band.start : band.stop] = found * back.astype(np.complex64)
+    return profiles
+
+
+def _band(tone: np.ndarray, range_bins: int) -> tuple[int, int, range]:
+    """Return the first bin and the end of whole blocks around all tones, and the range bins that they reach.
+
+    In whole blocks, so that scenes share their kernels.
+    """
+    first, last = (int(tone.min()) // BLOCK_BINS, int(tone.max()) // BLOCK_BINS) if len(tone) else (0, 0)
+    start, end = first * BLOCK_BINS, (last + 1) * BLOCK_BINS
+    return start, end, range(max(start - REACH_BINS, 0), min(end + REACH_BINS, range_bins))
 
 
 def error(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bins: int) -> np.ndarray:
     """Return a bound of what `evaluate` misses in any beam, float64 [bins]: terms left out, rounding, far echoes."""
-    strength = np.where(part == WHOLE, echoes.strength, np.where(part == SQUINT, echoes.squint_strength, 0.0))
+    strength = np.where(part == SQUINT, echoes.magnitudes[1].max(axis=1), echoes.full) * (part != NOTHING)
     near = echoes.tone < range_bins + BEYOND_BINS
     left = echoes.remainder * (part != NOTHING) + ROUNDING * strength
     cell = np.minimum(echoes.tone.astype(np.int64), range_bins + BEYOND_BINS - 1)
-    gathered = np.bincount(cell, left * near, range_bins + BEYOND_BINS)
+    gathered = np.bincount(cell, left * near, range_bins + BEYOND_BINS).astype(np.float32)
     # echoes of one bin may add up, those of different bins are different samples of the transform
     spread = SPREAD * float(np.linalg.norm(np.bincount(cell, strength * near)))
-    far = float((strength + echoes.remainder)[~near].sum()) * float(skirt(radar, 0)[0])
-    return np.asarray(gathered @ _skirts(radar, range_bins) + spread + far)
+    far = float(strength[~near].sum()) * float(skirt(radar, 0)[0])
+    bound = gathered @ skirts(radar, range_bins) + spread + far
+    band = _band(echoes.tone[near & (part != NOTHING)], range_bins)[2]
+    beyond = np.ones(range_bins)
+    beyond[band.start : band.stop] = 0.0
+    one_side = skirt(radar, range_bins)
+    return np.asarray(bound + beyond * (float(strength[near].sum()) * one_side[len(one_side) // 2 + REACH_BINS]))
 
 
 @lru_cache(maxsize=8)
-def _skirts(radar: RadarParams, range_bins: int) -> np.ndarray:
-    """Return what a tone of each bin of the grid leaves in each range bin at most, float64 [grid bins, bins]."""
+def skirts(radar: RadarParams, range_bins: int) -> np.ndarray:
+    """Return what a tone of each bin of the grid leaves in each range bin at most, float32 [grid bins, bins]."""
     one_side = skirt(radar, range_bins)
     middle = len(one_side) // 2
     off = np.arange(range_bins)[None] - np.arange(range_bins + BEYOND_BINS)[:, None]
-    return one_side[middle + off]
+    return one_side[middle + off].astype(np.float32)
 
 
 class HeadChange:
@@ -103,14 +110,13 @@ class HeadChange:
     """
 
     def __init__(self, radar: RadarParams, echoes: SweepTerms, range_bins: int, spare: float) -> None:
-        strength = echoes.strength + echoes.remainder
         # what is cut off, and what takes its place
         area = 2.0 * head_area(echoes.head)
-        self._most = strength * area
+        self._most = echoes.full * area
         asked = ~_weakest_within(self._most, spare) & (echoes.count > 0)
         # of these the terms alone leave something out, of their slope up to the square of their number as much
         self._most[asked] = (echoes.remainder * area * (1.0 + np.square(echoes.count) * echoes.head))[asked]
-        steps = np.clip(2.0 ** np.floor(np.log2(0.5 / np.maximum(echoes.head, 1e-3))), 1, COARSE).astype(int)
+        steps = np.clip(2.0 ** np.floor(np.log2(COARSE_TURN / np.maximum(echoes.head, 1e-3))), 1, COARSE).astype(int)
         self._shape = (echoes.middle.shape[1], range_bins)
         self._groups = [
             _HeadGroup(radar, echoes, np.flatnonzero(asked & (steps == step)), int(step), range_bins)
@@ -131,7 +137,7 @@ class _HeadGroup:
 
     def __init__(self, radar: RadarParams, echoes: SweepTerms, mine: np.ndarray, step: int, range_bins: int) -> None:
         self._mine, bins = mine, np.arange(range_bins)
-        strong = (echoes.strength[mine] + echoes.remainder[mine]).astype(np.float64)
+        strong = echoes.full[mine]
         tone, head = echoes.tone[mine], echoes.head[mine]
         longest = float(head.max())
         at = np.arange(-GUARD, range_bins + GUARD + step, step, dtype=np.float64)
@@ -144,7 +150,7 @@ class _HeadGroup:
         self._closed, self._slope, self._loose = _head_forms(
             tone, cut, at, turn_rad, strong, echoes.swing_rad[mine], 2.0 * np.pi / radar.samples_per_chirp
         )
-        self._matrix = _interpolation(range_bins, step)
+        self._factors, self._step = _interpolation(range_bins, step), step
         self._back = np.exp(-1j * np.pi * longest * (bins - at[0])).astype(np.complex64)
         self._last_field = echoes.terms[mine].sum(axis=1) * _last_turn(radar, tone)[:, None]
         # its pattern is taken at the end of the sweep, up to half a start too early
@@ -160,7 +166,7 @@ class _HeadGroup:
         coarse = self._last_field[inside].T @ self._last[inside] - cut_off
         loose = inside.astype(np.float32) @ self._loose
         near = np.maximum.reduce([loose[self._nearest + side] for side in (-1, 0, 1)])
-        return (coarse @ self._matrix) * self._back, near
+        return _interpolated(coarse, self._factors, self._back, self._step), near
 
 
 @compiled(fastmath=True)
@@ -302,13 +308,28 @@ def _head_forms(tone, head, at, turn_rad, strength, swing, sample_rad):  # type:
 
 @lru_cache(maxsize=8)
 def _interpolation(range_bins: int, step: int) -> np.ndarray:
-    """Return the matrix from every `step`-th bin to all, float32 [coarse, bins]: Kaiser-windowed cardinal sines."""
-    at = np.arange(-GUARD, range_bins + GUARD + step, step, dtype=np.float64)
-    off = (np.arange(range_bins)[None] - at[:, None]) / step
+    """Return the factors of the nearest of every `step`-th bin, float32 [bins, 2 taps]: Kaiser-windowed cardinal
+    sines.
+    """
+    bins = np.arange(range_bins)
+    off = (bins % step)[:, None] / step - np.arange(1 - TAPS, TAPS + 1)
     inside = np.sqrt(np.maximum(1.0 - np.square(off / TAPS), 0.0))
-    return np.asarray(
-        np.sinc(off) * np.i0(COARSE_SHAPE * inside) / np.i0(COARSE_SHAPE) * (np.abs(off) < TAPS), np.float32
-    )
+    return np.asarray(np.sinc(off) * np.i0(COARSE_SHAPE * inside) / np.i0(COARSE_SHAPE), np.float32)
+
+
+@compiled(fastmath=True)
+def _interpolated(coarse, factors, back, step):  # type: ignore[no-untyped-def]
+    """Values at all bins from those at every so many, from `GUARD` bins before the first on, turned back; [B, bins]."""
+    beams, (bins, taps) = len(coarse), factors.shape
+    out = np.empty((beams, bins), np.complex64)
+    for beam in range(beams):
+        for cell in range(bins):
+            first = (cell + GUARD) // step + 1 - taps // 2
+            value = np.complex64(0.0)
+            for tap in range(taps):
+                value += factors[cell, tap] * coarse[beam, first + tap]
+            out[beam, cell] = value * back[cell]
+    return out
 
 
 @compiled(fastmath=True)
@@ -325,9 +346,9 @@ def _gather(grid, terms, middle, count, position, margin, part, turns):  # type:
             taps[tap] = np.exp(SHAPE * (np.sqrt(max(1.0 - off * off, 0.0)) - 1.0))
         angle = 2.0 * np.pi * position[path] * turns
         centre = np.complex64(complex(np.cos(angle), np.sin(angle)))
-        for term in range(count[path]):
+        for term in range(min(count[path], 1) if part[path] == 3 else count[path]):
             for beam in range(beams):
-                value[beam] = terms[path, term, beam]
+                value[beam] = terms[path, term, beam] if part[path] != 3 else middle[path, beam]
             if term == 0 and part[path] == 2:
                 for beam in range(beams):
                     value[beam] -= middle[path, beam]
@@ -352,24 +373,29 @@ def _weighted_sum(spectra, kernels):  # type: ignore[no-untyped-def]
     return out
 
 
-@lru_cache(maxsize=16)
-def _kernels(count: int, range_bins: int, size: int) -> np.ndarray:
-    """Return the transforms of the kernels that carry the grid to the bins, complex64 [terms, frequencies].
+@lru_cache(maxsize=64)
+def _kernels(count: int, bins: int, size: int, first: int) -> np.ndarray:
+    """Return the transforms of the kernels that carry a grid of so many steps to so many bins, complex64 [terms,
+    frequencies]; `first`: the first bin over the grid's.
 
     As `sim_player.signal.levels` lays them out, of Hann window x T_m over the gridding kernel's transform.
     """
-    margin = WIDTH // 2
-    length = fft.next_fast_len(size + OVERSAMPLING * range_bins)
+    length = fft.next_fast_len(size + OVERSAMPLING * bins)
+    lag = np.arange(-(size - 1), OVERSAMPLING * (bins - 1) + 1)
+    step = -lag - WIDTH // 2 - OVERSAMPLING * first
+    half = (step * (count // 2)) % (OVERSAMPLING * count) / (OVERSAMPLING * count)
+    laid = np.zeros((MAX_TERMS, length), np.complex128)
+    laid[:, lag % length] = _spectra(count)[:, step % (OVERSAMPLING * count)] * np.exp(-2j * np.pi * half)
+    return fft.fft(laid, axis=1).astype(np.complex64)
+
+
+@lru_cache(maxsize=2)
+def _spectra(count: int) -> np.ndarray:
+    """Return the spectra of Hann window x T_m over the gridding kernel's transform, at half bins [terms, 2 count]."""
     sample = np.arange(count) / count
     slow = np.polynomial.chebyshev.chebvander(2.0 * sample - 1.0, MAX_TERMS - 1).T
     slow = slow * (1.0 - np.cos(2.0 * np.pi * sample)) / (_gridding_transform(count) * count)
-    table = fft.ifft(slow, OVERSAMPLING * count, axis=1, norm="forward")
-    lag = np.arange(-(size - 1), OVERSAMPLING * (range_bins - 1) + 1)
-    step = -lag - margin
-    half = (step * (count // 2)) % (OVERSAMPLING * count) / (OVERSAMPLING * count)
-    laid = np.zeros((MAX_TERMS, length), np.complex128)
-    laid[:, lag % length] = table[:, step % (OVERSAMPLING * count)] * np.exp(-2j * np.pi * half)
-    return fft.fft(laid, axis=1).astype(np.complex64)
+    return np.asarray(fft.ifft(slow, OVERSAMPLING * count, axis=1, norm="forward"))
 
 
 def _gridding_transform(count: int) -> np.ndarray:

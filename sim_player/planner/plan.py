@@ -5,14 +5,14 @@ for the same noise. Questions go from cheap to dear, and asking ends with the fi
 
 1. what the scene has nothing of is absent, whatever its strength;
 2. all other paths are traced: rays are cheap, what costs time is their signal, most of all its sweep;
-3. by magnitudes alone the weakest paths go, the squint and the overlap of others, and weights that change too little
-   (`sim_player.planner.weakest`); an effect whose paths all go is skipped;
-4. phases are asked where the map is all that is wanted: what is left is evaluated with a bound of its error
+3. the weakest paths go, the squint and the overlap of others, and weights that change too little
+   (`sim_player.planner.choice`); an effect whose paths all go is skipped;
+4. where the map is all that is wanted, what is left is evaluated with a bound of its error
    (`sim_player.planner.answer`), which is the map.
 
 Every caller asks the same questions, so what `sim effects` shows is what runs; a thorough plan only adds what each
-effect alone would change (`sim_player.planner.changes`). In a scene that moves the third question is asked again from
-one instant of tracing to the next, and effects are left out only that it has nothing of.
+effect alone would change (`sim_player.planner.changes`). In a scene that moves the weakest paths are chosen anew from
+one instant of tracing to the next (`sim_player.planner.weakest`), and effects are left out only that it has nothing of.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import msgspec
@@ -34,11 +34,14 @@ from sim_player.paths.conversion import as_paths, weights
 from sim_player.paths.path_tracks import scene_step_s
 from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.paths.reach import reachable_snapshot
-from sim_player.planner.ablation import FAR_SIGMAS, EffectAblation, clutter_rms, signal_effects
+from sim_player.paths.truth import may_be_seen
+from sim_player.planner.ablation import FAR_SIGMAS, EffectAblation, clutter_rms, crowd, signal_effects
 from sim_player.planner.answer import Law, evaluated
 from sim_player.planner.changes import change_of
+from sim_player.planner.choice import WEIGHT_SHARE, Choice, Limit, choose, fits
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.weakest import WEIGHT_SHARE, Choice, Weakest
+from sim_player.planner.sweep_terms import sweep_terms
+from sim_player.planner.weakest import Weakest
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.clutter import clutter_profiles, profile_power_mw
 from sim_player.signal.levels import kernel_profiles, noise_profiles
@@ -51,9 +54,13 @@ from sim_player.trace.path_table import Paths
 
 BUDGET_DB = -20.0
 #: So many paths that lack squint or overlap have a signal of their own.
-FEWEST = 16
+FEWEST = 64
 #: Share of the budget that echoes of rain, snow and fog may take if they go.
 RAIN_SHARE = 0.05
+#: Share that the terms along the sweep of all paths of a range bin may leave out.
+TERMS_SHARE = 0.1
+#: What a beat in single precision misses in a range bin, of the sum of its echoes at the array's peak.
+SINGLE = 3e-6
 #: Why nothing is left out that a scene has.
 MOVES = "kept, the scene moves"
 WEAKEST = "kept, the scene moves; its weakest paths go from instant to instant"
@@ -84,6 +91,8 @@ class Plan:
     view: Snapshot
     setup: RadarSetup
     echoes: Echoes
+    #: The same with those that truth is made of, whatever their size.
+    labels: Echoes
     #: Which echoes squint and which overlap, bool [E].
     squints: np.ndarray
     overlaps: np.ndarray
@@ -119,8 +128,8 @@ class Plan:
 
     @cached_property
     def labelled(self) -> Paths:
-        """The planned paths with all effects that the scene has on them: what labels are made of, as without a plan."""
-        return self.paths if self.present == self.used else as_paths(self.view, self.echoes, self.present)
+        """The paths that labels are made of, with all effects that the scene has on them: as without a plan."""
+        return as_paths(self.view, self.labels, self.present)
 
     @cached_property
     def signal(self) -> SignalEffects:
@@ -191,6 +200,7 @@ def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFE
         view=view,
         setup=setup,
         echoes=echoes,
+        labels=echoes,
         squints=every & ("squint" in used),
         overlaps=every & ("chirp_overlap" in used),
         traced=len(echoes),
@@ -286,7 +296,7 @@ class _Planner:
         self.found: dict[str, EffectPlan] = {}
         self.timing_s: dict[str, float] = {}
         self.profiles: np.ndarray | None = None
-        self.weakest: Weakest | None = None
+        self.limit: Limit | None = None
         self.spent = self.saved_s = 0.0
         self.precision = "float64"
 
@@ -301,23 +311,24 @@ class _Planner:
         self._timed("trace", self._trace)
         every = np.ones(len(self.echoes), bool)
         self.choice = Choice(every, every & self.flags.squint, every & self.flags.chirp_overlap, 0.0)
+        self.truth = every
         if dither_objection(self.setup, self.front_end, thermal=True) is not None:
             self._take_all(MOVES if world.scene.moves else ROUNDS)
             return
-        self.weakest = Weakest(self.setup, self.flags, self.front_end, self.purpose, self.budget)
+        self.limit = Limit(self.setup, self.flags, self.front_end, self.purpose, self.budget)
         if world.scene.moves:
             self.spent = 1.0
             self._take_all(WEAKEST)
             return
         self._timed("choose", self._choose)
-        if self.profiles_only and not world.scene.moves:
+        if self.profiles_only:
             self._timed("evaluate", self._evaluate)
         else:
             self._round_beats()
 
     def bound_each(self) -> None:
         """Add what each effect alone would change of everything at most; where the scene moves nothing bounds it."""
-        if self.world.scene.moves or self.weakest is None:
+        if self.world.scene.moves or self.limit is None:
             return
         ablation = EffectAblation(self.world, self.setup, self.time_s, self.purpose, self.budget)
         for name in self.present:
@@ -326,7 +337,8 @@ class _Planner:
 
     def plan(self) -> Plan:
         """Return the decisions, in the order of the effects."""
-        kept, moves = self.choice.kept, self.world.scene.moves
+        kept, truth = self.choice.kept, self.choice.kept | self.truth
+        selects = self.world.scene.moves and self.limit is not None
         return Plan(
             purpose=self.purpose,
             budget_db=self.budget_db,
@@ -334,6 +346,7 @@ class _Planner:
             view=self.view,
             setup=self.setup,
             echoes=self.echoes if kept.all() else self.echoes.take(kept),
+            labels=self.echoes if truth.all() else self.echoes.take(truth),
             squints=self.choice.squints[kept],
             overlaps=self.choice.overlaps[kept],
             traced=len(kept),
@@ -343,8 +356,8 @@ class _Planner:
             present=self.present,
             evaluated=self.profiles,
             precision=self.precision,
-            spans=self.weakest if moves else None,
-            holds_s=scene_step_s(self.world) if moves and self.weakest is not None else math.inf,
+            spans=Weakest(self.setup, self.flags, self.front_end, self.purpose, self.budget) if selects else None,
+            holds_s=scene_step_s(self.world) if selects else math.inf,
         )
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:
@@ -359,10 +372,12 @@ class _Planner:
 
     def _choose(self) -> None:
         """Leave out by magnitudes; the effects that are left with nothing are skipped."""
-        assert self.weakest is not None
+        assert self.limit is not None
         self.paths = paths = as_paths(self.view, self.echoes, self.present)
-        self.span = self.weakest.span(paths, paths)
-        self.choice = choice = self.weakest.choose(paths, self.span)
+        tolerance = TERMS_SHARE * float(self.limit.each_beam.min()) / crowd(self.setup.radar, paths)
+        self.terms = sweep_terms(self.setup, paths, self.flags, self.front_end, tolerance)
+        self.truth = may_be_seen(self.setup, paths, self.terms.full)
+        self.choice = choice = choose(self.setup, self.terms, self.flags, self.limit)
         self.spent = choice.spent
         for name in [name for name in EFFECTS if name not in self.found]:
             if name in PATHS:
@@ -391,8 +406,8 @@ class _Planner:
 
     def _row_of_rain(self) -> None:
         """Skip echoes of the air whose draws stay under a share of the budget."""
-        assert self.weakest is not None
-        most = FAR_SIGMAS * clutter_rms(self.view, self.setup, self.flags) / self.weakest.limit
+        assert self.limit is not None
+        most = FAR_SIGMAS * clutter_rms(self.view, self.setup, self.flags) / self.limit.each_beam
         fits = float(most.max()) <= RAIN_SHARE
         self.spent += RAIN_SHARE if fits else 0.0
         text = f"draws reach {float(most.max()):.2g} of what may change: {EFFECTS['rain_clutter'].about}"
@@ -400,34 +415,30 @@ class _Planner:
 
     def _row_of_weights(self, name: str, paths: Paths) -> None:
         """Skip a weight that changes too little, whatever phases are."""
-        assert self.weakest is not None
+        assert self.limit is not None
         parts = sum(weight in self.present for weight in WEIGHTS)
         without = weights(self.echoes, self.world, self.present - {name})
         change = np.abs(paths.amplitude - without) / np.maximum(np.abs(paths.amplitude), 1e-300) * self.choice.kept
-        fits = self.weakest.fits(self.span, change, parts)
+        fit = fits(self.setup, self.terms, change, self.limit, WEIGHT_SHARE / parts)
         changes = change > 0.0
-        self.spent += WEIGHT_SHARE / parts if fits and changes.any() else 0.0
+        self.spent += WEIGHT_SHARE / parts if fit and changes.any() else 0.0
         most_db = 20.0 * math.log10(1.0 + float(change.max(initial=0.0)))
         text = f"changes {counted(int(changes.sum()), 'path')} by {most_db:.2g} dB at most: {EFFECTS[name].about}"
-        self._row(name, not fits, 0, text)
+        self._row(name, not fit, 0, text)
 
     def _evaluate(self) -> None:
-        """Make the map of what is left."""
-        assert self.weakest is not None
-        kept, choice = self.choice.kept, self.choice
-        used, paths = self.used, self.paths.take(kept)
-        if any(name not in used for name in WEIGHTS if name in self.present):
-            paths = replace(paths, amplitude=weights(self.echoes.take(kept), self.world, used))
-        left = Choice(kept[kept], choice.squints[kept], choice.overlaps[kept], choice.spent)
-        law = Law(self.purpose, self.budget, self.weakest.limit, 1.0 - self.spent)
-        answer = evaluated(self.setup, paths, left, signal_effects(used), self.front_end, law)
+        """Make the map of what is left; weights that go are in it, for their terms are there."""
+        assert self.limit is not None
+        law = Law(self.purpose, self.budget, self.limit.each_beam, 1.0 - self.spent)
+        flags = signal_effects(self.used)
+        answer = evaluated(self.setup, self.terms, self.choice, flags, self.front_end, law)
         if answer is not None:
             self.profiles, self.spent = answer.profiles, self.spent + answer.spent
 
     def _round_beats(self) -> None:
         """Have beats in single precision where that fits what is left of the budget."""
-        assert self.weakest is not None
-        missed = self.weakest.rounding(self.span, self.choice.kept)
+        assert self.limit is not None
+        missed = SINGLE * float(self.terms.full[self.choice.kept].sum() / self.limit.each_beam.min())
         if missed <= 1.0 - self.spent:
             self.precision, self.spent = "float32", self.spent + missed
 

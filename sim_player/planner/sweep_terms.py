@@ -34,6 +34,8 @@ class SweepTerms:
     #: Number of terms, and what they leave out at most in any beam, [P]: all of an echo without terms.
     count: np.ndarray
     remainder: np.ndarray
+    #: The field at the array's peak, [P].
+    full: np.ndarray
     #: Tone in range bins, share of the chirp that still belongs to the last one, half the phase swing, [P].
     tone: np.ndarray
     head: np.ndarray
@@ -43,24 +45,9 @@ class SweepTerms:
         return len(self.tone)
 
     @cached_property
-    def magnitude(self) -> np.ndarray:
-        """Magnitude of each echo in each beam, squint included; float32 [P, B]."""
-        return np.asarray(np.abs(self.middle) + self.squint_magnitude)
-
-    @cached_property
-    def squint_magnitude(self) -> np.ndarray:
-        """Bound of what the sweep adds to the middle in each beam, float32 [P, B]."""
-        return np.asarray(_squint_magnitude(self.terms, self.middle, self.count) + self.remainder[:, None])
-
-    @cached_property
-    def strength(self) -> np.ndarray:
-        """Magnitude of each echo in its best beam, float32 [P]."""
-        return np.asarray(self.magnitude.max(axis=1))
-
-    @cached_property
-    def squint_strength(self) -> np.ndarray:
-        """The same of its squint."""
-        return np.asarray(self.squint_magnitude.max(axis=1))
+    def magnitudes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of each echo, and of what the sweep adds to its middle, in each beam; float32 [P, B] each."""
+        return _magnitudes(self.terms, self.middle, self.count, self.remainder)
 
     def take(self, mask: np.ndarray) -> SweepTerms:
         """Return some of the echoes, bool [P]."""
@@ -73,12 +60,8 @@ def sweep_terms(
     effects: SignalEffects,
     front_end: FrontEnd,
     tolerance: float | np.ndarray,
-    squints: np.ndarray | None = None,
 ) -> SweepTerms:
-    """Return the echoes with their pattern along the sweep to a tolerance in sqrt(mW), one for all or [P].
-
-    `squints`: which of them squint, bool [P]; None: all, if anything does.
-    """
+    """Return the echoes with their pattern along the sweep to a tolerance in sqrt(mW), one for all or [P]."""
     radar, array = setup.radar, setup.array
     wavelength_m = radar.wavelength_m
     directions = (
@@ -92,13 +75,12 @@ def sweep_terms(
     both = array.steered_ways != 1
     swing_rad = np.pi * radar.bandwidth_hz / SPEED_OF_LIGHT_MPS * _reach_m(setup, across, up, both)
     full = gain * np.abs(paths.amplitude) * float(array.columns * array.rows) ** (1.0 if both else 0.5)
-    swept = np.full(len(paths), effects.squint) if squints is None else squints & effects.squint
-    swept_rad = np.where(swept, swing_rad, 0.0)
+    swept_rad = swing_rad * effects.squint
     count, remainder = _needed(full, swept_rad, np.broadcast_to(tolerance, len(paths)))
     weights = column_weights(setup, effects, front_end)
     recorded = np.conj(paths.amplitude) * np.exp(1j * beat_phase_rad(radar, paths.length_m)) * gain
     delay_s = paths.length_m / SPEED_OF_LIGHT_MPS
-    centre = np.where(swept, sweep_ratio(radar, 0.5 * radar.chirp_period_s - delay_s), 1.0)
+    centre = sweep_ratio(radar, 0.5 * radar.chirp_period_s - delay_s) if effects.squint else np.ones(len(paths))
     overlap = overlap_samples(radar, paths.length_m) if effects.chirp_overlap else np.zeros(len(paths))
     terms, middle = _fill_terms(
         np.ascontiguousarray(weights.T.real, np.float32),
@@ -117,7 +99,7 @@ def sweep_terms(
     )
     tone = beat_frequency_hz(radar, paths.length_m) * radar.chirp_period_s
     head = overlap / radar.samples_per_chirp
-    return SweepTerms(terms, middle, count, remainder, tone, head, swing_rad)
+    return SweepTerms(terms, middle, count, remainder, full, tone, head, swing_rad)
 
 
 def _reach_m(setup: RadarSetup, across: np.ndarray, up: np.ndarray, both: bool) -> np.ndarray:
@@ -256,15 +238,19 @@ def _one_way(weights_re, weights_im, steps, rows, across, up, out_re, out_im):  
 
 
 @compiled(fastmath=True)
-def _squint_magnitude(terms, middle, count):  # type: ignore[no-untyped-def]
+def _magnitudes(terms, middle, count, remainder):  # type: ignore[no-untyped-def]
     paths, _, beams = terms.shape
-    out = np.empty((paths, beams), np.float32)
+    whole, squint = np.empty((paths, beams), np.float32), np.empty((paths, beams), np.float32)
     for path in range(paths):
         for beam in range(beams):
-            off = terms[path, 0, beam] - middle[path, beam]  # both 0 without terms
-            out[path, beam] = np.sqrt(off.real * off.real + off.imag * off.imag)
+            first = terms[path, 0, beam]
+            off = first - middle[path, beam]  # both 0 without terms
+            whole[path, beam] = remainder[path] + np.sqrt(first.real * first.real + first.imag * first.imag)
+            squint[path, beam] = remainder[path] + np.sqrt(off.real * off.real + off.imag * off.imag)
         for term in range(1, count[path]):
             for beam in range(beams):
                 off = terms[path, term, beam]
-                out[path, beam] += np.sqrt(off.real * off.real + off.imag * off.imag)
-    return out
+                more = np.sqrt(off.real * off.real + off.imag * off.imag)
+                whole[path, beam] += more
+                squint[path, beam] += more
+    return whole, squint

@@ -1,41 +1,33 @@
-"""What a scene can do without, by magnitudes alone: no phase is asked, so it holds while everything moves.
+"""What a scene in motion can do without, by magnitudes alone: no phase is asked, so it holds while everything moves.
 
 From one instant of tracing to the next (`sim_player.paths.path_tracks`) the field of a path stays under the larger of
-its two ends, its direction and its range between them; one that comes or goes is carried on by its rate. A scene at
-rest has one instant, which is both ends. So the weakest paths go as long as their magnitudes, added up without phases,
-stay in every range bin of every beam under a share of
-
-    budget x (noise rms for `samples`, more for `peaks` and `objects`: `sim_player.planner.purposes`),
-
-whatever else stands there. In the same way paths are taken without squint, as in the middle of the sweep all the way,
-and without overlap, as if the chirp before had left no echo. The shares are such that a map keeps the budget too,
-whichever instants its beams are from.
+its two ends, its direction and its range between them; one that comes or goes is carried on by its rate. So the weakest
+paths go as long as their magnitudes, added up without phases, stay in every range bin of every beam under what may
+change (`sim_player.planner.choice`), whatever else stands there; a map keeps the budget too, whichever instants its
+beams are from.
 
 A choice holds to the next instant of tracing, where paths are known that are not yet known here. What is not weak over
-a whole span is kept, so a path that comes into view is there from the instant before. Paths that make truth points
-(`sim_player.paths.truth`) are kept whatever their size: labels are those of everything.
+a whole span is kept, so a path that comes into view is there from the instant before. Labels are those of everything.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from models.compiled import compiled
 from models.physics.antenna import element_field
-from models.physics.waveform import beat_frequency_hz, window_noise_gain
+from models.physics.waveform import beat_frequency_hz
 from msgs.values.radar import ArrayParams, ElementPattern, RadarSetup
-from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
-from sim_player.paths.truth import VISIBLE_SNR_DB, labelled
-from sim_player.planner.cells import cells_of
-from sim_player.planner.evaluation import hann_skirt, head_area, head_height, skirt
-from sim_player.planner.purposes import LEAST, Purpose
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.planner.choice import Limit
+from sim_player.planner.evaluation import hann_skirt, head_area, head_height
+from sim_player.planner.purposes import Purpose
 from sim_player.scene.front_end import FrontEnd
-from sim_player.signal.levels import RANGE_BINS, noise_rms
-from sim_player.signal.receiver import iq_factors
+from sim_player.signal.levels import RANGE_BINS
 from sim_player.signal.switches import SignalEffects, column_weights, isotropic
 from sim_player.trace.path_table import Paths
 
@@ -47,52 +39,22 @@ REACH, FAR_SHARE = 12, 0.1
 SQUINTED = 1.6
 #: Steps of the table of patterns in the sine of an angle, for each column of the array; sine of the table's ends.
 STEPS_PER_COLUMN, WIDEST_SINE = 64, 1.2
-#: Sum of the terms along the sweep of what squint changes, over the largest of it.
-TERMS = np.float32(1.4)
 #: The cubic through two ends and their slopes leaves the line between them by this share of what they miss it by.
 CUBIC = 4.0 / 27.0
-#: Shares of the budget: of paths that go, of those without squint, of those without overlap, of all weights that go.
-#: The errors of an evaluated map have what is left. In motion paths that go have all of it.
-PATH_SHARE, SQUINT_SHARE, OVERLAP_SHARE, WEIGHT_SHARE = 0.3, 0.15, 0.15, 0.05
-#: What two steps have of each other beyond their sum: a path without squint overlaps by another pattern, some percent.
-INFLATION = 1.02
-#: What a beat in single precision misses in a range bin, of the sum of its echoes at the array's peak.
-SINGLE = 3e-6
-#: A truth point may be so much weaker here than where it is judged, where columns couple.
-TRUTH_MARGIN = 0.7
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Paths that are kept, and those of them that squint and that overlap, bool [P]; the share of the budget spent."""
-
-    kept: np.ndarray
-    squints: np.ndarray
-    overlaps: np.ndarray
-    spent: float
 
 
 @dataclass(frozen=True)
 class Span:
-    """Paths between two instants, P of them in B beams: a bound of the field of each, float32 [P, B]; the same of one
-    element [P]; directions of arrival and departure, those that are steered, [1 or 2, ends, 2, P].
+    """Paths between two instants, P of them in B beams: a bound of the field of each, float32 [P, B].
 
     First and last range bin of each, int64 [P]; what its overlapped start changes nearby and far off (`_heads`), [P].
     """
 
     magnitude: np.ndarray
-    amplitude: np.ndarray
-    steered: np.ndarray
     low: np.ndarray
     high: np.ndarray
     area: np.ndarray
     far: np.ndarray
-    delay_s: np.ndarray
-
-    @cached_property
-    def strength(self) -> np.ndarray:
-        """The largest field of each path in any beam, [P]."""
-        return np.asarray(self.magnitude.max(axis=1, initial=0.0))
 
 
 class Weakest:
@@ -104,18 +66,9 @@ class Weakest:
         self._setup, self._radar, self._effects = setup, setup.radar, effects
         self._element = (setup if effects.element_pattern else isotropic(setup)).element
         weights = column_weights(setup, effects, front_end)
-        self._patterns, self._slopes = _pattern_tables(
-            setup.array, setup.radar.wavelength_m, weights.shape, weights.tobytes()
-        )
-        gain = INFLATION * max(sum(abs(factor) for factor in iq_factors(front_end)), 1.0)
-        rms = noise_rms(setup, effects, front_end)
-        #: The most that all changes may add up to in a range bin of any beam, [bins].
-        self.limit = budget * LEAST[purpose] / gain * cells_of(setup).map_share * rms
+        self._patterns = _pattern_table(setup.array, setup.radar.wavelength_m, weights.shape, weights.tobytes())
+        self._limit = Limit(setup, effects, front_end, purpose, budget).each_beam
         self._skirt = np.minimum(SQUINTED * hann_skirt(setup.radar, REACH), 1.0).astype(np.float32)
-        one_side = skirt(setup.radar, RANGE_BINS)
-        self._any_skirt = one_side[len(one_side) // 2 :][: REACH + 1].astype(np.float32)
-        visible = TRUTH_MARGIN**2 * ratio_from_db(VISIBLE_SNR_DB) / window_noise_gain("hann")
-        self._visible = math.sqrt(visible * float(np.median(np.square(rms))))
         self._band = 0.5 * setup.radar.bandwidth_hz / setup.radar.carrier_hz
 
     def kept(self, first: Paths, last: Paths, step_s: float) -> np.ndarray:
@@ -123,7 +76,16 @@ class Weakest:
 
         Raises ValueError for paths that are not, or not finite.
         """
-        return self._kept(first, self.span(first, last, step_s), 1.0)[0]
+        span = self.span(first, last, step_s)
+        strength = span.magnitude.max(axis=1, initial=0.0)
+        # most are asked no further: alone they are too strong where they stand
+        weak = np.flatnonzero(strength * (self._skirt[0] + span.area) <= self._limit.max())
+        if not len(weak):
+            return np.ones(len(strength), bool)
+        order = weak[np.argsort(strength[weak], kind="stable")]
+        return np.asarray(
+            _strongest(span.magnitude, span.low, span.high, order, self._limit, self._skirt, span.area, span.far)
+        )
 
     def span(self, first: Paths, last: Paths, step_s: float = 1.0) -> Span:
         """Return what bounds the paths from one instant to the next."""
@@ -140,92 +102,13 @@ class Weakest:
         least, most = 1.0 - self._band - self._late(delay_s), 1.0 + self._band
         return Span(
             _most(self._patterns, amplitude, steered, least, most),
-            amplitude,
-            steered,
             *self._visited(first, last, step_s),
             *self._heads(length_m),
-            delay_s,
         )
-
-    def choose(self, first: Paths, span: Span) -> Choice:
-        """Return what is kept of each path of a span that begins with some paths."""
-        kept, spent = self._kept(first, span, PATH_SHARE)
-        squints, overlaps = np.zeros_like(kept), np.zeros_like(kept)
-        without = replace(span, far=span.far - self._skirt[-1])
-        if self._effects.chirp_overlap:
-            no_skirts = np.zeros_like(self._skirt)
-            overlaps, more = self._weakest(span.magnitude, without, OVERLAP_SHARE, no_skirts, kept)
-            overlaps, spent = overlaps & kept, spent + more
-        if self._effects.squint:
-            # what overlaps does so by another pattern
-            swept = replace(without, far=without.far + self._any_skirt[-1])
-            squints, more = self._weakest(self._turned(span), swept, SQUINT_SHARE, self._any_skirt, kept)
-            squints, spent = squints & kept, spent + more
-        return Choice(kept, squints, overlaps, spent)
-
-    def rounding(self, span: Span, kept: np.ndarray) -> float:
-        """Return what beats of the kept paths in single precision miss at most, as a share of the budget."""
-        array = self._setup.array
-        peak = float(array.columns * array.rows) ** (1.0 if array.steered_ways != 1 else 0.5)
-        return SINGLE * peak * float(span.amplitude[kept].sum() / self.limit.min())
-
-    def _kept(self, first: Paths, span: Span, share: float) -> tuple[np.ndarray, float]:
-        """Return the paths that are kept, bool [P], and what the others spend of the budget, a share at most."""
-        truth = labelled(first) & ((first.object_index >= 0) | (span.strength >= self._visible))
-        return self._weakest(span.magnitude, span, share, self._skirt, ~truth)
-
-    def fits(self, span: Span, change: np.ndarray, parts: int) -> bool:
-        """Return whether all paths may change by a share of their field [P], together within 1 / parts of
-        `WEIGHT_SHARE`.
-        """
-        share = WEIGHT_SHARE / parts
-        # one of them may say no for all
-        if float((change * span.strength).max(initial=0.0)) > share * float(self.limit.max()):
-            return False
-        # as large as single precision can say: a path of nothing changes by any factor
-        magnitude = span.magnitude * np.minimum(change, 1e30)[:, None].astype(np.float32)
-        return not self._weakest(magnitude, span, share, self._skirt, np.ones(len(change), bool))[0].any()
-
-    def _weakest(
-        self, magnitude: np.ndarray, span: Span, share: float, skirts: np.ndarray, may_go: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """Return which paths stay, bool [P], once the weakest have gone that fit a share, and how much that spends."""
-        strength, limit = magnitude.max(axis=1, initial=0.0), share * self.limit
-        # most are asked no further: alone they are too strong where they stand
-        weak = np.flatnonzero(may_go & (strength * (skirts[0] + span.area) <= limit.max()))
-        if not len(weak):
-            return np.ones(len(strength), bool), 0.0
-        order = weak[np.argsort(strength[weak], kind="stable")]
-        kept, used = _strongest(magnitude, span.low, span.high, order, limit, skirts, span.area, span.far)
-        return kept, share * float(used)
 
     def _late(self, delay_s: np.ndarray) -> np.ndarray:
         """Return how far the frequency that comes in is below the one sent, relative, [P]."""
         return np.asarray(self._radar.chirp_slope_hz_per_s * delay_s / self._radar.carrier_hz)
-
-    def _turned(self, span: Span) -> np.ndarray:
-        """Return a bound of what squint changes of each path in each beam, as the sum of its terms; float32 [P, B].
-
-        A one-way pattern that the sweep carries by its sine times what the frequency is off changes by no more than its
-        steepest slope there; so do the rows, by the rms way of their elements.
-        """
-        array, wavelength_m = self._setup.array, self._radar.wavelength_m
-        off = self._band + self._late(span.delay_s)
-        rows_m = array.row_spacing(wavelength_m) * math.sqrt((array.rows**2 - 1) / 12.0)
-        tilted = sum(_widest_sine(direction[:, 1]) for direction in span.steered) * (
-            2.0 * math.pi / wavelength_m * rows_m
-        )
-        least = 1.0 - off
-        return np.asarray(
-            _most_turned(
-                self._patterns,
-                self._slopes,
-                span.amplitude,
-                span.steered,
-                (least, 1.0 + self._band),
-                (off, off * tilted),
-            )
-        )
 
     def _visited(self, first: Paths, last: Paths, step_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the first and the last range bin that a path's tone comes near, int64 [P] each."""
@@ -286,12 +169,6 @@ def _ends(first: Paths, last: Paths) -> np.ndarray:
     return np.array([np.stack(ends) for ends in zip(_directions(first), _directions(last), strict=True)])
 
 
-def _widest_sine(ends: np.ndarray) -> np.ndarray:
-    """Return the largest |sine| of an angle between two, [ends, P], [P]."""
-    sides = np.prod(np.cos(ends), axis=0) <= 0.0
-    return np.asarray(np.where(sides, 1.0, np.abs(np.sin(ends)).max(axis=0)))
-
-
 def _element_most(element: ElementPattern, ends: np.ndarray) -> np.ndarray:
     """Return the largest field of an element between two directions [ends, 2, P], [P]: it falls off its axis."""
     (first, last), nearest = ends, np.abs(ends).min(axis=0)
@@ -300,11 +177,9 @@ def _element_most(element: ElementPattern, ends: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def _pattern_tables(
-    array: ArrayParams, wavelength_m: float, shape: tuple[int, int], weights: bytes
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest one-way pattern of each beam, elements left out, and its steepest slope over the sine, from
-    each step of the sine over the next 2^level; float32 [levels, steps, B]. `weights` are complex128 [B, columns].
+def _pattern_table(array: ArrayParams, wavelength_m: float, shape: tuple[int, int], weights: bytes) -> np.ndarray:
+    """Return the largest one-way pattern of each beam, elements left out, from each step of the sine over the next
+    2^level; float32 [levels, steps, B]. `weights` are complex128 [B, columns].
     """
     columns = np.frombuffer(weights, np.complex128).reshape(shape)
     count = STEPS_PER_COLUMN * array.columns
@@ -320,16 +195,12 @@ def _pattern_tables(
     bent = 0.5 * (0.5 * turn_rad[-1] * (sine[1] - sine[0])) ** 2
     scaled = math.sqrt(array.rows / array.columns) * columns
     waves = np.exp(1j * np.outer(sine, turn_rad))
-    tables = []
-    for of_columns in (scaled, scaled * turn_rad):
-        lowest = np.abs(waves @ of_columns.T) + bent * np.abs(of_columns).sum(axis=1)
-        table = [lowest]
-        while 2 ** len(table) <= count:
-            half = 2 ** (len(table) - 1)
-            later = np.concatenate([table[-1][half:], np.repeat(table[-1][-1:], half, axis=0)])
-            table.append(np.maximum(table[-1], later))
-        tables.append(np.array(table, np.float32))
-    return tables[0], tables[1]
+    table = [np.abs(waves @ scaled.T) + bent * np.abs(scaled).sum(axis=1)]
+    while 2 ** len(table) <= count:
+        half = 2 ** (len(table) - 1)
+        later = np.concatenate([table[-1][half:], np.repeat(table[-1][-1:], half, axis=0)])
+        table.append(np.maximum(table[-1], later))
+    return np.array(table, np.float32)
 
 
 @compiled
@@ -345,7 +216,7 @@ def _most(patterns, amplitude, directions, least, most):  # type: ignore[no-unty
         if amplitude[path] == 0.0:
             continue
         for ends in directions:
-            level, begin, end, _ = _steps(ends[:, :, path], least[path], most, scale, steps)
+            level, begin, end = _steps(ends[:, :, path], least[path], most, scale, steps)
             former, latter = patterns[level, begin], patterns[level, end]
             for beam in range(beams):
                 out[path, beam] *= max(former[beam], latter[beam])
@@ -354,7 +225,7 @@ def _most(patterns, amplitude, directions, least, most):  # type: ignore[no-unty
 
 @compiled
 def _steps(ends, least, most, scale, steps):  # type: ignore[no-untyped-def]
-    """Return the level of the table that covers a path's sines in two places, these, and the widest sine."""
+    """Return the level of the table that covers a path's sines in two places, and these."""
     low, high = _sines(ends)
     low *= most if low < 0.0 else least
     high *= most if high > 0.0 else least
@@ -363,35 +234,7 @@ def _steps(ends, least, most, scale, steps):  # type: ignore[no-untyped-def]
     level = 0
     while 2 ** (level + 1) <= end - begin + 1:
         level += 1
-    return level, begin, end - 2**level + 1, max(abs(low), abs(high))
-
-
-@compiled(fastmath=True)
-def _most_turned(patterns, slopes, amplitude, directions, ratios, off):  # type: ignore[no-untyped-def]
-    """What the sweep changes at most, as the sum of its terms: products of the amplitudes [P] and the change of one
-    pattern times the other's most, and the rows' of both; `off` by [P], and by rows [P]; float32 [P, B].
-    """
-    (least, most), (columns_off, rows_off) = ratios, off
-    steps, beams = patterns.shape[1:]
-    scale = (steps - 1) / (2.0 * WIDEST_SINE)
-    out = np.zeros((len(amplitude), beams), np.float32)
-    whole, change = np.empty(beams, np.float32), np.empty(beams, np.float32)
-    for path in range(len(amplitude)):
-        if amplitude[path] == 0.0:
-            continue
-        whole[:], change[:] = 1.0, 0.0
-        for ends in directions:
-            level, begin, end, widest = _steps(ends[:, :, path], least[path], most, scale, steps)
-            moved = np.float32(widest * columns_off[path])
-            for beam in range(beams):
-                here = max(patterns[level, begin, beam], patterns[level, end, beam])
-                steep = max(slopes[level, begin, beam], slopes[level, end, beam])
-                change[beam] = change[beam] * here + whole[beam] * min(moved * steep, 2.0 * here)
-                whole[beam] *= here
-        for beam in range(beams):
-            turned = change[beam] + np.float32(rows_off[path]) * whole[beam]
-            out[path, beam] = TERMS * amplitude[path] * min(turned, 2.0 * whole[beam])
-    return out
+    return level, begin, end - 2**level + 1
 
 
 @compiled
@@ -413,9 +256,7 @@ def _sines(ends):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath=True)
 def _strongest(magnitude, low, high, order, limit, skirt, area, far):  # type: ignore[no-untyped-def]
-    """Mask of the paths that stay once the weakest have gone that fit the limits [bins] in all beams, bool [P]; and the
-    largest share of a limit that is spent.
-    """
+    """Mask of the paths that stay once the weakest have gone that fit the limits [bins] in all beams, bool [P]."""
     bins, beams = len(limit), magnitude.shape[1]
     near_limit, far_limit = (1.0 - FAR_SHARE) * limit, FAR_SHARE * limit.min()
     near, everywhere = np.zeros((bins, beams), np.float32), np.zeros(beams, np.float32)
@@ -446,12 +287,4 @@ def _strongest(magnitude, low, high, order, limit, skirt, area, far):  # type: i
             factor = skirt[max(low[path] - cell, cell - high[path], 0)] + cut
             for beam in range(beams):
                 near[cell, beam] += factor * more[beam]
-    worst, away = 0.0, 0.0
-    for beam in range(beams):
-        away = max(away, everywhere[beam])
-    for cell in range(bins):
-        most = 0.0
-        for beam in range(beams):
-            most = max(most, near[cell, beam])
-        worst = max(worst, (most + away) / limit[cell])
-    return kept, worst
+    return kept

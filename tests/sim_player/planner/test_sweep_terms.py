@@ -54,7 +54,7 @@ def test_without_squint_one_term_says_all() -> None:
     assert (found.count == 1).all()
     assert not found.remainder.any()
     np.testing.assert_array_equal(found.terms[:, 0], found.middle)
-    assert not found.squint_magnitude.any()
+    assert not found.magnitudes[1].any()
 
 
 @pytest.mark.parametrize("swing_rad", [0.05, 0.5, 1.0, 2.0])
