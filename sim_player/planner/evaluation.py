@@ -60,9 +60,9 @@ def evaluate(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bin
     _gather(grid, echoes.terms, echoes.middle, echoes.count, position, margin, part, turns)
     kernels = _kernels(count, len(band), grid.shape[1], band.start - start)
     spectrum = _weighted_sum(fft.fft(grid, kernels.shape[1], axis=1), kernels[:most])
-    found = fft.ifft(spectrum, axis=0)[: OVERSAMPLING * len(band) : OVERSAMPLING].T
+    inside = fft.ifft(spectrum, axis=0)[: OVERSAMPLING * len(band) : OVERSAMPLING].T
     back = np.exp(-2j * np.pi * (np.asarray(band) * (count // 2) % count) / count)
-    profiles[:, band.start : band.stop] = found * back.astype(np.complex64)
+    profiles[:, band.start : band.stop] = inside * back.astype(np.complex64)
     return profiles
 
 

@@ -18,6 +18,7 @@ from models.physics.waveform import beat_frequency_hz, beat_phase_rad
 from msgs.values.radar import RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
+from sim_player.signal.swept_echoes import one_way
 from sim_player.signal.switches import SignalEffects, column_weights, isotropic, overlap_samples, sweep_ratio
 from sim_player.trace.path_table import Paths
 
@@ -179,12 +180,12 @@ def _fill_terms(  # type: ignore[no-untyped-def]
         for node in range(count[path] + 1):
             ratio = 1.0 if node == count[path] else centre[path] + half_band * nodes[count[path], node]
             value_re, value_im = values_re[node], values_im[node]
-            _one_way(weights_re, weights_im, steps, rows, ratio * across[0, path], ratio * up[0, path], re, im)
+            one_way(weights_re, weights_im, steps, rows, ratio * across[0, path], ratio * up[0, path], re, im)
             if both:
                 if alike:
                     sum_re[:], sum_im[:] = re, im
                 else:
-                    _one_way(
+                    one_way(
                         weights_re,
                         weights_im,
                         steps,
@@ -214,27 +215,6 @@ def _fill_terms(  # type: ignore[no-untyped-def]
         for beam in range(beams):
             middle[path, beam] = complex(values_re[count[path], beam], values_im[count[path], beam])
     return terms, middle
-
-
-@compiled(fastmath=True)
-def _one_way(weights_re, weights_im, steps, rows, across, up, out_re, out_im):  # type: ignore[no-untyped-def]
-    """Fill in the one-way pattern of all beams, as `models.physics.antenna.one_way_pattern` without the element."""
-    columns, beams = weights_re.shape
-    turn, tilt = steps[0] * across, steps[1] * up
-    row = 0.0
-    for index in range(rows):
-        row += np.cos(tilt * (index - 0.5 * (rows - 1)))
-    scale = row / np.sqrt(rows * columns)
-    angle = -0.5 * turn * (columns - 1)
-    phase_re, phase_im = scale * np.cos(angle), scale * np.sin(angle)
-    step_re, step_im = np.cos(turn), np.sin(turn)
-    out_re[:], out_im[:] = 0.0, 0.0
-    for column in range(columns):
-        re, im = np.float32(phase_re), np.float32(phase_im)
-        for beam in range(beams):
-            out_re[beam] += weights_re[column, beam] * re - weights_im[column, beam] * im
-            out_im[beam] += weights_re[column, beam] * im + weights_im[column, beam] * re
-        phase_re, phase_im = phase_re * step_re - phase_im * step_im, phase_re * step_im + phase_im * step_re
 
 
 @compiled(fastmath=True)

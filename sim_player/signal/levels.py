@@ -59,6 +59,7 @@ from sim_player.signal.swept_echoes import (
     cardinal_functions,
     check_precision,
     overlap_correction,
+    single_echoes,
     sweep,
     sweep_swing_rad,
     swept_echoes,
@@ -313,7 +314,8 @@ def group_beats(
     """
     rows = len(range(len(setup.beams))[beams])
     with _one_thread():
-        echoes = [swept_echoes(setup, paths, effects, front_end, beams, precision) for paths, effects in groups]
+        make = single_echoes if precision == "float32" else swept_echoes
+        echoes = [make(setup, paths, effects, front_end, beams) for paths, effects in groups]
         return _summed(setup.radar, echoes, rows, precision)
 
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import jv
 
-from models.physics.antenna import two_way_pattern
+from models.compiled import compiled
+from models.physics.antenna import element_field, two_way_pattern
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -72,6 +74,7 @@ def cardinal_functions(instants: np.ndarray, share: np.ndarray, span: float = 1.
     return (table(instants) * scale) @ table(np.asarray(share, np.float64)).T
 
 
+@lru_cache(maxsize=512)
 def chebyshev_instants(swing_rad: float, tolerance: float, span: float = 1.0) -> np.ndarray:
     """Return the fewest Chebyshev points of [0, span] that interpolate exp(j swing x), |x| <= 1, to a tolerance."""
     orders = np.abs(jv(np.arange(int(2.0 * swing_rad) + 60), swing_rad))
@@ -142,6 +145,14 @@ def swept_echoes(
     )
 
 
+def single_echoes(
+    setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beams: slice = slice(None)
+) -> SweptEchoes:
+    """Return the same in single precision, patterns and all, to 2e-6 of an echo at the array's peak."""
+    factors, swing_rad = _Factors(setup, paths, effects, front_end, beams), sweep_swing_rad(setup, paths, effects)
+    return sweep(setup.radar, paths.length_m, swing_rad, effects.chirp_overlap, factors.single, "float32")
+
+
 class _Factors:
     """Slow factor of every echo: the antenna's conj(B_t B_r) at an instant of the chirp."""
 
@@ -175,6 +186,34 @@ class _Factors:
         for index, (share, previous) in enumerate(instants):
             values[index] = self.at(share, previous) * recorded[previous]
         return values
+
+    def single(self, instants: list[tuple[float, bool]]) -> np.ndarray:
+        """Return the same in single precision, complex64."""
+        (setup, paths), radar, columns = (self.setup, self.paths), self.setup.radar, self._columns
+        array, wavelength_m = setup.array, radar.wavelength_m
+        spacing_m = np.array([array.column_spacing(wavelength_m), array.row_spacing(wavelength_m)])
+        directions = (paths.azimuth_rad, paths.elevation_rad), self._out
+        gain = np.prod([element_field(setup.element, *direction) for direction in directions], axis=0)
+        ratio = np.ones((len(instants), len(paths)))
+        if self.effects.squint:
+            ratio = sweep_ratio(radar, np.stack([self.since_sent_s(*instant) for instant in instants]))
+        out = np.empty((len(instants), self.beams, len(paths)), np.complex64)
+        _fill_patterns(
+            out,
+            (np.ascontiguousarray(columns.T.real, np.float32), np.ascontiguousarray(columns.T.imag, np.float32)),
+            2.0
+            * np.pi
+            / wavelength_m
+            * np.array([array.column_spacing(wavelength_m), array.row_spacing(wavelength_m)]),
+            array.rows,
+            array.steered_ways != 1,
+            np.stack([np.sin(azimuth) * np.cos(elevation) for azimuth, elevation in directions]),
+            np.stack([np.sin(elevation) for _, elevation in directions]),
+            np.stack([self.recorded(previous) * gain for previous in (False, True)]),
+            np.array([previous for _, previous in instants], np.int64),
+            ratio,
+        )
+        return out
 
     def recorded(self, previous: bool) -> np.ndarray:
         """Return the factor that is constant along the chirp: conj(W), turned by the phase of the beat; complex128
@@ -251,15 +290,23 @@ def _add_head(
     fine = _stepped_tones(cycles, CHUNK).astype(weights.dtype)
     local = chebyshev_instants(echoes.swing_rad * CHUNK / count, TOLERANCE[echoes.precision], CHUNK / count)
     slow = cardinal_functions(local, np.arange(CHUNK) / count, CHUNK / count).astype(fine.real.dtype)
+    turns = _head_turns(instants, len(local), echoes.head_span, count, fine.real.dtype)
     for first in range(0, echoes.head_samples, CHUNK):
         size = min(CHUNK, echoes.head_samples - first)
         active, whole = np.searchsorted(-ends, [-first, -(first + size - 1)])
         tones = fine[:active, :size] * _tones(cycles[:active], np.array([first])).astype(fine.dtype)
         tones[whole:] *= first + np.arange(size) < ends[whole:active, None]
-        turn = cardinal_functions(echoes.head_instants, local + first / count, echoes.head_span).astype(fine.real.dtype)
-        here = turn.T.astype(fine.dtype) @ weights[:, :, :active].reshape(instants, -1)
+        here = turns[first // CHUNK].astype(fine.dtype) @ weights[:, :, :active].reshape(instants, -1)
         sums = (here.reshape(len(local) * rows, active) @ tones).reshape(len(local), rows, size)
         out[:, first : first + size] += np.einsum("krn,kn->rn", sums, slow[:, :size])
+
+
+@lru_cache(maxsize=64)
+def _head_turns(instants: int, local: int, span: float, count: int, kind: np.dtype) -> list[np.ndarray]:
+    """Return the polynomials of so many instants of a start at those of each of its chunks, [local, instants] each."""
+    here, there = chebyshev_nodes(instants, span), chebyshev_nodes(local, CHUNK / count)
+    starts = range(0, round(span * count), CHUNK)
+    return [cardinal_functions(here, there + first / count, span).astype(kind).T for first in starts]
 
 
 def _tones(cycles_per_sample: np.ndarray, sample: np.ndarray) -> np.ndarray:
@@ -271,3 +318,47 @@ def _stepped_tones(cycles_per_sample: np.ndarray, count: int) -> np.ndarray:
     """Return exp(2 pi j x n) for n < count, a multiple of 8: coarse steps times fine ones, few exponentials."""
     coarse, fine = _tones(cycles_per_sample, np.arange(0, count, 8)), _tones(cycles_per_sample, np.arange(8))
     return (coarse[:, :, None] * fine[:, None]).reshape(len(coarse), count)
+
+
+@compiled(fastmath=True)
+def _fill_patterns(out, weights, steps, rows, both, across, up, recorded, previous, ratio):  # type: ignore[no-untyped-def]
+    """Write recorded two-way patterns, conj(B B') times what is constant along the chirp; out [instants, B, P]."""
+    weights_re, weights_im = weights
+    instants, beams, paths = out.shape
+    re, im = np.empty(beams, np.float32), np.empty(beams, np.float32)
+    out_re, out_im = np.empty(beams, np.float32), np.empty(beams, np.float32)
+    for path in range(paths):
+        alike = across[0, path] == across[1, path] and up[0, path] == up[1, path]
+        for index in range(instants):
+            at = ratio[index, path]
+            one_way(weights_re, weights_im, steps, rows, at * across[0, path], at * up[0, path], re, im)
+            out_re[:], out_im[:] = re, im
+            if both and not alike:
+                one_way(weights_re, weights_im, steps, rows, at * across[1, path], at * up[1, path], out_re, out_im)
+            factor = recorded[previous[index], path]
+            for beam in range(beams):
+                a, b = re[beam], im[beam]
+                if both:
+                    a, b = a * out_re[beam] - b * out_im[beam], a * out_im[beam] + b * out_re[beam]
+                out[index, beam, path] = np.complex64(complex(a, -b) * factor)
+
+
+@compiled(fastmath=True)
+def one_way(weights_re, weights_im, steps, rows, across, up, out_re, out_im):  # type: ignore[no-untyped-def]
+    """Fill in the one-way pattern of all beams, as `models.physics.antenna.one_way_pattern` without the element."""
+    columns, beams = weights_re.shape
+    turn, tilt = steps[0] * across, steps[1] * up
+    row = 0.0
+    for index in range(rows):
+        row += np.cos(tilt * (index - 0.5 * (rows - 1)))
+    scale = row / np.sqrt(rows * columns)
+    angle = -0.5 * turn * (columns - 1)
+    phase_re, phase_im = scale * np.cos(angle), scale * np.sin(angle)
+    step_re, step_im = np.cos(turn), np.sin(turn)
+    out_re[:], out_im[:] = 0.0, 0.0
+    for column in range(columns):
+        re, im = np.float32(phase_re), np.float32(phase_im)
+        for beam in range(beams):
+            out_re[beam] += weights_re[column, beam] * re - weights_im[column, beam] * im
+            out_im[beam] += weights_re[column, beam] * im + weights_im[column, beam] * re
+        phase_re, phase_im = phase_re * step_re - phase_im * step_im, phase_re * step_im + phase_im * step_re
