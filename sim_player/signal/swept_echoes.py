@@ -192,7 +192,10 @@ class _Factors:
         (setup, paths), radar, columns = (self.setup, self.paths), self.setup.radar, self._columns
         array, wavelength_m = setup.array, radar.wavelength_m
         spacing_m = np.array([array.column_spacing(wavelength_m), array.row_spacing(wavelength_m)])
-        directions = (paths.azimuth_rad, paths.elevation_rad), self._out
+        directions = (
+            (paths.azimuth_rad, paths.elevation_rad),
+            (paths.departure_azimuth_rad, paths.departure_elevation_rad),
+        )
         gain = np.prod([element_field(setup.element, *direction) for direction in directions], axis=0)
         ratio = np.ones((len(instants), len(paths)))
         if self.effects.squint:
@@ -201,10 +204,7 @@ class _Factors:
         _fill_patterns(
             out,
             (np.ascontiguousarray(columns.T.real, np.float32), np.ascontiguousarray(columns.T.imag, np.float32)),
-            2.0
-            * np.pi
-            / wavelength_m
-            * np.array([array.column_spacing(wavelength_m), array.row_spacing(wavelength_m)]),
+            2.0 * np.pi / wavelength_m * spacing_m,
             array.rows,
             array.steered_ways != 1,
             np.stack([np.sin(azimuth) * np.cos(elevation) for azimuth, elevation in directions]),

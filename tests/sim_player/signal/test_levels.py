@@ -18,6 +18,7 @@ from sim_player.signal.fmcw import beam_weights, noise_bank
 from sim_player.signal.levels import (
     beam_beats,
     echo_profiles,
+    group_beats,
     kernel_objections,
     kernel_profiles,
     noise_profiles,
@@ -124,10 +125,12 @@ def test_three_levels_one_answer(effects: SignalEffects, two_ways: bool) -> None
     beats = beam_beats(SMALL, paths, effects, FAULTS)
     double = kernel_profiles(SMALL, paths, effects, FAULTS, 60)
     single = kernel_profiles(SMALL, paths, effects, FAULTS, 60, "float32")
-    assert (double.dtype, single.dtype) == (np.complex128, np.complex64)
+    quick = group_beats(SMALL, [(paths, effects)], FAULTS, precision="float32")
+    assert (double.dtype, single.dtype, quick.dtype) == (np.complex128, np.complex64, np.complex64)
     for beam in (0, 12):
         literal = literal_echoes(SMALL, paths, effects, FAULTS, beam)[0]
         assert apart(beats[beam], literal) < 1e-9
+        assert apart(quick[beam], literal) < 1e-4
         assert apart(double[beam], hann_profiles(literal, 60)) < 1e-9
         assert apart(single[beam], hann_profiles(literal, 60)) < 1e-4
 
