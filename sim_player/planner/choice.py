@@ -97,8 +97,9 @@ def fits(setup: RadarSetup, terms: SweepTerms, change: np.ndarray, limit: Limit,
         return True
     if strength.max() > share * limit.over_beams.max():
         return False
-    cell = np.minimum(terms.tone.astype(np.int64), len(skirts(setup.radar, RANGE_BINS)) - 1)
-    together = np.bincount(cell, strength, len(skirts(setup.radar, RANGE_BINS))) @ skirts(setup.radar, RANGE_BINS)
+    table = skirts(setup.radar, RANGE_BINS)
+    cell = np.minimum(terms.tone.astype(np.int64), len(table) - 1)
+    together = np.bincount(cell, strength, len(table)).astype(np.float32) @ table
     return bool((together <= share * limit.over_beams).all())
 
 

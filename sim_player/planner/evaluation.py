@@ -78,6 +78,8 @@ def _band(tone: np.ndarray, range_bins: int) -> tuple[int, int, range]:
 
 def error(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bins: int) -> np.ndarray:
     """Return a bound of what `evaluate` misses in any beam, float64 [bins]: terms left out, rounding, far echoes."""
+    if not part.any():
+        return np.zeros(range_bins)
     strength = np.where(part == SQUINT, echoes.magnitudes[1].max(axis=1), echoes.full) * (part != NOTHING)
     near = echoes.tone < range_bins + BEYOND_BINS
     left = echoes.remainder * (part != NOTHING) + ROUNDING * strength
@@ -161,10 +163,11 @@ class _HeadGroup:
 
     def change(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `HeadChange` of those of this group."""
-        inside = mask[self._mine]
+        chosen = mask[self._mine]
+        inside = slice(None) if chosen.all() else chosen
         cut_off = self._field[inside].T @ self._closed[inside] + self._slope_field[inside].T @ self._slope[inside]
         coarse = self._last_field[inside].T @ self._last[inside] - cut_off
-        loose = inside.astype(np.float32) @ self._loose
+        loose = chosen.astype(np.float32) @ self._loose
         near = np.maximum.reduce([loose[self._nearest + side] for side in (-1, 0, 1)])
         return _interpolated(coarse, self._factors, self._back, self._step), near
 
