@@ -163,11 +163,11 @@ class _HeadGroup:
 
     def change(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `HeadChange` of those of this group."""
-        chosen = mask[self._mine]
-        inside = slice(None) if chosen.all() else chosen
+        asked = mask[self._mine]
+        inside = slice(None) if asked.all() else asked
         cut_off = self._field[inside].T @ self._closed[inside] + self._slope_field[inside].T @ self._slope[inside]
         coarse = self._last_field[inside].T @ self._last[inside] - cut_off
-        loose = chosen.astype(np.float32) @ self._loose
+        loose = asked.astype(np.float32) @ self._loose
         near = np.maximum.reduce([loose[self._nearest + side] for side in (-1, 0, 1)])
         return _interpolated(coarse, self._factors, self._back, self._step), near
 
