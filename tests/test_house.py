@@ -16,6 +16,8 @@ import pytest
 
 from msgs.files.shipped import CHECKOUT
 from tests.home import FOLDERS, VARIABLE
+from tests.test_vocabulary import FLOORS as NAMED_FLOORS
+from tests.test_vocabulary import retired_names
 
 ROOT = CHECKOUT
 FLOORS = {"msgs": 1, "models": 2, "sim_player": 3, "nodes": 4, "mirrorwave": 5, "lab": 6, "contrib": 7}
@@ -121,12 +123,13 @@ def violations(module: str, imports: Iterable[str]) -> list[str]:
 
 @pytest.mark.slow
 def test_each_module_keeps_the_laws() -> None:
-    """Imports run down, no forbidden word or open door, no algorithm in a verb; every breach is named."""
+    """Imports run down, no forbidden word, retired name or open door, no algorithm in a verb; every breach is named."""
     found = []
     for path in SOURCES:
         module, source = module_name(path), source_of(path)
         found += violations(module, imported_modules(source))
         broken = forbidden_words(module, source) + open_doors(module, source)
+        broken += retired_names(parsed(source)) if module.startswith(NAMED_FLOORS) else []
         broken += algorithms(source) if is_verb(module) else []
         broken += early_plug_ins(source) if module.startswith("mirrorwave.commands.") else []
         found += [f"{module}: {breach}" for breach in broken]

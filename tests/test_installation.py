@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
@@ -21,6 +20,7 @@ import pytest
 from mirrorwave.floors import FLOORS
 from msgs.files.shipped import CHECKOUT, WEIGHTS
 from tests.installing import WITHIN, build_wheels, install, lend_kernels, make_environment, uninstall
+from tests.test_house import imported_modules
 
 #: Needed by others at run time, imported by none of ours: uvicorn takes it for web sockets.
 INDIRECT = {"websockets"}
@@ -165,13 +165,8 @@ def test_the_pythons_that_pip_accepts_are_those_that_are_named() -> None:
 
 def imported() -> set[str]:
     """Top-level names that the floors import."""
-    trees = [
-        ast.parse(path.read_text()) for name in (*FLOORS, "mirrorwave") for path in (CHECKOUT / name).rglob("*.py")
-    ]
-    nodes = [node for tree in trees for node in ast.walk(tree)]
-    plain = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-    from_modules = {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
-    every = {name.split(".")[0] for name in plain | from_modules}
+    sources = [path.read_text() for name in (*FLOORS, "mirrorwave") for path in (CHECKOUT / name).rglob("*.py")]
+    every = {name.split(".")[0] for source in sources for name in imported_modules(source)}
     return every - set(sys.stdlib_module_names) - {*FLOORS, "mirrorwave"}
 
 

@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import yaml
 from markdown_it import MarkdownIt
@@ -60,6 +61,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # the environment of the tests may have been installed before the plug-in was
     (r"^pytest (\S+)$", r"python -m pytest -q -p mirrorwave.testing.fixtures \1"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
+    # README processes the sample, tests/mirrorwave/commands/captures/test_process.py serves its page
+    (r"^mirrorwave process --sample --view$", "mirrorwave process --help"),
     (r"^timeout (.*) 20 ", r"timeout \1 5 "),
     (r"--duration \d+", "--duration 2"),
     (r"--window 10\b", "--window 2"),
@@ -77,18 +80,15 @@ SHORTER: tuple[tuple[str, str], ...] = (
     ),
     (r"^mirrorwave top( --once)?$", "mirrorwave top --once --window 1"),
     (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
-    (r"--count \d+", "--count 8"),
-    # drives, which are many scans each; no page trains on them
-    (r"^(mirrorwave sim dataset .*--count) 8 (--motion .*)$", r"\1 2 \2"),
-    (r"^(mirrorwave topic echo .*)--count 8", r"\1--count 2"),
+    # the fewest places that have one for validation and one for the test
+    (r"--count \d+", "--count 3"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
-    (r" --full$| --full ", " "),
-    (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
+    # all rows, and those of the simulator: tests/lab/tradeoff
+    (r"^mirrorwave tradeoff (--simulator|--full).*$", r"mirrorwave tradeoff \1 --help"),
+    (r"^mirrorwave tradeoff(?!.*--help)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
-    # likewise, tests/lab/tradeoff/test_simulator.py
-    (r"^mirrorwave tradeoff --simulator.*$", "mirrorwave tradeoff --simulator --help"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here
     (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),
     (r"^ssh -N -L 8765:127.0.0.1:8765 vehicle$", "mirrorwave view --help"),
@@ -164,7 +164,7 @@ class Runner:
 
     def __init__(self, folder: Path, launched: set[str]) -> None:
         self._folder = folder
-        #: Graphs that leave nothing behind and ran to their end already, on this page or another.
+        #: Launch files whose graph ran already, on this page or another: other options of it are checked alone.
         self._launched = launched
         self._background: list[subprocess.Popen[str]] = []
         #: The command of the graph among them.
@@ -238,14 +238,14 @@ class Runner:
             self._start(words, command)
             self._graph = command if words[1:2] == ["launch"] else self._graph
             return
-        if command in self._launched:
-            return
-        code, output = self._mirrorwave(words[1:]) if plain else self._process(command)
+        is_again = plain and words[1] == "launch" and "--record" not in words and words[2] in self._launched
+        with checked_alone() if is_again else contextlib.nullcontext():
+            code, output = self._mirrorwave(words[1:]) if plain else self._process(command)
         # of a command that is interrupted on purpose the moment decides which
         ended = (0, 130) if "--signal INT" in command else (0,)
         assert code in ended, f"{where}: {command!r} ended with {code}: {output[-2000:]}"
-        if words[1:2] == ["launch"] and "--record" not in words:
-            self._launched.add(command)
+        if words[1:2] == ["launch"]:
+            self._launched.add(words[2])
 
     def _is_missing(self, program: str) -> bool:
         if "/" in program:
@@ -308,6 +308,11 @@ class Runner:
             stdout=subprocess.PIPE,
             text=True,
         )
+
+
+def checked_alone() -> contextlib.AbstractContextManager[object]:
+    """Have `launch` read its file and options, and ask its nodes whether they take them; no graph is started."""
+    return mock.patch("mirrorwave.commands.graph.launch.run_graph", return_value=0)
 
 
 def has_c_libraries() -> bool:

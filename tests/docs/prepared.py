@@ -20,6 +20,8 @@ from tests.contrib.boards.test_import_dca1000 import CFG, point, two_lanes
 from tests.mirrorwave.commands.captures.test_can import write_drive
 
 SMALL = ["-p", "player.chirps_per_beam=8"]
+#: The same of `sim run`, with the paths alone that every scene has.
+BEAMS = ["--chirps-per-beam", "8", "--effects", "basic"]
 #: How long a graph may run until it has said everything.
 DURATIONS_S = (2, 8, 32, 128)
 #: Channel of python-can's virtual bus on which a car speaks while pages are run.
@@ -35,8 +37,8 @@ def remember_trials(expected_ms: float) -> None:
 
 
 def _corner(folder: Path) -> None:
-    scene = ["launch/scenes/corner.yaml", "--scans", "2", "--chirps-per-beam", "8", "--effects", "basic"]
-    assert main(["sim", "run", *scene, "--out", str(folder / "corner.mcap")]) == 0
+    scene, out = "launch/scenes/corner.yaml", str(folder / "corner.mcap")
+    assert main(["sim", "run", scene, "--out", out, "--scans", "2", *BEAMS]) == 0
 
 
 def _truth(folder: Path) -> None:
@@ -45,7 +47,7 @@ def _truth(folder: Path) -> None:
         scene, scan = f"launch/scenes/{place}.yaml", folder / f"{place}.mcap"
         clouds = folder / "clouds" / place
         assert main(["sim", "lidar", scene, "--out", str(clouds)]) == 0
-        assert main(["sim", "run", scene, "--out", str(scan), "--scans", "1", "--chirps-per-beam", "8"]) == 0
+        assert main(["sim", "run", scene, "--out", str(scan), *BEAMS]) == 0
         labels = ["--out", str(folder / "truth"), "--kind", "sim"]
         assert main(["annotate", str(clouds / "scene.yaml"), "--radar", str(scan), *labels]) == 0
 

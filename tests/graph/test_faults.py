@@ -840,7 +840,7 @@ class Jumping(player.Player):
     """A scene whose stamps jump: `jump_ns(topic, scan, beam)` is added to each."""
 
     def __init__(self, jump_ns: Callable[[str, int, int], int], scans: int) -> None:
-        params = player.Params(scene=SCENE, chirps_per_beam=1, scans=scans, ego_speed_mps=3.0)
+        params = player.Params(scene=SCENE, chirps_per_beam=1, scans=scans, ego_speed_mps=3.0, effects="basic")
         events = player.scene_events(player.scene_player(params), scans)
         super().__init__((self._moved(event) for event in events), 1.0, 0.3, restamp=False)
         self._jump_ns = jump_ns

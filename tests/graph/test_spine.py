@@ -42,15 +42,23 @@ def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(path)
 
 
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a capture and what one thread makes of it."""
+    folder = tmp_path_factory.mktemp("processed")
+    scene, capture = "launch/scenes/two_hidden_vehicles.yaml", str(folder / "capture.mcap")
+    short = ["--scans", str(SCANS), "--chirps-per-beam", "8", "--effects", "basic"]
+    assert main(["sim", "run", scene, "--out", capture, *short]) == 0
+    assert main(["process", capture, "--out", str(folder), "--profile", "cfar"]) == 0
+    return folder
+
+
 @pytest.mark.graph
 @pytest.mark.parametrize("group", [[], ["--group", "chain=player,ra_former,dense_predictor,geometry"]])
-def test_a_graph_gives_the_bytes_of_one_thread(group: list[str], tmp_path: Path, run_dir: Path) -> None:
-    capture, recording = tmp_path / "capture.mcap", tmp_path / "seen.mcap"
-    scene = "launch/scenes/two_hidden_vehicles.yaml"
-    short = ["--scans", str(SCANS), "--chirps-per-beam", "8", "--effects", "basic"]
-    assert main(["sim", "run", scene, "--out", str(capture), *short]) == 0
-    assert main(["process", str(capture), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 0
-
+def test_a_graph_gives_the_bytes_of_one_thread(
+    group: list[str], processed: Path, tmp_path: Path, run_dir: Path
+) -> None:
+    capture, recording = processed / "capture.mcap", tmp_path / "seen.mcap"
     for rate in RATES:
         launch = tmp_path / "spine.yaml"
         launch.write_text(LAUNCH.format(capture=capture, recording=recording, rate=rate))
@@ -63,4 +71,4 @@ def test_a_graph_gives_the_bytes_of_one_thread(group: list[str], tmp_path: Path,
         recording.unlink()
     assert all(isinstance(frame, BevFrame) for frame in frames)
     seen = "".join(json.dumps(bev_to_json(frame)) + "\n" for frame in frames)
-    assert seen == (tmp_path / "out" / "objects.jsonl").read_text()
+    assert seen == (processed / "objects.jsonl").read_text()

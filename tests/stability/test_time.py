@@ -95,18 +95,18 @@ def test_a_day_on_a_circle(errors: Errors, elapsed_s: float) -> None:
 @pytest.mark.hard(
     where="msgs.values.frames.Pose2",
     naive="running sums in float32",
-    bound=1e6 * (2.0 + 1.0 + 1.0) * 2.0**-52 * 200.0,
+    bound=1e5 * (2.0 + 1.0 + 1.0) * 2.0**-52 * 200.0,
     unit="m",
     source="heading rounded thrice a step, at half an ulp of 2 pi, pi and pi; times the diameter of 200 m",
 )
-def test_a_million_steps(errors: Errors) -> None:
-    """10 m/s and 0.1 rad/s in steps of 10 ms for 1e4 s: float32 heading at 1e3 rad moves by steps of 6e-5."""
+def test_a_hundred_thousand_steps(errors: Errors) -> None:
+    """10 m/s and 0.1 rad/s in steps of 10 ms for 1e3 s: float32 heading at 100 rad moves by steps of 8e-6."""
     step = ego_motion(10.0, 0.1, 0.01)
     pose = Pose2()
-    for _ in range(1_000_000):
+    for _ in range(100_000):
         pose = pose @ step
-    exact = arc_m(10.0, 0.1, 1e4)
-    heading_rad = np.cumsum(np.full(1_000_000, 0.001, np.float32))
+    exact = arc_m(10.0, 0.1, 1e3)
+    heading_rad = np.cumsum(np.full(100_000, 0.001, np.float32))
     naive = [float(np.cumsum(np.float32(0.1) * turn(heading_rad))[-1]) for turn in (np.cos, np.sin)]
     errors(naive=math.dist(exact, naive), ours=math.dist(exact, (pose.x_m, pose.y_m)))
 

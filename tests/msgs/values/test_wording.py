@@ -38,11 +38,12 @@ def test_any_name_of_a_file_can_be_written_as_utf8(text: str, plain: str) -> Non
 
 #: Position of the noun in calls by the last part of their name.
 _NOUN_AT = {"counted": 1, "shed.add": 0, "shed.note": 0, "_shed": 0}
+_LAST = {name.rpartition(".")[2] for name in _NOUN_AT}
 
 
 def nouns(tree: ast.AST) -> Iterator[str]:
     for call in ast.walk(tree):
-        if isinstance(call, ast.Call):
+        if isinstance(call, ast.Call) and getattr(call.func, "attr", getattr(call.func, "id", "")) in _LAST:
             at = next((at for name, at in _NOUN_AT.items() if ast.unparse(call.func).endswith(name)), len(call.args))
             if at < len(call.args) and isinstance(call.args[at], ast.Constant | ast.JoinedStr):
                 yield ast.unparse(call.args[at]).strip("f'\"")

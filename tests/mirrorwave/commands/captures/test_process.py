@@ -38,6 +38,14 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def processed(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `process` leaves of the capture."""
+    folder = tmp_path_factory.mktemp("processed")
+    assert main(["process", str(capture), "--out", str(folder), "--profile", "cfar"]) == 0
+    return folder
+
+
 def test_process_takes_detections_and_states_what_did_not_arrive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,29 +62,25 @@ def test_process_takes_detections_and_states_what_did_not_arrive(
 
 
 @pytest.mark.slow
-def test_process_writes_objects_times_and_a_picture(capture: Path, tmp_path: Path) -> None:
-    assert main(["process", str(capture), "--out", str(tmp_path), "--profile", "cfar"]) == 0
-    lines = [json.loads(line) for line in (tmp_path / "objects.jsonl").read_text().splitlines()]
+def test_process_writes_objects_times_and_a_picture(processed: Path) -> None:
+    lines = [json.loads(line) for line in (processed / "objects.jsonl").read_text().splitlines()]
     assert [line["scan_id"] for line in lines] == [0, 1]
     assert set(lines[0]) == {"scan_id", "stamp_ns", "frame", "walls", "points", "objects"}
     assert set(lines[0]["walls"][0]) == {"normal", "offset_m", "ends_m", "inliers"}
-    times = [json.loads(line) for line in (tmp_path / "timing.jsonl").read_text().splitlines()]
+    times = [json.loads(line) for line in (processed / "timing.jsonl").read_text().splitlines()]
     assert {"ra_former.last beam", "dense_predictor.detect", "geometry.geometry"} <= set(times[0]["stages"])
-    assert (tmp_path / "bev.png").read_bytes().startswith(b"\x89PNG")
+    assert (processed / "bev.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
-def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -> None:
-    """Same bytes as `chain.py`, and the same bytes twice."""
-    for name in ("once", "twice"):
-        assert main(["process", str(capture), "--out", str(tmp_path / name), "--profile", "cfar"]) == 0
-    once = (tmp_path / "once" / "objects.jsonl").read_bytes()
-    assert once == (tmp_path / "twice" / "objects.jsonl").read_bytes()
+def test_process_is_the_chain_cut_at_the_topics(processed: Path) -> None:
+    """Same bytes as `chain.py`."""
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
     chain = cfar_chain(player.setup)
     state = player.vehicle_state(0)
     views = [view for scan in (0, 1) for index in range(25) for view in chain.add(player.beam(scan, index), state)]
-    assert once.decode() == "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in views)
+    said = (processed / "objects.jsonl").read_text()
+    assert said == "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in views)
 
 
 @pytest.mark.slow
@@ -91,34 +95,35 @@ def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     assert [line["scan_id"] for line in lines] == [0, 1, 2, 3, 4]
     player = scene_player(Params(scene=drive, chirps_per_beam=chirps, effects="basic"))
     chain = cfar_chain(player.setup)
-    views = [
-        view
-        for scan in range(5)
-        for index in range(25)
-        for view in chain.add(player.beam(scan, index), player.vehicle_state(player.stamp_ns(scan, index)))
-    ]
+    with RecordingReader(recording) as reader:
+        beams = [item.message for item in reader.messages(topics=["radar/beam"])]
+    assert len(beams) == 5 * 25
+    views = [view for beam in beams for view in chain.add(beam, player.vehicle_state(beam.stamp_ns))]
     assert lines[-1]["tracks"]
     expected = [json.dumps([track_to_json(one) for one in view.frame.tracks]) for view in views]
     assert [json.dumps(line["tracks"]) for line in lines] == expected
 
 
 @pytest.mark.slow
-def test_json_summary(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_summary_and_the_same_bytes_again(
+    capture: Path, processed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
     assert main(["process", str(capture), "--out", str(tmp_path), "--profile", "cfar", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["score"]["scans"] == 2
     assert summary["scans_with_loss"] == 0
+    assert (tmp_path / "objects.jsonl").read_bytes() == (processed / "objects.jsonl").read_bytes()
 
 
 @pytest.mark.slow
-def test_sigmf_gives_the_same_objects(capture: Path, tmp_path: Path) -> None:
+def test_sigmf_gives_the_same_objects(processed: Path, tmp_path: Path) -> None:
     sigmf = tmp_path / "corner.sigmf-meta"
     command = ["sim", "run", SCENE, "--out", str(sigmf), "--scans", "2", "--chirps-per-beam", str(CHIRPS)]
     command += ["--effects", "basic"]
     assert main(command) == 0
-    for path, name in ((sigmf, "a"), (capture, "b")):
-        assert main(["process", str(path), "--out", str(tmp_path / name), "--profile", "cfar"]) == 0
-    assert (tmp_path / "a" / "objects.jsonl").read_bytes() == (tmp_path / "b" / "objects.jsonl").read_bytes()
+    assert main(["process", str(sigmf), "--out", str(tmp_path), "--profile", "cfar"]) == 0
+    assert (tmp_path / "objects.jsonl").read_bytes() == (processed / "objects.jsonl").read_bytes()
 
 
 @pytest.mark.slow
@@ -315,12 +320,13 @@ def test_the_sample_holds_two_hidden_cars_that_are_recovered(
 
 @pytest.mark.slow
 def test_view_of_the_sample_processes_it_first(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capture: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Playback, "run", interrupted)
+    monkeypatch.setattr("msgs.files.shipped.SAMPLE", capture)
     assert main(["view", "--sample", "--no-browser", "--port", "0"]) == 0
     out = capsys.readouterr().out
-    assert "12 scans; open http://127.0.0.1:" in out
+    assert "2 scans; open http://127.0.0.1:" in out
     # nothing is left behind
     assert not Path(out.splitlines()[-1].split("view.mcap")[0]).exists()
 
