@@ -99,9 +99,7 @@ def pytest_collection(session: pytest.Session) -> object:
     """
     worker, config = getattr(session.config, "workerinput", None), session.config
     if worker and config.args == ["tests"]:
-        rooms = sorted(
-            str(path.relative_to(config.rootpath)) for path in Path(__file__).parent.iterdir() if is_room(path)
-        )
+        rooms = sorted(f"tests/{path.name}" for path in Path(__file__).parent.iterdir() if is_room(path))
         at = len(rooms) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
         config.args[:] = rooms[at:] + rooms[:at]
     gc.disable()

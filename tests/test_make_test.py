@@ -62,6 +62,26 @@ def test_a_run_off_a_terminal_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch
     assert lines[0] == "1 of 3 tests, 0 s"
 
 
+def test_files_that_are_known_to_last_are_begun_first_whatever_order_they_come_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first worker takes files from the beginning, the others from the end."""
+    known = scheduling.longest(["1.50s setup    test_long.py::test_0", "7.26s call     test_long.py::test_1[a b]", "x"])
+    assert known == ["9 test_long.py"]
+    (tmp_path / "seconds.txt").write_text("\n".join(["8 test_long_graph.py", *known]))
+    monkeypatch.setattr(scheduling, "SECONDS", tmp_path / "seconds.txt")
+    marks = {"graph": ["graph"] * 3, "long_graph": ["graph"], "short": [""] * 2, "slow": ["slow"] * 20, "long": [""]}
+    items = [
+        SimpleNamespace(nodeid=f"test_{name}.py::test_{at}", get_closest_marker=mark.__eq__)
+        for name, found in marks.items()
+        for at, mark in enumerate(found)
+    ]
+    for come in (items, items[4:] + items[:4]):
+        ordered = dict.fromkeys(item.nodeid.split("::")[0] for item in scheduling.in_order(come))  # type: ignore[arg-type]
+        wanted = ["long_graph", "graph", "short", "slow", "long"]
+        assert list(ordered) == [f"test_{name}.py" for name in wanted]
+
+
 def commands(goal: str) -> list[list[str]]:
     """The commands of a goal that run tests, by this interpreter."""
     said = subprocess.run(["make", "-n", goal], cwd=ROOT, capture_output=True, text=True, check=True).stdout
