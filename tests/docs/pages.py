@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import itertools
 import os
 import re
 import shlex
@@ -64,6 +65,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # README processes the sample, tests/mirrorwave/commands/captures/test_process.py serves its page
     (r"^mirrorwave process --sample --view$", "mirrorwave process --help"),
     (r"^timeout (.*) 20 ", r"timeout \1 5 "),
+    # tests/docs/test_notebook.py runs it
+    (r"^jupyter execute (\S+)$", r"test -f \1"),
     (r"--duration \d+", "--duration 2"),
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
@@ -173,17 +176,19 @@ class Runner:
         self.missing: list[str] = []
 
     def run_page(self, blocks: list[Block]) -> None:
-        """Run a page's blocks, top to bottom."""
-        for number, block in enumerate(blocks):
-            self._run(block, blocks[number + 1 :])
+        """Run a page's blocks, top to bottom; those of Python that follow each other in one process, each by itself."""
+        for language, row in itertools.groupby(enumerate(blocks, 1), lambda item: item[1].language):
+            if language == "python":
+                self._python([block for _, block in row])
+            else:
+                for number, block in row:
+                    self._run(block, blocks[number:])
 
     def _run(self, block: Block, later: list[Block]) -> None:
         """Run a block; a failure names page, line and command."""
         where = f"{block.page.relative_to(ROOT)}:{block.line}"
         if block.language in ("sh", "bash"):
             self._shell(block, where, later)
-        elif block.language == "python":
-            self._python(block, where)
         elif block.language == "yaml":
             assert yaml.safe_load(block.text) is not None, where
 
@@ -279,9 +284,11 @@ class Runner:
         )
         return done.returncode, done.stdout + done.stderr
 
-    def _python(self, block: Block, where: str) -> None:
-        code, output = self._process(f"{shlex.quote(sys.executable)} -W error -c {shlex.quote(block.text)}")
-        assert code == 0, f"{where}: {output[-2000:]}"
+    def _python(self, blocks: list[Block]) -> None:
+        parts = [(block.text, f"{block.page.relative_to(ROOT)}:{block.line}") for block in blocks]
+        text = f"for part in {parts!r}: exec(compile(*part, 'exec'), {{'__name__': '__main__'}})"
+        code, output = self._process(f"{shlex.quote(sys.executable)} -W error -c {shlex.quote(text)}")
+        assert code == 0, output[-2000:]
 
     def _start(self, words: list[str], command: str) -> None:
         """Start in the background, with as long to run as the page's foreground needs."""

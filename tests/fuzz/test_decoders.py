@@ -29,7 +29,7 @@ SLOW = {
     "sigmf": 4,
     "dbc": 4,
     "can_log": 6,
-    "plan": 8,
+    "plan": 4,
     "can_frames": 10,
     "launch": 12,
     "map": 60,

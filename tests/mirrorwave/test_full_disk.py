@@ -28,6 +28,7 @@ from sim_player.dataset.writer import write_dataset
 from tests.msgs.bus.test_codec import EXAMPLES
 
 SCENE = "launch/scenes/two_hidden_vehicles.yaml"
+SHORT = ("--chirps-per-beam", "1", "--effects", "basic")
 #: Room on the made-up disk.
 ROOM = 1_000_000
 
@@ -123,7 +124,7 @@ def test_a_conversion_that_will_not_fit_is_not_begun(
 )
 def test_a_capture_cut_short_is_named_and_gone(name: str, refused: str, tmp_path: Path) -> None:
     out = tmp_path / name
-    found = limited(["sim", "run", SCENE, "--out", str(out), "--chirps-per-beam", "1"], 300_000)
+    found = limited(["sim", "run", SCENE, "--out", str(out), *SHORT], 300_000)
     assert (found.returncode, found.stderr.splitlines()[-1]) == (1, f"mirrorwave: {tmp_path / refused}: File too large")
     assert list(tmp_path.iterdir()) == []
 
@@ -141,11 +142,12 @@ def test_a_copy_cut_short_is_named_and_gone(verb: str, tmp_path: Path) -> None:
 @pytest.mark.graph
 def test_results_cut_short_are_named_and_gone_and_those_of_before_stay(tmp_path: Path) -> None:
     capture, out = tmp_path / "a.mcap", tmp_path / "out"
-    assert main(["sim", "run", SCENE, "--out", str(capture), "--chirps-per-beam", "1"]) == 0
-    assert main(["process", str(capture), "--out", str(out)]) == 0
+    assert main(["sim", "run", SCENE, "--out", str(capture), *SHORT]) == 0
+    words = ["process", str(capture), "--out", str(out), "--profile", "cfar"]
+    assert main(words) == 0
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert sorted(before) == ["bev.png", "objects.jsonl", "timing.jsonl", "tracks.jsonl"]
-    found = limited(["process", str(capture), "--out", str(out)], 20_000)
+    found = limited(words, 20_000)
     assert found.returncode == 1
     (line,) = [line for line in found.stderr.splitlines() if line.startswith("mirrorwave: ")]
     assert line.removeprefix("mirrorwave: ") in [f"{out / name}: File too large" for name in before]

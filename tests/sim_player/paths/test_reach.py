@@ -38,8 +38,7 @@ def test_drawn_places_keep_all_paths(index: int, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["terraced", "detached"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("kind", "seed"), [("terraced", 0), ("detached", 1)])
 def test_cities_keep_all_paths_and_trace_less(kind: CityKind, seed: int) -> None:
     world = prepare(made_city(200, kind, seed=seed), seed)
     for x_m in (0.0, 31.7):
