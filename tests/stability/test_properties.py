@@ -449,6 +449,16 @@ def formed(setup: RadarSetup, samples: np.ndarray) -> RangeAzimuthMap:
     return maps[0]
 
 
+@lru_cache(maxsize=1)
+def peaks_measured() -> list[Peaks]:
+    """What each detector finds in the measured map."""
+    return [detect(measured()[1]) for detect in detectors()]
+
+
+def detectors() -> list[Callable[[RangeAzimuthMap], Peaks]]:
+    return [network().detect, lambda one: cfar_peaks(one, CfarParams())]
+
+
 @pytest.mark.slow
 @slow
 @given(st.floats(-60.0, 60.0))
@@ -458,9 +468,8 @@ def test_gain_of_signal_and_noise_moves_no_peak(gain_db: float) -> None:
     gain = 10.0 ** (gain_db / 20.0)
     values = (ra_map.values * np.float32(gain)).astype(np.complex64)
     louder = msgspec.structs.replace(ra_map, values=values, noise_power_mw=ra_map.noise_power_mw * gain**2)
-    detectors: list[Callable[[RangeAzimuthMap], Peaks]] = [network().detect, lambda one: cfar_peaks(one, CfarParams())]
-    for detect in detectors:
-        before, after = detect(ra_map), detect(louder)
+    for detect, before in zip(detectors(), peaks_measured(), strict=True):
+        after = detect(louder)
         np.testing.assert_array_equal(after.path_class, before.path_class)
         np.testing.assert_allclose(after.azimuth_rad, before.azimuth_rad, rtol=0.0, atol=1e-6)
         # ranges come from logarithms of float32 powers
