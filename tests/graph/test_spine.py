@@ -16,7 +16,7 @@ from msgs.values.perception import BevFrame
 
 SCANS = 3
 #: A graph that is behind sheds whole scans: on a machine with much else to do it is given more time for each.
-RATES = (1.0, 0.3, 0.1)
+RATES = (1.0, 0.3, 0.1, 0.02)
 LAUNCH = """
 name: spine
 nodes:
@@ -69,6 +69,7 @@ def test_a_graph_gives_the_bytes_of_one_thread(
         if len(frames) == SCANS:
             break
         recording.unlink()
+    assert len(frames) == SCANS
     assert all(isinstance(frame, BevFrame) for frame in frames)
     seen = "".join(json.dumps(bev_to_json(frame)) + "\n" for frame in frames)
     assert seen == (processed / "objects.jsonl").read_text()
