@@ -85,8 +85,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
     ),
     (r"^mirrorwave top( --once)?$", "mirrorwave top --once --window 1"),
     (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
-    # the fewest places that have one for validation and one for the test
-    (r"--count \d+", "--count 3"),
+    # the fewest places of which two are to train on, beside one for validation and one for the test
+    (r"--count \d+", "--count 4"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
