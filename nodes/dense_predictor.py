@@ -48,6 +48,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Choice of the detector, and its parameters."""
 
     formerly: ClassVar[dict[str, str]] = {
+        "cfar": "models.perception.find.cfar",
+        "cfar.kind": "models.perception.find.cfar",
         "cfar.ridges": "models.perception.find.ridges",
         "cfar.peaks": "models.perception.find.peaks",
     }

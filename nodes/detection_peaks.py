@@ -26,7 +26,11 @@ _LOG = logging.getLogger(__name__)
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The sensor, and how its walls and images are told."""
 
-    formerly: ClassVar[dict[str, str]] = {f"geometry.{place}".rstrip("."): module for place, module in FORMERLY.items()}
+    formerly: ClassVar[dict[str, str]] = {
+        **{f"geometry.{place}".rstrip("."): module for place, module in FORMERLY.items()},
+        "classes": "models.perception.target_lists.classification",
+        "sensor": "models.perception.target_lists.sensor",
+    }
 
     sensor: DetectionSensor = DetectionSensor()
     #: Of the walls that images lie behind; the geometry node has its own, `geometry.detections`.

@@ -6,20 +6,18 @@ import logging
 from collections import deque
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
-from msgspec.structs import asdict
 
 from models.perception.cards import learned_path
 from models.perception.mirrors.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
-from models.perception.mirrors.image_walls import RecoveryParams
 from models.perception.mirrors.peaks_to_view import FORMERLY, BackEnd, GeometryParams
 from models.perception.mirrors.recovery import Residual
-from models.perception.mirrors.walls import WallParams
 from models.perception.target_lists.defaults import DetectionGeometry
 from models.perception.timing import Timed
 from models.perception.track.scan_state import MemoryParams
+from models.perception.track.tracker import TrackParams
 from models.perception.track.views_over_scans import ViewStage
 from models.perception.track.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
@@ -46,34 +44,51 @@ MAP_PATIENCE_NS = 50_000_000
 BIAS_OVERDUE_S = 30.0
 
 
-class Walls(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Fit of walls to direct returns."""
+class Grid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Cells of the view: columns ahead of the radar, rows to its left and right alike."""
 
-    error_model: Literal["polar", "euclidean"] = "polar"
-    rounds: int = 200
-    #: Walls that an arc explains better than lines are arcs.
-    curved: bool = True
+    cell_m: float = 0.5
+    rows: int = 160
+    columns: int = 120
+
+    @property
+    def cells(self) -> BevGrid:
+        """The grid; `ValueError` for one that there cannot be."""
+        y_min_m = -0.5 * self.rows * self.cell_m
+        return BevGrid(y_min_m=y_min_m, cell_m=self.cell_m, rows=self.rows, columns=self.columns)
 
 
-class Recovery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Association of images with walls."""
+class Memory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """State kept across scans."""
 
-    #: Images that two walls mirrored are folded twice.
-    second_order: bool = True
+    #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
+    wall_map: bool = False
+    tracker: TrackParams = TrackParams()
+
+    @property
+    def params(self) -> MemoryParams:
+        """As the stage takes them."""
+        return MemoryParams(wall_map=self.wall_map, tracker=self.tracker)
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage; the other numbers of its steps are constants beside them."""
 
-    formerly: ClassVar[dict[str, str]] = FORMERLY | {
-        f"detections.{place}".rstrip("."): module for place, module in FORMERLY.items()
+    formerly: ClassVar[dict[str, str]] = {
+        **FORMERLY,
+        **{f"detections.{place}".rstrip("."): module for place, module in FORMERLY.items()},
+        "grid": "msgs.values.perception",
+        "detections.grid": "msgs.values.perception",
+        "memory": "models.perception.track.scan_state",
+        "memory.tracker": "models.perception.track.tracker",
+        "memory.odometry": "models.perception.track.odometry",
+        "memory.walls": "models.perception.track.scan_state",
+        "memory.wall_priors": "models.perception.track.wall_fusion",
     }
 
     #: Walls, association and rejection: ours, or those of the specification.
     back_end: BackEnd = "ours"
-    walls: Walls = Walls()
-    recovery: Recovery = Recovery()
-    grid: BevGrid = BevGrid()
+    grid: Grid = Grid()
     #: An exported residual network with its card beside it, or the name of a committed one, trained on walls of the
     #: same back end; `none`: the mirror law alone.
     residual: str = "none"
@@ -88,7 +103,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     object_threshold: float | None = None
     object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.
-    memory: MemoryParams = MemoryParams()
+    memory: Memory = Memory()
     #: For peaks of a radar that gives detections: they come with the limits of their sensor.
     detections: DetectionGeometry = DetectionGeometry()
 
@@ -107,8 +122,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def geometry(self) -> GeometryParams:
         """Parameters of the stage for maps."""
-        walls, recovery = WallParams(**asdict(self.walls)), RecoveryParams(**asdict(self.recovery))
-        return GeometryParams(back_end=self.back_end, walls=walls, recovery=recovery, grid=self.grid)
+        return GeometryParams(back_end=self.back_end, grid=self.grid.cells)
 
 
 class GeometryNode(Node):
@@ -231,7 +245,7 @@ class BiasLog:
 
 def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
     """Return the stage that parameters name; errors as `parts_of`."""
-    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params), params.detections.geometry)
+    return ViewStage(*parts_of(params), params.memory.params, timed, predictor_of(params), params.detections.geometry)
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import msgspec
 
@@ -60,6 +60,8 @@ class Card(Protocol):
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of the board, and the addresses of its card."""
+
+    formerly: ClassVar[dict[str, str]] = {"card": "contrib.boards.dca1000_socket"}
 
     #: Chirps: a TI `.cfg` or `.json`, or a `.lua` of mmWave Studio.
     config: str

@@ -8,7 +8,7 @@ a field of that name where parts of the code differ in it.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import msgspec
@@ -45,15 +45,21 @@ def _kept(value: Any, wanted: Any, group: str, places: Mapping[str, str], former
         if name in fields:
             kept[name] = _kept(inner, fields[name], place, places, former)
         elif place in places:
-            lost = inner.items() if isinstance(inner, Mapping) else ()
-            former += [_field(f"{place}.{key}", item, places[place]) for key, item in lost] or [
-                _field(place, inner, places[place])
-            ]
+            former += _lost(inner, place, places, places[place])
         elif group in places and (field := _field(place, inner, places[group])).constant != places[group]:
             former.append(field)
         else:
             kept[name] = inner
     return kept
+
+
+def _lost(value: Any, place: str, places: Mapping[str, str], module_name: str) -> Iterator[FormerField]:
+    """Yield all fields of a group that the type has lost, or the field itself."""
+    if not (isinstance(value, Mapping) and value):
+        yield _field(place, value, places.get(place, module_name))
+        return
+    for name, inner in value.items():
+        yield from _lost(inner, f"{place}.{name}", places, places.get(place, module_name))
 
 
 def _field(place: str, given: Any, module_name: str) -> FormerField:

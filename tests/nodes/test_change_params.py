@@ -76,12 +76,11 @@ def test_what_earlier_scans_have_left_outlives_a_change_of_the_geometry() -> Non
     peaks = received(made_up_peaks(), "perception/peaks")
     answers(node, [peaks])
     memory = node._stage._memory
-    grid = BevGrid(cell_m=1.0, rows=80, columns=60)
-    node.change_params(geometry.Params(grid=grid))
+    node.change_params(geometry.Params(grid=geometry.Grid(cell_m=1.0, rows=80, columns=60)))
     assert node._stage._memory is memory
     (frame,) = answers(node, [peaks])
     assert isinstance(frame, BevFrame)
-    assert frame.grid == grid
+    assert frame.grid == BevGrid(cell_m=1.0, rows=80, columns=60)
 
 
 @pytest.mark.parametrize(

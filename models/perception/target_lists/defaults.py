@@ -41,10 +41,10 @@ DETECTION_GEOMETRY = GeometryParams(
 
 
 class DetectionWalls(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Least returns and length of a wall: a radar of few targets shows fewer of them."""
+    """What makes a wall."""
 
+    #: Least returns of a wall: a radar of few targets shows fewer of them.
     min_inliers: int = DETECTION_GEOMETRY.walls.min_inliers
-    min_length_m: float = DETECTION_GEOMETRY.walls.min_length_m
 
 
 class DetectionGeometry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -55,7 +55,5 @@ class DetectionGeometry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     @property
     def geometry(self) -> GeometryParams:
         """All of them."""
-        walls = replace(
-            DETECTION_GEOMETRY.walls, min_inliers=self.walls.min_inliers, min_length_m=self.walls.min_length_m
-        )
+        walls = replace(DETECTION_GEOMETRY.walls, min_inliers=self.walls.min_inliers)
         return replace(DETECTION_GEOMETRY, walls=walls)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from mirrorwave.reference import node_modules
 from models.perception.cards import read_card
 from models.perception.see.evidence_predictor import DEFAULT_EVIDENCE, EvidenceCard
 from msgs.bus.local import LocalNetwork
@@ -29,9 +31,12 @@ def _warn_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     ("wanted", "given", "kept", "lines"),
     [
         (geometry.Params, {"cluster_eps_m": 3.0}, {}, [f"cluster_eps_m is a constant: {MIRRORS}.peaks_to_view."]),
-        (geometry.Params, {"walls": {"rounds": 50, "min_score": 9.0, "open_gap_m": 0.0}}, {"walls": {"rounds": 50}},
-         [f"walls.min_score is a constant: {MIRRORS}.walls.WallParams.min_score;",
+        (geometry.Params, {"walls": {"rounds": 50, "open_gap_m": 0.0}}, {},
+         [f"walls.rounds is a constant: {MIRRORS}.walls.WallParams.rounds;",
           f"walls.open_gap_m is a constant: {MIRRORS}.walls.OPEN_GAP_M;"]),
+        (geometry.Params, {"memory": {"tracker": {"max_gap_s": 1.0, "confirm_existence": 0.5}}},
+         {"memory": {"tracker": {"confirm_existence": 0.5}}},
+         ["memory.tracker.max_gap_s is a constant: models.perception.track.tracker.MAX_GAP_S;"]),
         (geometry.Params, {"walls": {"arcs": {"min_gain": 1.0}}}, {},
          [f"walls.arcs.min_gain is a constant: {MIRRORS}.arcs.MIN_GAIN;"]),
         (geometry.Params, {"recovery": {"reject_on_wall": False}}, {},
@@ -58,13 +63,16 @@ def test_a_former_parameter_is_left_out_with_a_line(
         assert message.startswith(f"old.yaml: node.{line}")
 
 
+@pytest.mark.parametrize("module_name", node_modules())
+def test_the_constants_of_all_nodes_are_there(module_name: str) -> None:
+    """A module that moves takes its entry along."""
+    for constants in getattr(importlib.import_module(module_name).Params, "formerly", {}).values():
+        importlib.import_module(constants)
+
+
 @pytest.mark.parametrize(
     ("given", "place"),
-    [
-        ({"walls": {"magic": 1}}, "node.walls"),
-        ({"clusters_m": 3.0}, "node"),
-        ({"recovery": {"second": 1}}, "node.recovery"),
-    ],
+    [({"memory": {"magic": 1}}, "node.memory"), ({"clusters_m": 3.0}, "node"), ({"grid": {"cell": 1}}, "node.grid")],
 )
 def test_a_slip_is_refused(given: dict[str, Any], place: str) -> None:
     with pytest.raises(ValueError, match=rf"^{place}: Object contains unknown field .*; known are"):
