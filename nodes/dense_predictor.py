@@ -15,7 +15,6 @@ from models.perception.find.cfar import CfarParams
 from models.perception.find.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
 from models.perception.find.maps_to_peaks import DetectionStage
 from models.perception.find.onnx_model import DEFAULT_MODEL
-from models.perception.find.peaks import PeakParams
 from models.perception.find.ridges import RidgeParams
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
@@ -48,6 +47,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Choice of the detector, and its parameters."""
 
     formerly: ClassVar[dict[str, str]] = {
+        "threshold": "models.perception.find.detectors",
         "cfar": "models.perception.find.cfar",
         "cfar.kind": "models.perception.find.cfar",
         "cfar.ridges": "models.perception.find.ridges",
@@ -63,8 +63,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     refine: bool | Refine = True
     #: The mean answer to the map and to the map with left and right exchanged.
     flip_test: bool = False
-    #: Least score of a network's peak; None: that of the model's card.
-    threshold: float | None = None
     cfar: Cfar = Cfar()
 
     def __post_init__(self) -> None:
@@ -72,8 +70,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         _ = self.cfar_params
         if not 1 <= self.threads <= MAX_THREADS:
             raise ValueError(f"threads must be 1..{MAX_THREADS}, got {self.threads!r}")
-        if self.threshold is not None and not 0.0 < self.threshold <= 1.0:
-            raise ValueError(f"threshold must be in (0, 1], got {self.threshold!r}")
 
     @property
     def cfar_params(self) -> CfarParams:
@@ -155,7 +151,6 @@ def detector_for(params: Params, setup: RadarSetup) -> Detector:
         setup,
         model_path(params.model),
         params.threads,
-        None if params.threshold is None else PeakParams(threshold=params.threshold),
         refine=params.refine,
         flip_test=params.flip_test,
     )

@@ -12,6 +12,7 @@ import msgspec
 
 from models.perception.cards import learned_path
 from models.perception.mirrors.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
+from models.perception.mirrors.observability import VisibilityParams
 from models.perception.mirrors.peaks_to_view import FORMERLY, BackEnd, GeometryParams
 from models.perception.mirrors.recovery import Residual
 from models.perception.target_lists.defaults import DetectionGeometry
@@ -58,9 +59,17 @@ class Grid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return BevGrid(y_min_m=y_min_m, cell_m=self.cell_m, rows=self.rows, columns=self.columns)
 
 
+class Mask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Mask of the cells where an object would be detected."""
+
+    #: Of the object: a car, -5 for a person.
+    rcs_dbsm: float = VisibilityParams().rcs_dbsm
+
+
 class Memory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """State kept across scans."""
 
+    tracking: bool = True
     #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
     wall_map: bool = False
     tracker: TrackParams = TrackParams()
@@ -68,7 +77,7 @@ class Memory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def params(self) -> MemoryParams:
         """As the stage takes them."""
-        return MemoryParams(wall_map=self.wall_map, tracker=self.tracker)
+        return MemoryParams(tracking=self.tracking, wall_map=self.wall_map, tracker=self.tracker)
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -89,6 +98,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Walls, association and rejection: ours, or those of the specification.
     back_end: BackEnd = "ours"
     grid: Grid = Grid()
+    visibility: Mask = Mask()
     #: An exported residual network with its card beside it, or the name of a committed one, trained on walls of the
     #: same back end; `none`: the mirror law alone.
     residual: str = "none"
@@ -122,7 +132,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def geometry(self) -> GeometryParams:
         """Parameters of the stage for maps."""
-        return GeometryParams(back_end=self.back_end, grid=self.grid.cells)
+        visibility = VisibilityParams(rcs_dbsm=self.visibility.rcs_dbsm)
+        return GeometryParams(back_end=self.back_end, grid=self.grid.cells, visibility=visibility)
 
 
 class GeometryNode(Node):

@@ -28,7 +28,6 @@ from contrib.boards.phaser import (
     OFFSET_HZ,
     SAMPLE_RATE_HZ,
     SAMPLES_PER_CHIRP,
-    SETTLE_S,
     PhaserCalibration,
     PhaserParams,
     beam_samples,
@@ -80,7 +79,7 @@ def setup() -> RadarSetup:
 def driven_beam(burst: np.ndarray) -> RadarBeam:
     """Return the beam that the driver makes of a burst of one summed channel, complex [chirps, samples]."""
     channel = np.zeros((PARAMS.chirps_per_beam, INTERVAL_SAMPLES), complex)
-    first = round(SETTLE_S * SAMPLE_RATE_HZ)
+    first = round(PARAMS.settle_s * SAMPLE_RATE_HZ)
     channel[:, first : first + SAMPLES_PER_CHIRP] = burst
     samples = beam_samples([channel.ravel(), np.zeros(channel.size)], PARAMS)
     return RadarBeam(

@@ -23,7 +23,6 @@ from contrib.boards.phaser import (
     INTERMEDIATE_HZ,
     INTERVAL_SAMPLES,
     OFFSET_HZ,
-    RECEIVE_GAIN_DB,
     SAMPLE_RATE_HZ,
     TRANSMIT_GAIN_DB,
     BeamTable,
@@ -203,7 +202,7 @@ class Cn0566:
         converter.rx_enabled_channels = converter.tx_enabled_channels = [0, 1]
         for channel in ("chan0", "chan1"):
             setattr(converter, f"gain_control_mode_{channel}", "manual")
-            setattr(converter, f"rx_hardwaregain_{channel}", RECEIVE_GAIN_DB)
+            setattr(converter, f"rx_hardwaregain_{channel}", params.receive_gain_db)
         converter.rx_buffer_size = params.burst_samples
         # no burst of an earlier beam may be queued
         converter._rxadc.set_kernel_buffers_count(1)

@@ -39,8 +39,6 @@ MAX_BURST_SAMPLES = 1 << 22
 RAMP_START_HZ, RAMP_BANDWIDTH_HZ = 9.9e9, 500e6
 RAMP_TIME_S = 300e-6
 SLOPE_HZ_PER_S = RAMP_BANDWIDTH_HZ / RAMP_TIME_S
-#: The ramp is not straight at its start: samples count from here.
-SETTLE_S = 30e-6
 #: Time from ramp to ramp, and its samples.
 CHIRP_INTERVAL_S = 500e-6
 SAMPLE_RATE_HZ = 4e6
@@ -49,10 +47,8 @@ SAMPLES_PER_CHIRP = 1024
 #: The tone, and the beat frequency of zero range: a whole number of turns a ramp.
 INTERMEDIATE_HZ = 2.1e9
 OFFSET_HZ = 100e3
-#: Spacing of the board's columns.
-COLUMN_SPACING_M = 0.015
-#: Gains of the converter, as in the maker's examples.
-RECEIVE_GAIN_DB, TRANSMIT_GAIN_DB = 60, 0
+#: Gain of the transmit converter, as in the maker's examples.
+TRANSMIT_GAIN_DB = 0
 
 
 class PhaserParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,15 +57,24 @@ class PhaserParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     chirps_per_beam: int = 16
     #: Nominal time from scan to scan, most of it registers written one by one over the network.
     scan_period_s: float = 1.0
+    #: The ramp is not straight at its start: samples count from here.
+    settle_s: float = 30e-6
+    column_spacing_m: float = 0.015
     #: Element 1 is at the left end, seen from behind the array.
     first_element_left: bool = False
+    receive_gain_db: int = 60
     #: Power at the antenna of a tone that fills an int16; to be replaced by the value of one's own board.
     full_scale_dbm: float = -20.0
 
     def __post_init__(self) -> None:
-        for name in ("chirps_per_beam", "scan_period_s"):
+        for name in ("chirps_per_beam", "scan_period_s", "column_spacing_m"):
             require_positive(name, getattr(self, name))
         require_finite("full_scale_dbm", self.full_scale_dbm)
+        sampled_s = SAMPLES_PER_CHIRP / SAMPLE_RATE_HZ
+        if not 0.0 <= self.settle_s <= RAMP_TIME_S * (1.0 + 1e-9) - sampled_s:
+            raise ValueError(
+                f"settle_s + {sampled_s!r} s of samples must fit the ramp of {RAMP_TIME_S!r} s, got {self.settle_s!r}"
+            )
         if self.burst_samples > MAX_BURST_SAMPLES:
             raise ValueError(
                 f"chirps_per_beam must make at most {MAX_BURST_SAMPLES} samples a burst, got {self.chirps_per_beam!r}"
@@ -127,7 +132,7 @@ def radar_params(params: PhaserParams) -> RadarParams:
     """Return the effective radar of its samples: the sampled bandwidth, with the carrier in the middle of it."""
     sampled_s = SAMPLES_PER_CHIRP / SAMPLE_RATE_HZ
     return RadarParams(
-        carrier_hz=RAMP_START_HZ + SLOPE_HZ_PER_S * (SETTLE_S + 0.5 * sampled_s),
+        carrier_hz=RAMP_START_HZ + SLOPE_HZ_PER_S * (params.settle_s + 0.5 * sampled_s),
         bandwidth_hz=SLOPE_HZ_PER_S * sampled_s,
         sample_rate_hz=SAMPLE_RATE_HZ,
         chirps_per_beam=params.chirps_per_beam,
@@ -184,7 +189,7 @@ def beam_table(params: PhaserParams, calibration: PhaserCalibration, beams: Beam
     into the register before it is rounded, so the remainder is known and goes into the weights.
     """
     wavelength_m = radar_params(params).wavelength_m
-    step_deg = 360.0 * COLUMN_SPACING_M / wavelength_m
+    step_deg = 360.0 * params.column_spacing_m / wavelength_m
     column = np.arange(COLUMNS) - 0.5 * (COLUMNS - 1)
     position = -column if params.first_element_left else column
     wanted_deg = -step_deg * np.multiply.outer(np.sin(beams.azimuth_rad), position)
@@ -215,7 +220,9 @@ def _in_columns(params: PhaserParams, weights: np.ndarray) -> np.ndarray:
 
 def radar_setup(params: PhaserParams, beams: BeamGrid, weights: np.ndarray, stamp_ns: int = 0) -> RadarSetup:
     """Return the kit's set-up: eight receive columns, one fixed transmitter, weights as set complex64 [beams, 8]."""
-    array = ArrayParams(columns=COLUMNS, column_spacing_m=COLUMN_SPACING_M, phase_bits=PHASE_BITS, steered_ways=1)
+    array = ArrayParams(
+        columns=COLUMNS, column_spacing_m=params.column_spacing_m, phase_bits=PHASE_BITS, steered_ways=1
+    )
     return RadarSetup(
         stamp_ns=stamp_ns,
         radar=radar_params(params),
@@ -237,7 +244,7 @@ def beam_samples(
     """
     kept = _straight(channels, params)
     gains = 10.0 ** (np.array(channel_gains_db) / 20.0)
-    turns = OFFSET_HZ / SAMPLE_RATE_HZ * _straight_samples()
+    turns = OFFSET_HZ / SAMPLE_RATE_HZ * _straight_samples(params)
     beats = np.tensordot(gains, kept, axes=1) * np.exp(-2j * np.pi * (turns % 1.0))
     limited = (np.maximum(np.abs(kept.real), np.abs(kept.imag)) >= CONVERTER_LIMIT).any(axis=0)
     codes = CODES_PER_CONVERTER_CODE * np.stack([beats.real, beats.imag], axis=-1)
@@ -253,7 +260,7 @@ def _straight(channels: list[np.ndarray], params: PhaserParams) -> np.ndarray:
     short = min(len(channel) for channel in channels)
     if short < params.burst_samples:
         raise ValueError(f"burst must be of {params.burst_samples} samples, got {short}")
-    samples = _straight_samples()
+    samples = _straight_samples(params)
     ramps = (channel[: params.burst_samples].reshape(-1, INTERVAL_SAMPLES) for channel in channels)
     kept = np.stack([ramp[:, samples[0] : samples[-1] + 1] for ramp in ramps])
     if not np.isfinite(kept).all():
@@ -261,6 +268,6 @@ def _straight(channels: list[np.ndarray], params: PhaserParams) -> np.ndarray:
     return kept
 
 
-def _straight_samples() -> np.ndarray:
+def _straight_samples(params: PhaserParams) -> np.ndarray:
     """Return the sample numbers counted from the start of a ramp; [samples]."""
-    return round(SETTLE_S * SAMPLE_RATE_HZ) + np.arange(SAMPLES_PER_CHIRP)
+    return round(params.settle_s * SAMPLE_RATE_HZ) + np.arange(SAMPLES_PER_CHIRP)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Protocol
 
 import msgspec
 import numpy as np
@@ -50,15 +50,15 @@ class Device(Protocol):
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Kind of radar, its scans, and its settings under the kind's own name."""
+    """Scans of the radar, and its settings under its own name."""
 
     formerly: ClassVar[dict[str, str]] = {
         "": "contrib.boards.radar_driver",
+        "kind": "contrib.boards.radar_driver",
         "cn0566": "contrib.boards.phaser",
         "cn0566.taper": "contrib.boards.phaser",
     }
 
-    kind: Literal["cn0566"] = "cn0566"
     azimuth_deg: tuple[float, ...] | None = None
     #: Scans to measure; None: without end.
     scans: int | None = None

@@ -9,7 +9,7 @@ import pytest
 
 from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Outgoing, Received
-from msgs.values.perception import BevFrame, BevGrid
+from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam, RangeAzimuthMap
 from nodes import dense_predictor, geometry, ra_former
 from nodes.node import Node
@@ -71,16 +71,16 @@ def test_the_predictor_detects_by_the_other_method_from_the_next_map_on() -> Non
 
 
 def test_what_earlier_scans_have_left_outlives_a_change_of_the_geometry() -> None:
-    """Tracks, walls and vehicle states are those of before; the next view has another grid."""
+    """Tracks, walls and vehicle states are those of before; the next view has the mask for people."""
     node = geometry.create(geometry.Params())
     peaks = received(made_up_peaks(), "perception/peaks")
     answers(node, [peaks])
     memory = node._stage._memory
-    node.change_params(geometry.Params(grid=geometry.Grid(cell_m=1.0, rows=80, columns=60)))
+    node.change_params(geometry.Params(visibility=geometry.Mask(rcs_dbsm=-5.0)))
     assert node._stage._memory is memory
     (frame,) = answers(node, [peaks])
     assert isinstance(frame, BevFrame)
-    assert frame.grid == BevGrid(cell_m=1.0, rows=80, columns=60)
+    assert frame.visibility_rcs_dbsm == -5.0
 
 
 @pytest.mark.parametrize(

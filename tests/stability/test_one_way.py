@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from contrib.boards.phaser import (
-    COLUMN_SPACING_M,
     PhaserCalibration,
     PhaserParams,
     beam_table,
@@ -28,7 +27,7 @@ BOARD = PhaserCalibration(
 def _map_error(weights: np.ndarray | None, real: np.ndarray, azimuth_deg: float) -> float:
     """Largest error of a point's row over its peak, where beams are `real` and the set-up says `weights`."""
     setup = radar_setup(PARAMS, BeamGrid(), weights)
-    phase = 2.0 * np.pi / setup.radar.wavelength_m * COLUMN_SPACING_M * (np.arange(8) - 3.5)
+    phase = 2.0 * np.pi / setup.radar.wavelength_m * PARAMS.column_spacing_m * (np.arange(8) - 3.5)
     echo = np.exp(-1j * phase * np.sin(np.radians(azimuth_deg)))
     interpolator = AzimuthInterpolator(setup)
     beams = (real.conj() @ echo / np.sqrt(8.0)).astype(np.complex64)[:, None]
@@ -49,6 +48,6 @@ def test_rounded_calibrated_phases(errors: Errors) -> None:
     table = beam_table(PARAMS, BOARD, BeamGrid())
     board = np.exp(-1j * np.radians(BOARD.phases_deg)) / np.array(BOARD.gains)
     real = board * table.gain_codes / 127.0 * np.exp(1j * np.radians(table.phases_deg))
-    wave = 2.0 * np.pi / radar_params(PARAMS).wavelength_m * COLUMN_SPACING_M * (np.arange(8) - 3.5)
+    wave = 2.0 * np.pi / radar_params(PARAMS).wavelength_m * PARAMS.column_spacing_m * (np.arange(8) - 3.5)
     asked = np.exp(-1j * np.multiply.outer(np.sin(BeamGrid().azimuth_rad), wave)).astype(np.complex64)
     errors(naive=_map_error(asked, real, 20.0), ours=_map_error(table.weights, real, 20.0))

@@ -7,7 +7,6 @@ import pytest
 
 from benchmarks.simulator.real_burst import driven_beam, recorded_burst, setup
 from contrib.boards.phaser import (
-    COLUMN_SPACING_M,
     INTERVAL_SAMPLES,
     OFFSET_HZ,
     PHASE_STEP_DEG,
@@ -73,7 +72,7 @@ def test_registers_steer_the_array_they_are_written_to(first_element_left: bool)
     set_weights = board * table.gain_codes / 127.0 * np.exp(1j * np.radians(table.phases_deg))
     seen = set_weights[:, ::-1] if first_element_left else set_weights
     np.testing.assert_allclose(seen, table.weights, atol=1e-6)
-    place_m = COLUMN_SPACING_M * (np.arange(8) - 3.5)
+    place_m = PARAMS.column_spacing_m * (np.arange(8) - 3.5)
     wave = 2.0 * np.pi / radar_params(params).wavelength_m * np.multiply.outer(np.sin(BeamGrid().azimuth_rad), place_m)
     gain = np.abs((seen * np.exp(1j * wave)).sum(axis=1)) / 8.0
     np.testing.assert_allclose(gain, 1.0, atol=0.02)
@@ -89,7 +88,7 @@ def test_known_weights_make_a_point_exact_and_unknown_ones_do_not(gains: tuple[f
     for calibration in (PhaserCalibration(gains=gains), PhaserCalibration()):
         table = beam_table(PARAMS, calibration, BeamGrid())
         setup = radar_setup(PARAMS, BeamGrid(), table.weights)
-        phase = 2.0 * np.pi / setup.radar.wavelength_m * COLUMN_SPACING_M * (np.arange(8) - 3.5)
+        phase = 2.0 * np.pi / setup.radar.wavelength_m * PARAMS.column_spacing_m * (np.arange(8) - 3.5)
         echo = np.exp(-1j * phase * np.sin(np.radians(23.0)))
         real = table.gain_codes / 127.0 / np.array(gains) * np.exp(1j * np.radians(table.phases_deg))
         beams = (real.conj() @ echo / np.sqrt(8.0)).astype(np.complex64)[:, None]
@@ -157,6 +156,8 @@ def test_a_burst_that_is_none_is_refused(spoil: object, message: str) -> None:
     [
         ({"chirps_per_beam": 100_000}, "chirps_per_beam must make at most"),
         ({"chirps_per_beam": 0}, "chirps_per_beam must be finite and positive"),
+        ({"settle_s": 60e-6}, "must fit the ramp"),
+        ({"settle_s": -1e-6}, "must fit the ramp"),
         ({"scan_period_s": 0.0}, "scan_period_s must be finite and positive"),
         ({"full_scale_dbm": float("nan")}, "full_scale_dbm must be finite"),
     ],

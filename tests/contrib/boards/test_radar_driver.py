@@ -38,7 +38,7 @@ def start(monkeypatch: pytest.MonkeyPatch, library: Any, **params: Any) -> radar
     """The node as a launch file makes it, on `library`."""
     monkeypatch.setattr(cn0566.Cn0566.__init__, "__defaults__", (None, lambda: library))
     kit = {**KIT, "chirps_per_beam": 2, **params.pop("cn0566", {})}
-    node = load_node("contrib.boards.radar_driver", {"kind": "cn0566", "cn0566": kit, **params})
+    node = load_node("contrib.boards.radar_driver", {"cn0566": kit, **params})
     assert isinstance(node, radar_driver.RadarDriver)
     return node
 
@@ -318,7 +318,6 @@ def test_the_stand_in_refuses_what_the_library_does_not_have(library: Any) -> No
 @pytest.mark.parametrize(
     ("params", "message"),
     [
-        ({"kind": "other"}, r"radar_driver\.params\.kind: Invalid enum value 'other'"),
         ({"scans": 0}, r"radar_driver\.scans must be finite and positive, got 0"),
         ({"azimuth_deg": []}, r"beams\.azimuth_deg must name at least one beam"),
         ({"cn0566": {"chirps_per_beam": 0}}, r"params\.cn0566: chirps_per_beam must be finite and positive"),
