@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from msgs.files.former_fields import without_former
 from msgs.files.shipped import WEIGHTS
 from msgs.files.text_files import decode_text
-from msgs.values.former_fields import without_former
 from msgs.values.known_names import with_known_names
 
 Card = TypeVar("Card")
@@ -43,7 +43,7 @@ def read_card(path: Path, kind: type[Card]) -> Card:
         for field in former:
             if field.given != field.value:
                 raise ValueError(f"{field.place} must be {field.value!r}, as {field.constant}, got {field.given!r}")
-        text = msgspec.json.encode(values)
+        text = msgspec.json.encode(values).decode()
         return msgspec.json.decode(text, type=kind)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {'; '.join(_wrong_fields(text, kind)) or error}") from None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from msgs.bus.interface import Received, WaitingBus
-from msgs.values.former_fields import without_former
+from msgs.files.former_fields import without_former
 from msgs.values.node_params import NodeParams, ParamRequest
 from nodes.process.validation import convert_at, merged
 

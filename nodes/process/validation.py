@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from msgs.values.former_fields import without_former
+from msgs.files.former_fields import without_former
 from msgs.values.known_names import with_known_names
 
 _LOG = logging.getLogger(__name__)
