@@ -53,7 +53,7 @@ class SharedParts:
 
     def chain(self) -> Chain:
         """Return a chain that has seen nothing yet."""
-        memory = self.placing.memory.params
+        memory = self.placing.memory
         chain = Chain(
             ra_former.forming_stage(self.forming),
             DetectionStage(lambda _: self.detector),

@@ -18,7 +18,6 @@ from models.perception.mirrors.recovery import Residual
 from models.perception.target_lists.defaults import DetectionGeometry
 from models.perception.timing import Timed
 from models.perception.track.scan_state import MemoryParams
-from models.perception.track.tracker import TrackParams
 from models.perception.track.views_over_scans import ViewStage
 from models.perception.track.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
@@ -66,20 +65,6 @@ class Mask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     rcs_dbsm: float = VisibilityParams().rcs_dbsm
 
 
-class Memory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """State kept across scans."""
-
-    tracking: bool = True
-    #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
-    wall_map: bool = False
-    tracker: TrackParams = TrackParams()
-
-    @property
-    def params(self) -> MemoryParams:
-        """As the stage takes them."""
-        return MemoryParams(tracking=self.tracking, wall_map=self.wall_map, tracker=self.tracker)
-
-
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage; the other numbers of its steps are constants beside them."""
 
@@ -89,6 +74,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         "grid": "msgs.values.perception",
         "detections.grid": "msgs.values.perception",
         "memory": "models.perception.track.scan_state",
+        "memory.wall_map": "models.perception.track.scan_state",
         "memory.tracker": "models.perception.track.tracker",
         "memory.odometry": "models.perception.track.odometry",
         "memory.walls": "models.perception.track.scan_state",
@@ -113,7 +99,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     object_threshold: float | None = None
     object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.
-    memory: Memory = Memory()
+    memory: MemoryParams = MemoryParams()
     #: For peaks of a radar that gives detections: they come with the limits of their sensor.
     detections: DetectionGeometry = DetectionGeometry()
 
@@ -256,7 +242,7 @@ class BiasLog:
 
 def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
     """Return the stage that parameters name; errors as `parts_of`."""
-    return ViewStage(*parts_of(params), params.memory.params, timed, predictor_of(params), params.detections.geometry)
+    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params), params.detections.geometry)
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:

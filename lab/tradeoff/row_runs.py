@@ -165,7 +165,7 @@ class _Geometry:
     def stage(self) -> ViewStage:
         """Return a stage that has seen nothing yet."""
         return ViewStage(
-            self.params.geometry, self.residual, self.confidence, self.params.memory.params, predictor=self.predictor
+            self.params.geometry, self.residual, self.confidence, self.params.memory, predictor=self.predictor
         )
 
     @property

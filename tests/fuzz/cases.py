@@ -30,6 +30,7 @@ from contrib.two_machines import link
 from fuzz.seeds import CFG
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
+from models.perception.track.scan_state import MemoryParams
 from models.vehicle.can_state import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
