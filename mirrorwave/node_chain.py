@@ -57,7 +57,7 @@ class SharedParts:
         chain = Chain(
             ra_former.forming_stage(self.forming),
             DetectionStage(lambda _: self.detector),
-            ViewStage(self.placing, self.residual, self.confidence, memory, predictor=self.predictor),
+            ViewStage(self.placing.geometry, self.residual, self.confidence, memory, predictor=self.predictor),
         )
         chain.set_up(self.setup)
         return chain

@@ -8,8 +8,8 @@ a lower priority than the others, and while views are late most pictures of maps
 from __future__ import annotations
 
 import logging
-import webbrowser
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 
@@ -27,10 +27,10 @@ _LOG = logging.getLogger(__name__)
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Address of the page; the host is always 127.0.0.1 (from elsewhere: `ssh -L 8765:127.0.0.1:8765`)."""
 
+    formerly: ClassVar[dict[str, str]] = {"open_browser": "nodes.bev_viewer", "max_clients": "nodes.viewer.server"}
+
     #: 0, or a port in use: a free one.
     port: int = 8765
-    #: Open the page in the default browser of this machine.
-    open_browser: bool = False
     title: str = "graph"
     #: Keeps the page's token while the node is restarted, so that open pages reconnect; a launch fills it in.
     token_file: str | None = None
@@ -59,9 +59,6 @@ class BevViewer(Node):
         )
         # the address grants access: it is for this user's terminal and log file alone
         _LOG.info("open %s", self.server.url, extra={"in_public": f"page at port {self.server.port}"})
-        # a page that reconnects by itself is not opened twice
-        if params.open_browser and not self.server.is_back and not webbrowser.open(self.server.url):
-            _LOG.warning("no browser could be opened here")
 
     def due_ns(self, now_ns: int) -> int | None:
         """Return the time of the next node table: twice a second even without messages, so that silence shows."""

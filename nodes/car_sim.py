@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 
@@ -16,12 +17,15 @@ from nodes.can.bus import BusParams, CanLink, bus_frame, load_dbc, load_mapping
 from nodes.node import Node
 from sim_player.car import TRACK_M, SimulatedCar, steering_rad
 
+#: The car's frames: those that `vehicle_can` reads unless told otherwise.
+DBC, MAPPING = "launch/can/mirrorwave.dbc", "launch/can/mirrorwave.yaml"
+
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """CAN bus of the car, and its motion."""
 
-    dbc: str = "launch/can/mirrorwave.dbc"
-    mapping: str = "launch/can/mirrorwave.yaml"
+    formerly: ClassVar[dict[str, str]] = {"": "nodes.car_sim"}
+
     #: The car moves as the ego vehicle of this scene.
     scene: str | None = None
     #: Motion without a scene; if given, it overrides the scene's.
@@ -80,7 +84,7 @@ def motion_of(params: Params) -> VehicleState:
 
 def create(params: Params) -> CarSim:
     """Return the node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
-    database, mapping = load_dbc(shipped_path(params.dbc)), load_mapping(shipped_path(params.mapping))
+    database, mapping = load_dbc(shipped_path(DBC)), load_mapping(shipped_path(MAPPING))
     motion = motion_of(params)
     # an invalid motion is refused here, not while driving
     SimulatedCar(database, mapping).frames(motion)

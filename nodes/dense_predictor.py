@@ -6,7 +6,7 @@ import logging
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 
@@ -15,7 +15,7 @@ from models.perception.find.cfar import CfarParams
 from models.perception.find.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
 from models.perception.find.maps_to_peaks import DetectionStage
 from models.perception.find.onnx_model import DEFAULT_MODEL
-from models.perception.find.peaks import PeakParams
+from models.perception.find.ridges import RidgeParams
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState
@@ -29,8 +29,30 @@ _LOG = logging.getLogger(__name__)
 MAX_THREADS = 256
 
 
+class Ridges(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Side lobes of the array."""
+
+    #: What is weaker than a stronger return by this much, within three range bins, is its azimuth lobe.
+    azimuth_lobe_db: float = RidgeParams().azimuth_lobe_db
+
+
+class Cfar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Detection at a constant false alarm rate."""
+
+    false_alarm_rate: float = CfarParams().false_alarm_rate
+    ridges: Ridges = Ridges()
+
+
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Choice of the detector, and its parameters."""
+
+    formerly: ClassVar[dict[str, str]] = {
+        "threshold": "models.perception.find.detectors",
+        "cfar": "models.perception.find.cfar",
+        "cfar.kind": "models.perception.find.cfar",
+        "cfar.ridges": "models.perception.find.ridges",
+        "cfar.peaks": "models.perception.find.peaks",
+    }
 
     method: Literal["network", "cfar"] = "network"
     #: An exported network (FILE.onnx) with its card beside it, or the name of a committed one; None: the default.
@@ -41,15 +63,19 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     refine: bool | Refine = True
     #: The mean answer to the map and to the map with left and right exchanged.
     flip_test: bool = False
-    #: Least score of a network's peak; None: that of the model's card.
-    threshold: float | None = None
-    cfar: CfarParams = CfarParams()
+    cfar: Cfar = Cfar()
 
     def __post_init__(self) -> None:
+        # what the detector refuses is refused here
+        _ = self.cfar_params
         if not 1 <= self.threads <= MAX_THREADS:
             raise ValueError(f"threads must be 1..{MAX_THREADS}, got {self.threads!r}")
-        if self.threshold is not None and not 0.0 < self.threshold <= 1.0:
-            raise ValueError(f"threshold must be in (0, 1], got {self.threshold!r}")
+
+    @property
+    def cfar_params(self) -> CfarParams:
+        """Parameters of the detector without a network."""
+        ridges = RidgeParams(azimuth_lobe_db=self.cfar.ridges.azimuth_lobe_db)
+        return CfarParams(false_alarm_rate=self.cfar.false_alarm_rate, ridges=ridges)
 
 
 class DensePredictorNode(Node):
@@ -120,12 +146,11 @@ def model_path(model: str | None) -> Path:
 def detector_for(params: Params, setup: RadarSetup) -> Detector:
     """Return the detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.method == "cfar":
-        return CfarDetector(setup, params.cfar)
+        return CfarDetector(setup, params.cfar_params)
     return NetworkDetector(
         setup,
         model_path(params.model),
         params.threads,
-        None if params.threshold is None else PeakParams(threshold=params.threshold),
         refine=params.refine,
         flip_test=params.flip_test,
     )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from contextlib import nullcontext
+from typing import ClassVar
 
 import msgspec
 
-from models.perception.mirrors.peaks_to_view import GeometryParams
-from models.perception.target_lists.defaults import DETECTION_GEOMETRY
+from models.perception.mirrors.peaks_to_view import FORMERLY
+from models.perception.target_lists.defaults import DetectionGeometry
 from models.perception.target_lists.sensor import DetectionSensor
 from models.perception.target_lists.targets_to_peaks import DetectionsStage
 from models.perception.timing import Timed
@@ -25,9 +26,19 @@ _LOG = logging.getLogger(__name__)
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The sensor, and how its walls and images are told."""
 
+    formerly: ClassVar[dict[str, str]] = {
+        **{f"geometry.{place}".rstrip("."): module for place, module in FORMERLY.items()},
+        "classes": "models.perception.target_lists.classification",
+        "sensor": "models.perception.target_lists.sensor",
+    }
+
     sensor: DetectionSensor = DetectionSensor()
     #: Of the walls that images lie behind; the geometry node has its own, `geometry.detections`.
-    geometry: GeometryParams = DETECTION_GEOMETRY
+    geometry: DetectionGeometry = DetectionGeometry()
+
+    def __post_init__(self) -> None:
+        # what the stage refuses is refused here
+        _ = self.geometry.geometry
 
 
 class DetectionPeaksNode(Node):
@@ -68,7 +79,7 @@ class DetectionPeaksNode(Node):
 
 def detections_stage(params: Params, timed: Timed = nullcontext) -> DetectionsStage:
     """Return the stage that parameters name."""
-    return DetectionsStage(params.sensor, params.geometry, timed)
+    return DetectionsStage(params.sensor, params.geometry.geometry, timed)
 
 
 def create(params: Params) -> DetectionPeaksNode:

@@ -6,13 +6,16 @@ import logging
 from collections import deque
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
+
+import msgspec
 
 from models.perception.cards import learned_path
 from models.perception.mirrors.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
-from models.perception.mirrors.peaks_to_view import BackEnd, GeometryParams
+from models.perception.mirrors.observability import VisibilityParams
+from models.perception.mirrors.peaks_to_view import FORMERLY, BackEnd, GeometryParams
 from models.perception.mirrors.recovery import Residual
-from models.perception.target_lists.defaults import DETECTION_GEOMETRY
+from models.perception.target_lists.defaults import DetectionGeometry
 from models.perception.timing import Timed
 from models.perception.track.scan_state import MemoryParams
 from models.perception.track.views_over_scans import ViewStage
@@ -22,7 +25,7 @@ from msgs.files.shipped import WEIGHTS
 from msgs.values.arrays import require_within
 from msgs.values.diagnostics import NodeState
 from msgs.values.environment import WallPriors
-from msgs.values.perception import Peaks
+from msgs.values.perception import BevGrid, Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.refusals import Refusals
@@ -41,9 +44,47 @@ MAP_PATIENCE_NS = 50_000_000
 BIAS_OVERDUE_S = 30.0
 
 
-class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of the geometry stage."""
+class Grid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Cells of the view: columns ahead of the radar, rows to its left and right alike."""
 
+    cell_m: float = 0.5
+    rows: int = 160
+    columns: int = 120
+
+    @property
+    def cells(self) -> BevGrid:
+        """The grid; `ValueError` for one that there cannot be."""
+        y_min_m = -0.5 * self.rows * self.cell_m
+        return BevGrid(y_min_m=y_min_m, cell_m=self.cell_m, rows=self.rows, columns=self.columns)
+
+
+class Mask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Mask of the cells where an object would be detected."""
+
+    #: Of the object: a car, -5 for a person.
+    rcs_dbsm: float = VisibilityParams().rcs_dbsm
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of the geometry stage; the other numbers of its steps are constants beside them."""
+
+    formerly: ClassVar[dict[str, str]] = {
+        **FORMERLY,
+        **{f"detections.{place}".rstrip("."): module for place, module in FORMERLY.items()},
+        "grid": "msgs.values.perception",
+        "detections.grid": "msgs.values.perception",
+        "memory": "models.perception.track.scan_state",
+        "memory.wall_map": "models.perception.track.scan_state",
+        "memory.tracker": "models.perception.track.tracker",
+        "memory.odometry": "models.perception.track.odometry",
+        "memory.walls": "models.perception.track.scan_state",
+        "memory.wall_priors": "models.perception.track.wall_fusion",
+    }
+
+    #: Walls, association and rejection: ours, or those of the specification.
+    back_end: BackEnd = "ours"
+    grid: Grid = Grid()
+    visibility: Mask = Mask()
     #: An exported residual network with its card beside it, or the name of a committed one, trained on walls of the
     #: same back end; `none`: the mirror law alone.
     residual: str = "none"
@@ -59,11 +100,12 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
-    #: In place of these for peaks of a radar that gives detections: they come with the limits of their sensor.
-    detections: GeometryParams = DETECTION_GEOMETRY
+    #: For peaks of a radar that gives detections: they come with the limits of their sensor.
+    detections: DetectionGeometry = DetectionGeometry()
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        # what the stage refuses is refused here
+        _ = self.geometry, self.detections.geometry
         if self.object_threshold is not None:
             require_within("object_threshold", 0.0, 1.0, self.object_threshold)
         for name in ("confidence", "object_network"):
@@ -72,6 +114,12 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                     f"{name} must be none with back_end specification, which has no such part, "
                     f"got {getattr(self, name)!r}"
                 )
+
+    @property
+    def geometry(self) -> GeometryParams:
+        """Parameters of the stage for maps."""
+        visibility = VisibilityParams(rcs_dbsm=self.visibility.rcs_dbsm)
+        return GeometryParams(back_end=self.back_end, grid=self.grid.cells, visibility=visibility)
 
 
 class GeometryNode(Node):
@@ -194,7 +242,7 @@ class BiasLog:
 
 def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
     """Return the stage that parameters name; errors as `parts_of`."""
-    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params), params.detections)
+    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params), params.detections.geometry)
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
@@ -202,8 +250,8 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
     residual = None if params.residual == "none" else _learned_residual(params.residual, params.back_end)
     fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
     if params.confidence == "auto":
-        return params, residual, FittedConfidences(fitted)
-    return params, residual, fitted[0] if fitted else None
+        return params.geometry, residual, FittedConfidences(fitted)
+    return params.geometry, residual, fitted[0] if fitted else None
 
 
 def predictor_of(params: Params) -> EvidencePredictor | None:

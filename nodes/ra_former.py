@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import ClassVar
 
 from models.perception.form.background import load_background
 from models.perception.form.beams_to_maps import FormingStage
@@ -39,9 +40,15 @@ MISSING_LIMIT = 0.4
 
 
 class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of the forming stage; `ego_compensation` takes the vehicle's own motion out."""
+    """Parameters of the forming stage."""
 
-    ego_compensation: bool = True
+    formerly: ClassVar[dict[str, str]] = {
+        "": "models.perception.form.ra_forming",
+        "coherence": "models.perception.form.coarray",
+        "subtract_background": "models.perception.form.ra_forming",
+        "ego_compensation": "models.perception.form.beams_to_maps",
+    }
+
     #: Open-field background (.npy of `mirrorwave calibrate background`) in place of the set-up's own.
     background: str | None = None
 
@@ -198,7 +205,7 @@ class RaFormerNode(Node):
 def forming_stage(params: Params, timed: Timed = nullcontext) -> FormingStage:
     """Return the stage that parameters name; `ValueError` or `OSError` names a background that cannot be read."""
     background = None if params.background is None else load_background(Path(params.background))
-    return FormingStage(params, params.ego_compensation, background, timed)
+    return FormingStage(params, background, timed)
 
 
 def create(params: Params) -> RaFormerNode:

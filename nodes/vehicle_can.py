@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import can
 import msgspec
@@ -42,12 +42,12 @@ POLL_NS = 5_000_000
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Bus or log, and the meaning of its frames."""
 
+    formerly: ClassVar[dict[str, str]] = {"log_channel": "nodes.vehicle_can"}
+
     dbc: str = "launch/can/mirrorwave.dbc"
     mapping: str = "launch/can/mirrorwave.yaml"
     #: A candump (.log), ASC, BLF, CSV or TRC log that is played instead of the bus.
     log: str | None = None
-    #: Only frames of this channel of the log; ASC and BLF count from 1.
-    log_channel: str | None = None
     #: Speed of play; 1 is real time.
     rate: float = 1.0
     #: Stamp of the log's first frame; None: the time at which its replay starts.
@@ -256,7 +256,7 @@ def create(params: Params) -> VehicleCanNode:
     decoder = load_decoder(shipped_path(params.dbc), shipped_path(params.mapping))
     if params.log is None:
         return VehicleCanNode(decoder, LiveSource(CanLink(params)), params.clock_offset_s)
-    source = LogSource(read_log(Path(params.log), params.log_channel), params.rate, params.log_start_ns)
+    source = LogSource(read_log(Path(params.log)), params.rate, params.log_start_ns)
     if source.ended:
         raise ValueError(f"{params.log}: holds no frames")
     return VehicleCanNode(decoder, source, params.clock_offset_s)

@@ -22,7 +22,18 @@ import msgspec
 import numpy as np
 
 from benchmarks.captures import add_data_option, capture_folder
-from contrib.boards.phaser import PhaserCalibration, PhaserParams, beam_samples, beam_table, radar_setup
+from contrib.boards.phaser import (
+    CHIRP_INTERVAL_S,
+    INTERVAL_SAMPLES,
+    OFFSET_HZ,
+    SAMPLE_RATE_HZ,
+    SAMPLES_PER_CHIRP,
+    PhaserCalibration,
+    PhaserParams,
+    beam_samples,
+    beam_table,
+    radar_setup,
+)
 from contrib.calibrate.capture import Capture
 from contrib.calibrate.front_end_faults import FaultParams
 from contrib.calibrate.noise_floor import NoiseFloor
@@ -36,7 +47,7 @@ PARAMS = PhaserParams(chirps_per_beam=32)
 BEAMS = BeamGrid(azimuth_deg=(0.0,))
 #: Leakage lies at 1.2 m, the next echo at 3 m. The board mirrors at its intermediate frequency: beats are shifted by
 #: the tone's offset afterwards.
-FAULTS = FaultParams(leakage_to_m=2.5, image_about_hz=-PARAMS.offset_hz)
+FAULTS = FaultParams(leakage_to_m=2.5, image_about_hz=-OFFSET_HZ)
 SCENE = """
 name: burst
 objects:
@@ -57,7 +68,7 @@ def recorded_burst(data: Path) -> np.ndarray:
         np.array([int(word, 16) for word in (folder / f"post_ddc_{part}.hex").read_text().split()]) for part in "iq"
     ]
     codes = [np.where(word >= 1 << 15, word - (1 << 16), word) for word in words]
-    return np.asarray((codes[0] + 1j * codes[1]).reshape(PARAMS.chirps_per_beam, PARAMS.samples_per_chirp))
+    return np.asarray((codes[0] + 1j * codes[1]).reshape(PARAMS.chirps_per_beam, SAMPLES_PER_CHIRP))
 
 
 def setup() -> RadarSetup:
@@ -67,9 +78,9 @@ def setup() -> RadarSetup:
 
 def driven_beam(burst: np.ndarray) -> RadarBeam:
     """Return the beam that the driver makes of a burst of one summed channel, complex [chirps, samples]."""
-    channel = np.zeros((PARAMS.chirps_per_beam, PARAMS.interval_samples), complex)
-    first = round(PARAMS.settle_s * PARAMS.sample_rate_hz)
-    channel[:, first : first + PARAMS.samples_per_chirp] = burst
+    channel = np.zeros((PARAMS.chirps_per_beam, INTERVAL_SAMPLES), complex)
+    first = round(PARAMS.settle_s * SAMPLE_RATE_HZ)
+    channel[:, first : first + SAMPLES_PER_CHIRP] = burst
     samples = beam_samples([channel.ravel(), np.zeros(channel.size)], PARAMS)
     return RadarBeam(
         stamp_ns=0, scan_id=0, beam_index=0, beam_count=1, azimuth_rad=0.0, samples=samples,
@@ -135,7 +146,7 @@ def _noise_db(beam: RadarBeam, low_m: float, high_m: float) -> float:
     slow, fast = (np.hanning(count + 1)[:-1] for count in values.shape)
     power = np.abs(np.fft.fft2(values * slow[:, None] * fast)) ** 2
     range_m = np.fft.fftfreq(len(fast), 1.0 / len(fast)) * setup().radar.range_bin_m
-    frequency_hz = np.fft.fftfreq(len(slow), PARAMS.chirp_interval_s)
+    frequency_hz = np.fft.fftfreq(len(slow), CHIRP_INTERVAL_S)
     cells = power[np.abs(frequency_hz) > STILL_HZ][:, (range_m >= low_m) & (range_m < high_m)]
     echo = power[0, (range_m > ECHO_M[0]) & (range_m < ECHO_M[1])].max()
     return round(10.0 * float(np.log10(np.median(cells) / np.log(2.0) / echo)), 1)
@@ -144,7 +155,7 @@ def _noise_db(beam: RadarBeam, low_m: float, high_m: float) -> float:
 def _negative(range_m: np.ndarray, level_db: np.ndarray) -> dict[str, float]:
     """Return the strongest negative beat beyond the leakage, and the level where it would be mirrored from."""
     at = int(np.argmax(np.where(range_m < -10.0, level_db, -np.inf)))
-    shift_m = 2.0 * PARAMS.offset_hz / PARAMS.sample_rate_hz * PARAMS.samples_per_chirp * setup().radar.range_bin_m
+    shift_m = 2.0 * OFFSET_HZ / SAMPLE_RATE_HZ * SAMPLES_PER_CHIRP * setup().radar.range_bin_m
     mirror_m = -float(range_m[at]) - shift_m
     mirror_db = float(level_db[np.abs(range_m - mirror_m) < 2.0 * setup().radar.range_bin_m].max())
     return {
@@ -206,7 +217,7 @@ def draw(real: RadarBeam, twin: RadarBeam, path: Path) -> None:
         values = beats(beam)
         window = np.hanning(len(values) + 1)[:-1, None]
         power = (np.abs(np.fft.fftshift(np.fft.fft(values * window, axis=0), axes=0)) ** 2).sum(axis=1)
-        frequency_hz = np.fft.fftshift(np.fft.fftfreq(len(values), PARAMS.chirp_interval_s))
+        frequency_hz = np.fft.fftshift(np.fft.fftfreq(len(values), CHIRP_INTERVAL_S))
         doppler.plot(frequency_hz, 10.0 * np.log10(power / power.max()), ".-", label=name)
     ranges.set(xlabel="range [m]", ylabel="level [dB of the strongest echo]", title="Range profile", xlim=(-80, 160))
     doppler.set(xlabel="Doppler frequency [Hz]", ylabel="sum over ranges [dB]", title="Sidebands")

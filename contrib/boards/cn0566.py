@@ -17,8 +17,14 @@ from typing import Any
 import numpy as np
 
 from contrib.boards.phaser import (
+    CHIRP_INTERVAL_S,
     COLUMNS,
     ELEMENT_BEAMS,
+    INTERMEDIATE_HZ,
+    INTERVAL_SAMPLES,
+    OFFSET_HZ,
+    SAMPLE_RATE_HZ,
+    TRANSMIT_GAIN_DB,
     BeamTable,
     PhaserCalibration,
     PhaserParams,
@@ -191,8 +197,8 @@ class Cn0566:
 
     def _set_converter(self) -> None:
         params, converter = self._params, self._converter
-        converter.sample_rate = round(params.sample_rate_hz)
-        converter.rx_lo = converter.tx_lo = round(params.intermediate_hz)
+        converter.sample_rate = round(SAMPLE_RATE_HZ)
+        converter.rx_lo = converter.tx_lo = round(INTERMEDIATE_HZ)
         converter.rx_enabled_channels = converter.tx_enabled_channels = [0, 1]
         for channel in ("chan0", "chan1"):
             setattr(converter, f"gain_control_mode_{channel}", "manual")
@@ -203,13 +209,13 @@ class Cn0566:
         converter.tx_cyclic_buffer = True
         # the board is fed from the second output
         converter.tx_hardwaregain_chan0 = _MUTED_DB
-        converter.tx_hardwaregain_chan1 = params.transmit_gain_db
-        turns = params.offset_hz / params.sample_rate_hz * np.arange(params.interval_samples)
+        converter.tx_hardwaregain_chan1 = TRANSMIT_GAIN_DB
+        turns = OFFSET_HZ / SAMPLE_RATE_HZ * np.arange(INTERVAL_SAMPLES)
         tone = np.asarray(_TONE_AMPLITUDE * np.exp(2j * np.pi * (turns % 1.0)))
         converter.tx([0.5 * tone, tone])
 
     def _set_synthesiser(self) -> None:
-        board, words = self._board, synthesiser_words(self._params)
+        board, words = self._board, synthesiser_words()
         board.frequency = words.frequency_hz
         board.freq_dev_range = words.deviation_range_hz
         # the library adds one to its argument
@@ -227,7 +233,7 @@ class Cn0566:
 
     def _check_ramp(self) -> None:
         """Compare the synthesiser's actual ramp with the request; range and azimuth are computed from it."""
-        words = synthesiser_words(self._params)
+        words = synthesiser_words()
         for name, wanted in (
             ("freq_dev_range", words.deviation_range_hz),
             ("freq_dev_time", words.deviation_time_us),
@@ -248,7 +254,7 @@ class Cn0566:
         timing.enable = False
         timing.sync_external = True
         timing.startup_delay_ms = 0
-        timing.frame_length_ms = 1e3 * self._params.chirp_interval_s
+        timing.frame_length_ms = 1e3 * CHIRP_INTERVAL_S
         timing.burst_count = self._params.chirps_per_beam
         for channel in timing.channel[:_TDD_CHANNELS]:
             channel.enable, channel.polarity = True, False

@@ -10,13 +10,13 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import msgspec
 
 from contrib.boards import dca1000_socket as dca1000
 from contrib.boards.config_file import read_config
-from contrib.boards.dca1000_capture import DeviceName, array_params, frame_samples
+from contrib.boards.dca1000_capture import array_params, frame_samples
 from contrib.boards.dca1000_packets import FrameAssembler, SampleFrame
 from contrib.boards.digital_row import beam_messages, lost_loops, radar_setup, row_beams
 from msgs.bus.interface import Outgoing, Received
@@ -61,10 +61,13 @@ class Card(Protocol):
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of the board, and the addresses of its card."""
 
+    formerly: ClassVar[dict[str, str]] = {
+        "card": "contrib.boards.dca1000_socket",
+        "device": "contrib.boards.dca1000_capture",
+    }
+
     #: Chirps: a TI `.cfg` or `.json`, or a `.lua` of mmWave Studio.
     config: str
-    #: Device, where the configuration does not name it.
-    device: DeviceName | None = None
     #: Receivers run to the right as the radar looks.
     mirrored: bool = False
     #: Power at the antenna of a tone that fills an int16; to be replaced by the value of one's own board.
@@ -82,7 +85,7 @@ class Dca1000Radar(Node):
 
     def __init__(self, params: Params, card: Callable[[dca1000.Params, int], Card] | None = None) -> None:
         super().__init__()
-        self._config = read_config(shipped_path(params.config), params.device)
+        self._config = read_config(shipped_path(params.config), None)
         self._setup = radar_setup(self._config, params.full_scale_dbm, params.mirrored)
         self._array = array_params(self._config, mirrored=params.mirrored)
         self._card = (card or dca1000.Card)(params.card, self._config.lanes)

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import msgspec
 
 from contrib.boards.dca1000_packets import DATAGRAM_BYTES
-from msgs.values.arrays import require_within
 
 _LOG = logging.getLogger(__name__)
 
@@ -53,14 +52,16 @@ _SOCKET_BYTES = 1 << 25
 _WAKE_S = 0.1
 
 
+#: Ports of the card as it is delivered, and the rest between its datagrams.
+COMMAND_PORT, DATA_PORT = 4096, 4098
+PACKET_DELAY_US = 25.0
+
+
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Addresses of both ends, as the card's memory has them, and the rest between its datagrams."""
+    """Addresses of both ends, as the card's memory has them."""
 
     host_address: str = "192.168.33.30"
     card_address: str = "192.168.33.180"
-    command_port: int = 4096
-    data_port: int = 4098
-    packet_delay_us: float = 25.0
 
     def __post_init__(self) -> None:
         for name in ("host_address", "card_address"):
@@ -70,9 +71,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 raise ValueError(f"card.{name} must be an IPv4 address, got {getattr(self, name)!r}") from None
             if address.is_unspecified or address.is_multicast or address == ipaddress.IPv4Address("255.255.255.255"):
                 raise ValueError(f"card.{name} must be the address of one interface, got {getattr(self, name)!r}")
-        for name in ("command_port", "data_port"):
-            require_within(f"card.{name}", 1, 65535, getattr(self, name))
-        require_within("card.packet_delay_us", 5.0, 500.0, self.packet_delay_us)
 
 
 def command(code: int, content: bytes = b"") -> bytes:
@@ -119,9 +117,9 @@ class Card:
         Raises `ConnectionError` if it does not answer or an address is not this machine's, `ValueError` if it refuses.
         """
         params = self._params
-        delay = round(params.packet_delay_us * _DELAYS_PER_US)
-        self._commands = self._bound(params.command_port)
-        self._receiver = _Receiver(self._bound(params.data_port), params.card_address, self.counts)
+        delay = round(PACKET_DELAY_US * _DELAYS_PER_US)
+        self._commands = self._bound(COMMAND_PORT)
+        self._receiver = _Receiver(self._bound(DATA_PORT), params.card_address, self.counts)
         self._ask(CONNECT)
         self._ask(RESET_FPGA)
         version = self._ask(READ_VERSION)
@@ -175,7 +173,7 @@ class Card:
         params = self._params
         where = f"dca1000: card at {params.card_address}"
         try:
-            self._commands.sendto(command(code, content), (params.card_address, params.command_port))
+            self._commands.sendto(command(code, content), (params.card_address, COMMAND_PORT))
         except OSError as error:
             raise ConnectionError(f"{where} cannot be reached ({error.strerror}): check cable and address") from None
         end_s = time.monotonic() + TIMEOUT_S

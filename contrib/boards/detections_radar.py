@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from typing import ClassVar
 
 import msgspec
 
 from contrib.boards.target_list import TargetListParams, TargetListReader
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import shipped_path
-from msgs.values.arrays import require_positive
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import ns_from_s, s_from_ns
@@ -27,21 +27,27 @@ from nodes.vehicle_can import LiveSource
 _LOG = logging.getLogger(__name__)
 
 
+#: The node is DEGRADED when no measurement came for so long: ten and more cycles.
+SILENCE_S = 1.0
+
+
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """CAN bus of the radar, the layout of its frames, and what is known of the radar itself."""
+
+    formerly: ClassVar[dict[str, str]] = {
+        "": "contrib.boards.detections_radar",
+        "radar": "contrib.boards.target_list",
+    }
 
     dbc: str = "launch/can/target_radar.dbc"
     #: Name of the sensor in its messages.
     sensor: str = "target_radar"
     radar: TargetListParams = TargetListParams()
-    #: The node is DEGRADED when no measurement came for so long.
-    silence_s: float = 1.0
     #: Added to the stamps: minus the time from measurement to first frame.
     clock_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive("silence_s", self.silence_s)
         require_clock_offset("clock_offset_s", self.clock_offset_s)
 
 
@@ -62,7 +68,7 @@ class DetectionsRadarNode(Node):
 
     def due_ns(self, now_ns: int) -> int:
         """Return when frames are to be polled."""
-        return self._source.due_ns(now_ns, now_ns + ns_from_s(self._params.silence_s))
+        return self._source.due_ns(now_ns, now_ns + ns_from_s(SILENCE_S))
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Return the measurements that the received frames end, and one whose time is over."""
@@ -80,7 +86,7 @@ class DetectionsRadarNode(Node):
         """Return DEGRADED for a bus in trouble, a silent sensor, and while the last measurement lacks targets."""
         if self._source.trouble:
             return NodeState.DEGRADED, self._source.trouble
-        limit_ns = ns_from_s(self._params.silence_s)
+        limit_ns = ns_from_s(SILENCE_S)
         if (silent_ns := self._now_ns - (self._heard_ns or 0)) > limit_ns:
             return NodeState.DEGRADED, self._silence(silent_ns)
         if self._last is not None and self._last.lost:

@@ -35,107 +35,55 @@ CONVERTER_LIMIT = 2047
 CODES_PER_CONVERTER_CODE = 8
 #: Maximum samples of one buffer of the kit.
 MAX_BURST_SAMPLES = 1 << 22
-#: Sample rates that the converter can be set to.
-SAMPLE_RATES_HZ = (521e3, 61.44e6)
+#: The chirp of the maker's published recording. Frequency on air at the start of the ramp, and the ramp.
+RAMP_START_HZ, RAMP_BANDWIDTH_HZ = 9.9e9, 500e6
+RAMP_TIME_S = 300e-6
+SLOPE_HZ_PER_S = RAMP_BANDWIDTH_HZ / RAMP_TIME_S
+#: Time from ramp to ramp, and its samples.
+CHIRP_INTERVAL_S = 500e-6
+SAMPLE_RATE_HZ = 4e6
+INTERVAL_SAMPLES = round(CHIRP_INTERVAL_S * SAMPLE_RATE_HZ)
+SAMPLES_PER_CHIRP = 1024
+#: The tone, and the beat frequency of zero range: a whole number of turns a ramp.
+INTERMEDIATE_HZ = 2.1e9
+OFFSET_HZ = 100e3
+#: Gain of the transmit converter, as in the maker's examples.
+TRANSMIT_GAIN_DB = 0
 
 
 class PhaserParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Chirp, beams and levels of the kit; the chirp's defaults are those of a published recording of it."""
+    """Beams and levels of a kit."""
 
-    #: Frequency on air at the start of the ramp.
-    ramp_start_hz: float = 9.9e9
-    ramp_bandwidth_hz: float = 500e6
-    #: A whole number of microseconds.
-    ramp_time_s: float = 300e-6
-    #: The ramp is not straight at its start: samples count from here.
-    settle_s: float = 30e-6
-    #: Time from ramp to ramp.
-    chirp_interval_s: float = 500e-6
-    sample_rate_hz: float = 4e6
-    samples_per_chirp: int = 1024
     chirps_per_beam: int = 16
     #: Nominal time from scan to scan, most of it registers written one by one over the network.
     scan_period_s: float = 1.0
-    intermediate_hz: float = 2.1e9
-    #: Beat frequency of zero range.
-    offset_hz: float = 100e3
+    #: The ramp is not straight at its start: samples count from here.
+    settle_s: float = 30e-6
     column_spacing_m: float = 0.015
     #: Element 1 is at the left end, seen from behind the array.
     first_element_left: bool = False
-    #: Relative amplitude of each element on top of its calibration, 0 < taper <= 1.
-    taper: tuple[float, ...] = (1.0,) * COLUMNS
     receive_gain_db: int = 60
-    transmit_gain_db: int = 0
     #: Power at the antenna of a tone that fills an int16; to be replaced by the value of one's own board.
     full_scale_dbm: float = -20.0
 
     def __post_init__(self) -> None:
-        for name in ("ramp_start_hz", "ramp_bandwidth_hz", "ramp_time_s", "sample_rate_hz", "intermediate_hz"):
-            require_positive(name, getattr(self, name))
-        for name in ("samples_per_chirp", "chirps_per_beam", "scan_period_s", "column_spacing_m"):
+        for name in ("chirps_per_beam", "scan_period_s", "column_spacing_m"):
             require_positive(name, getattr(self, name))
         require_finite("full_scale_dbm", self.full_scale_dbm)
-        for rule, holds in self._rules():
-            if not holds:
-                raise ValueError(rule)
-
-    def _rules(self) -> list[tuple[str, bool]]:
-        """Return each rule in words, and whether it holds."""
-        sampled_s = self.samples_per_chirp / self.sample_rate_hz
-        lowest_hz, highest_hz = SAMPLE_RATES_HZ
-        burst = self.chirps_per_beam * self.chirp_interval_s * self.sample_rate_hz
-        return [
-            (
-                f"sample_rate_hz must be {lowest_hz:g}..{highest_hz:g}, got {self.sample_rate_hz!r}",
-                lowest_hz <= self.sample_rate_hz <= highest_hz,
-            ),
-            (
-                f"ramp_time_s must be a whole number of microseconds, got {self.ramp_time_s!r}",
-                _is_whole(1e6 * self.ramp_time_s),
-            ),
-            (
-                f"settle_s + samples_per_chirp / sample_rate_hz must fit the ramp of {self.ramp_time_s!r} s, "
-                f"got {self.settle_s!r} + {sampled_s!r}",
-                self.settle_s >= 0.0 and self.settle_s + sampled_s <= self.ramp_time_s * (1.0 + 1e-9),
-            ),
-            (
-                f"chirp_interval_s must exceed the ramp of {self.ramp_time_s!r} s and be a whole number of samples, "
-                f"got {self.chirp_interval_s!r}",
-                self.chirp_interval_s > self.ramp_time_s and _is_whole(self.chirp_interval_s * self.sample_rate_hz),
-            ),
-            (
-                "offset_hz must be under half the sample rate and a whole number of turns a chirp_interval_s, "
-                f"got {self.offset_hz!r}",
-                0.0 <= self.offset_hz < 0.5 * self.sample_rate_hz and _is_whole(self.offset_hz * self.chirp_interval_s),
-            ),
-            (
-                f"chirps_per_beam must make at most {MAX_BURST_SAMPLES} samples a burst, got {self.chirps_per_beam!r}",
-                burst <= MAX_BURST_SAMPLES,
-            ),
-            (
-                f"taper must be {COLUMNS} amplitudes in (0, 1], got {self.taper}",
-                len(self.taper) == COLUMNS and all(0.0 < value <= 1.0 for value in self.taper),
-            ),
-        ]
-
-    @property
-    def slope_hz_per_s(self) -> float:
-        """Slope of the ramp on air."""
-        return self.ramp_bandwidth_hz / self.ramp_time_s
-
-    @property
-    def interval_samples(self) -> int:
-        """Samples from ramp to ramp."""
-        return round(self.chirp_interval_s * self.sample_rate_hz)
+        sampled_s = SAMPLES_PER_CHIRP / SAMPLE_RATE_HZ
+        if not 0.0 <= self.settle_s <= RAMP_TIME_S * (1.0 + 1e-9) - sampled_s:
+            raise ValueError(
+                f"settle_s + {sampled_s!r} s of samples must fit the ramp of {RAMP_TIME_S!r} s, got {self.settle_s!r}"
+            )
+        if self.burst_samples > MAX_BURST_SAMPLES:
+            raise ValueError(
+                f"chirps_per_beam must make at most {MAX_BURST_SAMPLES} samples a burst, got {self.chirps_per_beam!r}"
+            )
 
     @property
     def burst_samples(self) -> int:
         """Samples of each channel that one beam takes."""
-        return self.chirps_per_beam * self.interval_samples
-
-
-def _is_whole(value: float) -> bool:
-    return abs(value - round(value)) < 1e-6
+        return self.chirps_per_beam * INTERVAL_SAMPLES
 
 
 class PhaserCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -168,29 +116,29 @@ class SynthesiserWords:
     deviation_time_us: int
 
 
-def synthesiser_words(params: PhaserParams) -> SynthesiserWords:
+def synthesiser_words() -> SynthesiserWords:
     """Return one step a microsecond, from the oscillator's frequency at the start of the ramp."""
-    time_us = round(1e6 * params.ramp_time_s)
-    oscillator_hz = params.ramp_start_hz + params.intermediate_hz + params.offset_hz
+    time_us = round(1e6 * RAMP_TIME_S)
+    oscillator_hz = RAMP_START_HZ + INTERMEDIATE_HZ + OFFSET_HZ
     return SynthesiserWords(
         frequency_hz=round(oscillator_hz / DIVIDER),
-        deviation_range_hz=round(params.ramp_bandwidth_hz / DIVIDER),
-        deviation_step_hz=round(params.ramp_bandwidth_hz / DIVIDER / time_us),
+        deviation_range_hz=round(RAMP_BANDWIDTH_HZ / DIVIDER),
+        deviation_step_hz=round(RAMP_BANDWIDTH_HZ / DIVIDER / time_us),
         deviation_time_us=time_us,
     )
 
 
 def radar_params(params: PhaserParams) -> RadarParams:
     """Return the effective radar of its samples: the sampled bandwidth, with the carrier in the middle of it."""
-    sampled_s = params.samples_per_chirp / params.sample_rate_hz
+    sampled_s = SAMPLES_PER_CHIRP / SAMPLE_RATE_HZ
     return RadarParams(
-        carrier_hz=params.ramp_start_hz + params.slope_hz_per_s * (params.settle_s + 0.5 * sampled_s),
-        bandwidth_hz=params.slope_hz_per_s * sampled_s,
-        sample_rate_hz=params.sample_rate_hz,
+        carrier_hz=RAMP_START_HZ + SLOPE_HZ_PER_S * (params.settle_s + 0.5 * sampled_s),
+        bandwidth_hz=SLOPE_HZ_PER_S * sampled_s,
+        sample_rate_hz=SAMPLE_RATE_HZ,
         chirps_per_beam=params.chirps_per_beam,
-        samples_per_chirp=params.samples_per_chirp,
+        samples_per_chirp=SAMPLES_PER_CHIRP,
         scan_period_s=params.scan_period_s,
-        chirp_interval_s=params.chirp_interval_s,
+        chirp_interval_s=CHIRP_INTERVAL_S,
     )
 
 
@@ -214,12 +162,9 @@ def limits(params: PhaserParams) -> PhaserLimits:
     radar = radar_params(params)
     return PhaserLimits(
         range_bin_m=radar.range_bin_m,
-        range_limit_m=0.5
-        * SPEED_OF_LIGHT_MPS
-        * (0.5 * params.sample_rate_hz - params.offset_hz)
-        / params.slope_hz_per_s,
+        range_limit_m=0.5 * SPEED_OF_LIGHT_MPS * (0.5 * SAMPLE_RATE_HZ - OFFSET_HZ) / SLOPE_HZ_PER_S,
         speed_bin_mps=0.5 * radar.wavelength_m / radar.beam_duration_s,
-        speed_limit_mps=0.25 * radar.wavelength_m / params.chirp_interval_s,
+        speed_limit_mps=0.25 * radar.wavelength_m / CHIRP_INTERVAL_S,
         beam_time_s=radar.beam_duration_s,
         beam_bytes=2 * 4 * params.burst_samples,
     )
@@ -251,7 +196,7 @@ def beam_table(params: PhaserParams, calibration: PhaserCalibration, beams: Beam
     own_deg = np.array(calibration.phases_deg)
     phases_deg = (PHASE_STEP_DEG * np.round((wanted_deg + own_deg) / PHASE_STEP_DEG)) % 360.0
     equalised = GAIN_CODES * np.array(calibration.gains)
-    gain_codes = np.floor(equalised * np.array(params.taper)).astype(np.int64)
+    gain_codes = np.floor(equalised).astype(np.int64)
     weights = gain_codes / equalised * np.exp(1j * np.radians(phases_deg - own_deg))
     return BeamTable(
         phases_deg=phases_deg, gain_codes=np.tile(gain_codes, (len(beams), 1)), weights=_in_columns(params, weights)
@@ -299,7 +244,7 @@ def beam_samples(
     """
     kept = _straight(channels, params)
     gains = 10.0 ** (np.array(channel_gains_db) / 20.0)
-    turns = params.offset_hz / params.sample_rate_hz * _straight_samples(params)
+    turns = OFFSET_HZ / SAMPLE_RATE_HZ * _straight_samples(params)
     beats = np.tensordot(gains, kept, axes=1) * np.exp(-2j * np.pi * (turns % 1.0))
     limited = (np.maximum(np.abs(kept.real), np.abs(kept.imag)) >= CONVERTER_LIMIT).any(axis=0)
     codes = CODES_PER_CONVERTER_CODE * np.stack([beats.real, beats.imag], axis=-1)
@@ -316,7 +261,7 @@ def _straight(channels: list[np.ndarray], params: PhaserParams) -> np.ndarray:
     if short < params.burst_samples:
         raise ValueError(f"burst must be of {params.burst_samples} samples, got {short}")
     samples = _straight_samples(params)
-    ramps = (channel[: params.burst_samples].reshape(-1, params.interval_samples) for channel in channels)
+    ramps = (channel[: params.burst_samples].reshape(-1, INTERVAL_SAMPLES) for channel in channels)
     kept = np.stack([ramp[:, samples[0] : samples[-1] + 1] for ramp in ramps])
     if not np.isfinite(kept).all():
         raise ValueError(f"burst must be finite, {np.count_nonzero(~np.isfinite(kept))} samples are not")
@@ -325,4 +270,4 @@ def _straight(channels: list[np.ndarray], params: PhaserParams) -> np.ndarray:
 
 def _straight_samples(params: PhaserParams) -> np.ndarray:
     """Return the sample numbers counted from the start of a ramp; [samples]."""
-    return round(params.settle_s * params.sample_rate_hz) + np.arange(params.samples_per_chirp)
+    return round(params.settle_s * SAMPLE_RATE_HZ) + np.arange(SAMPLES_PER_CHIRP)

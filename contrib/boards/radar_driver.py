@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Literal, Protocol
+from typing import ClassVar, Protocol
 
 import msgspec
 import numpy as np
@@ -21,11 +21,12 @@ from msgs.values.diagnostics import NodeState
 from msgs.values.radar import BeamGrid, RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s
 from nodes.node import Node
-from nodes.process.validation import require_rest
 
 _LOG = logging.getLogger(__name__)
 
 RETRY_S, MAX_RETRY_S = 0.5, 10.0
+#: Rest before the first beam, in which subscribers get ready, and after the last, for its transmission.
+SETTLE_S = 0.3
 #: A scan that takes this much longer than its set-up says is reported.
 SLOW = 1.2
 
@@ -49,20 +50,23 @@ class Device(Protocol):
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Kind of radar, its scans, and its settings under the kind's own name."""
+    """Scans of the radar, and its settings under its own name."""
 
-    kind: Literal["cn0566"] = "cn0566"
+    formerly: ClassVar[dict[str, str]] = {
+        "": "contrib.boards.radar_driver",
+        "kind": "contrib.boards.radar_driver",
+        "cn0566": "contrib.boards.phaser",
+        "cn0566.taper": "contrib.boards.phaser",
+    }
+
     azimuth_deg: tuple[float, ...] | None = None
     #: Scans to measure; None: without end.
     scans: int | None = None
-    #: Rest before the first beam, in which subscribers get ready, and after the last, for its transmission.
-    settle_s: float = 0.3
     cn0566: cn0566.Params = cn0566.Params()
 
     def __post_init__(self) -> None:
         if self.scans is not None:
             require_positive("radar_driver.scans", self.scans)
-        require_rest("radar_driver.settle_s", self.settle_s)
 
     @property
     def beams(self) -> BeamGrid:
@@ -110,7 +114,7 @@ class RadarDriver(Node):
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Return the set-up, or one beam, or nothing after an attempt to find the radar again."""
         if self._due_ns is None:
-            self._due_ns = now_ns + ns_from_s(self._params.settle_s)
+            self._due_ns = now_ns + ns_from_s(SETTLE_S)
             self._setup = msgspec.structs.replace(self._setup, stamp_ns=now_ns)
             return [Outgoing("radar/setup", self._setup)]
         if now_ns < self._due_ns:
@@ -195,7 +199,7 @@ class RadarDriver(Node):
         if self._beam_index == len(self._setup.beams):
             self._scan_id, self._beam_index = self._scan_id + 1, 0
             if self._scan_id == self._params.scans:
-                self._due_ns = now_ns + ns_from_s(self._params.settle_s)
+                self._due_ns = now_ns + ns_from_s(SETTLE_S)
 
 
 def create(params: Params) -> RadarDriver:

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from contrib.imports.detection_columns import Mounting, polar_covariance
-from msgs.values.arrays import require_positive, require_within
+from msgs.values.arrays import require_within
 from msgs.values.detections import RadarDetections
 from msgs.values.frames import polar_from_xy
 from msgs.values.units import ns_from_s
@@ -39,8 +39,15 @@ _CLUSTER_REFUSED = {1: "low RCS", 2: "near-field artefact", 3: "far cluster not 
 _OBJECT_REFUSED = {0: "deleted", 3: "predicted, not measured", 4: "deleted by a merge"}
 
 
+#: A measurement that lasts longer is published as it is: cycles last 60 to 100 ms.
+MEASUREMENT_TIMEOUT_S = 0.2
+#: Errors of targets without a quality frame: those of the sensor's data sheet.
+RANGE_STD_M = 0.4
+AZIMUTH_STD_DEG = 1.0
+
+
 class TargetListParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Sensor, its list, its place on the vehicle, and errors where it sends none."""
+    """Sensor, its list and its place on the vehicle."""
 
     #: Id that the sensor is set to.
     sensor_id: int = 0
@@ -48,17 +55,9 @@ class TargetListParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     mounting: Mounting = Mounting()
     #: The sensor's lateral distance is positive to the left; false where it is built in the other way up.
     left_positive: bool = True
-    #: Errors of targets without a quality frame: those of the sensor's data sheet.
-    range_std_m: float = 0.4
-    azimuth_std_deg: float = 1.0
-    #: A measurement that lasts longer is published as it is.
-    measurement_timeout_s: float = 0.2
 
     def __post_init__(self) -> None:
         require_within("sensor_id", 0, 7, self.sensor_id)
-        for name in ("range_std_m", "azimuth_std_deg", "measurement_timeout_s"):
-            require_positive(name, getattr(self, name))
-            require_within(name, 1e-6, 1e3, getattr(self, name))
 
 
 class _Layout(NamedTuple):
@@ -133,7 +132,7 @@ class TargetListReader:
 
     def tick(self, now_ns: int) -> list[RadarDetections]:
         """Return the open measurement if its time is over."""
-        limit_ns = ns_from_s(self._params.measurement_timeout_s)
+        limit_ns = ns_from_s(MEASUREMENT_TIMEOUT_S)
         return self._end() if self._open is not None and now_ns - self._open.stamp_ns > limit_ns else []
 
     def _take(self, message: Message, data: bytes, stamp_ns: int) -> list[RadarDetections]:
@@ -251,7 +250,7 @@ def _as_detections(rows: list[_Row], params: TargetListParams, head: RadarDetect
         head,
         range_m=range_m,
         azimuth_rad=azimuth_rad,
-        covariance=_covariance(rows, range_m, azimuth_rad, params),
+        covariance=_covariance(rows, range_m, azimuth_rad),
         radial_speed_mps=(velocity_mps * direction).sum(axis=-1),
         radial_speed_std_mps=np.sqrt((speed_variance * direction**2).sum(axis=-1)),
         rcs_dbsm=np.array([float(row.target["RCS"]) for row in rows]),
@@ -259,10 +258,10 @@ def _as_detections(rows: list[_Row], params: TargetListParams, head: RadarDetect
     )
 
 
-def _covariance(rows: list[_Row], range_m: np.ndarray, azimuth_rad: np.ndarray, params: TargetListParams) -> np.ndarray:
+def _covariance(rows: list[_Row], range_m: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
     """Return polar covariances [N, 2, 2] of the codes; of the data sheet where a target has no valid ones."""
     plane = polar_covariance(range_m, azimuth_rad, _variances(rows, "DISTANCE", _DISTANCE_STEP_M))
-    fallback = np.diag([params.range_std_m**2, math.radians(params.azimuth_std_deg) ** 2])
+    fallback = np.diag([RANGE_STD_M**2, math.radians(AZIMUTH_STD_DEG) ** 2])
     return np.where(np.isfinite(plane).all(axis=(1, 2))[:, None, None], plane, fallback)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 
@@ -25,15 +26,20 @@ _LOG = logging.getLogger(__name__)
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s*]*")
 
 
+#: Name that the connection has in Foxglove.
+TITLE = "mirrorwave"
+
+
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Address, and pages that may connect; the host is always 127.0.0.1 (elsewhere: `ssh -L 8766:127.0.0.1:8766`)."""
+
+    formerly: ClassVar[dict[str, str]] = {"": __name__, "max_clients": "contrib.foxglove.foxglove_server"}
 
     #: 0, or a port in use: a free one. Not that of the viewer, 8765.
     port: int = 8766
     #: Pages that may connect, as `scheme://host:port`: Foxglove in the browser, and applications that load their page
     #: from a file, as desktop applications do. A program that names no page needs the token alone.
     allowed_origins: tuple[str, ...] = ("https://app.foxglove.dev", "file://")
-    title: str = "mirrorwave"
     #: Keeps the token while the node is restarted, so that clients reconnect; a launch fills it in.
     token_file: str | None = None
 
@@ -57,7 +63,7 @@ class FoxgloveBridge(Node):
         self.inputs = (*TOPICS, *ALL_TOPICS.own())
         self._stream = FoxgloveStream()
         self.server = FoxgloveServer(
-            title=params.title,
+            title=TITLE,
             port=params.port,
             allowed_origins=params.allowed_origins,
             token_file=None if params.token_file is None else TokenFile(Path(params.token_file)),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 import zmq
@@ -46,8 +47,8 @@ class Peer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Topics to and from peers; paths are relative to the folder where the graph is launched."""
 
-    #: Name of this host in its log; that of its key file, if not given.
-    name: str = ""
+    formerly: ClassVar[dict[str, str]] = {"name": "contrib.two_machines.link"}
+
     #: File of this host's secret key (`mirrorwave security keygen`).
     key: str = ""
     #: Folder of the public keys of the peers that may connect.
@@ -97,7 +98,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     @property
     def own_name(self) -> str:
         """Name of this host."""
-        return self.name or (Path(self.key).stem if self.key else "this host")
+        return Path(self.key).stem if self.key else "this host"
 
 
 class Link(Node):

@@ -17,7 +17,7 @@ from lab.measures.point_scores import Counts, recovered_counts
 from models.perception.find.peaks import echo_power, peaks_at
 from models.perception.find.ridges import find_ridges
 from models.perception.mirrors.clustering import dbscan
-from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
+from models.perception.mirrors.image_walls import MIN_DEPTH_M, DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import behind_walls, wall_arrays
 from models.perception.mirrors.recovery import recover
 from models.perception.mirrors.rejection import hidden_mask
@@ -87,7 +87,7 @@ def recovered_places(peaks: Peaks, scene: Scene) -> np.ndarray:
     """Places [N, 2] of all peaks behind a true wall, folded back in the one their ray meets, Eq. (19); no walls."""
     walls = true_walls(scene)
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
-    images = behind_walls(points_m, wall_arrays(walls), RECOVERY.min_depth_m)
+    images = behind_walls(points_m, wall_arrays(walls), MIN_DEPTH_M)
     path_class = np.where(images, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
     nothing = DirectReturns(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))
     recovered = recover(msgspec.structs.replace(peaks, path_class=path_class), walls, nothing, RECOVERY)

@@ -164,12 +164,14 @@ class _Geometry:
 
     def stage(self) -> ViewStage:
         """Return a stage that has seen nothing yet."""
-        return ViewStage(self.params, self.residual, self.confidence, self.params.memory, predictor=self.predictor)
+        return ViewStage(
+            self.params.geometry, self.residual, self.confidence, self.params.memory, predictor=self.predictor
+        )
 
     @property
     def folding(self) -> tuple[GeometryParams, Residual | None, Confidence | None]:
         """Parts that fold images back: with the walls of the object network, where one judges."""
-        return judged_params(self.params, self.predictor), self.residual, self.confidence
+        return judged_params(self.params.geometry, self.predictor), self.residual, self.confidence
 
 
 @dataclass

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from msgs.files.former_fields import without_former
 from msgs.files.shipped import WEIGHTS
 from msgs.files.text_files import decode_text
 from msgs.values.known_names import with_known_names
@@ -29,10 +30,20 @@ def card_path(model_path: Path) -> Path:
 
 
 def read_card(path: Path, kind: type[Card]) -> Card:
-    """Return a card of a type; raises `ValueError` naming the file and all fields that are missing or wrong."""
+    """Return a card of a type; raises `ValueError` naming the file and all fields that are missing or wrong.
+
+    A former field must have the value of the constant that it is: the file was made with it.
+    """
     content = read_learned(path, MAX_CARD_BYTES)
     try:
         text = decode_text(content)
+        if not hasattr(kind, "formerly"):
+            return msgspec.json.decode(text, type=kind)
+        values, former = without_former(msgspec.json.decode(text), kind)
+        for field in former:
+            if field.given != field.value:
+                raise ValueError(f"{field.place} must be {field.value!r}, as {field.constant}, got {field.given!r}")
+        text = msgspec.json.encode(values).decode()
         return msgspec.json.decode(text, type=kind)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {'; '.join(_wrong_fields(text, kind)) or error}") from None

@@ -47,9 +47,9 @@ def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
 
 
 def _refuse(value: Any, wanted: Any, where: str) -> None:
-    for kind in _alternatives(wanted):
+    for kind in alternatives(wanted):
         if _is_struct(kind) and isinstance(value, Mapping):
-            valid = _fields(kind)
+            valid = fields_of(kind)
             for name, inner in value.items():
                 path = f"{where}.{name}" if where else str(name)
                 if name not in valid:
@@ -68,21 +68,21 @@ def _refuse(value: Any, wanted: Any, where: str) -> None:
 
 def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
     """Return the names of the fields, or of the choices, of all types that a path of msgspec's may hold."""
-    kinds = _alternatives(wanted)
+    kinds = alternatives(wanted)
     for step in _STEP.finditer(path):
         kinds = [inner for kind in kinds for inner in _inside(kind, step["field"])]
     # of a Literal msgspec keeps no order
-    names = [name for kind in kinds for name in (_fields(kind) if fields else _choices(kind, in_order=False))]
+    names = [name for kind in kinds for name in (fields_of(kind) if fields else _choices(kind, in_order=False))]
     return list(dict.fromkeys(names))
 
 
-def _alternatives(wanted: Any) -> list[Any]:
+def alternatives(wanted: Any) -> list[Any]:
     """Return the types that a union or an annotated type stands for."""
     origin = typing.get_origin(wanted)
     if origin is typing.Annotated:
-        return _alternatives(typing.get_args(wanted)[0])
+        return alternatives(typing.get_args(wanted)[0])
     if origin in (typing.Union, types.UnionType):
-        return [inner for kind in typing.get_args(wanted) for inner in _alternatives(kind)]
+        return [inner for kind in typing.get_args(wanted) for inner in alternatives(kind)]
     return [wanted]
 
 
@@ -90,7 +90,7 @@ def _is_struct(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-def _fields(kind: Any) -> dict[str, Any]:
+def fields_of(kind: Any) -> dict[str, Any]:
     """Return the fields of a struct and their types; none of another type."""
     return {field.encode_name: field.type for field in msgspec.structs.fields(kind)} if _is_struct(kind) else {}
 
@@ -106,9 +106,9 @@ def _choices(kind: Any, in_order: bool = True) -> list[str]:
 def _inside(kind: Any, field: str | None) -> list[Any]:
     """Return the types of a field, or of the items or values where `field` is None."""
     if field is not None:
-        fields = _fields(kind)
-        return _alternatives(fields[field]) if field in fields else []
+        fields = fields_of(kind)
+        return alternatives(fields[field]) if field in fields else []
     arguments = [inner for inner in typing.get_args(kind) if inner is not Ellipsis]
     # of a mapping the values: its keys are no step
     inside = arguments[1:] if typing.get_origin(kind) in (dict, Mapping) else arguments
-    return [alternative for inner in inside for alternative in _alternatives(inner)]
+    return [alternative for inner in inside for alternative in alternatives(inner)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from msgs.bus.interface import Received, WaitingBus
+from msgs.files.former_fields import without_former
 from msgs.values.node_params import NodeParams, ParamRequest
 from nodes.process.validation import convert_at, merged
 
@@ -55,6 +56,8 @@ class ParamServer:
         """Change parameters; return why not, empty if they were."""
         try:
             changes = parse_mapping(request.changes)
+            for field in without_former(changes, type(self._params))[1]:
+                raise ValueError(str(field))
             wanted = convert_at(merged(_builtins(self._params), changes), type(self._params), self._name)
             if wanted == self._params:
                 return ""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import msgspec
 
+from msgs.files.former_fields import without_former
 from msgs.values.known_names import with_known_names
+
+_LOG = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -16,17 +20,27 @@ LONGEST_REST_S = 3600.0
 #: Clocks that count from the start of their machine differ by less: 31 years.
 MAX_CLOCK_OFFSET_S = 1e9
 
+#: Types and their former fields that were warned of: a file is converted several times on its way to a node.
+_WARNED: set[tuple[Any, str]] = set()
 _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
 
 def convert_at(value: Any, wanted: type[T], where: str) -> T:
     """Convert `value` to `wanted`; an error reads `where.field: rule`, `where: field: rule` where `where` ends in ": ".
 
-    Raises `ValueError` for a wrong type, an unknown field (it lists the known) or a value its type refuses.
+    Raises `ValueError` for a wrong type, an unknown field (it lists the known) or a value its type refuses. A former
+    field of the type is left out, with a warning.
     """
     try:
         return msgspec.convert(value, wanted)
     except msgspec.ValidationError as error:
+        kept, former = without_former(value, wanted)
+        for field in former:
+            if (wanted, field.place) not in _WARNED:
+                _WARNED.add((wanted, field.place))
+                _LOG.warning("%s%s", where if where.endswith(": ") else f"{where}.", field)
+        if former:
+            return convert_at(kept, wanted, where)
         raise ValueError(explain(with_known_names(error, wanted), where)) from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import ClassVar
 
 import msgspec
 
@@ -18,6 +19,8 @@ _MAX = 1e18
 class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Place and content of a recording; at most one of splitting and snapshots."""
 
+    formerly: ClassVar[dict[str, str]] = {"snapshot_bytes": "nodes.recording.snapshot_recorder"}
+
     path: str
     #: None: all topics but raw beams.
     topics: tuple[str, ...] | None = None
@@ -30,9 +33,8 @@ class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     split_s: float | None = None
     #: The oldest file of this run is deleted when there are more.
     max_parts: int | None = None
-    #: Hold the last seconds in memory, in at most so many bytes, and write them when SIGUSR1 comes.
+    #: Hold the last seconds in memory, in at most 1 GiB, and write them when SIGUSR1 comes.
     snapshot_s: float | None = None
-    snapshot_bytes: int = 1 << 30
     #: The recording ends in good order before the disk has less room than this.
     min_free_bytes: int = 100_000_000
     #: Where `mirrorwave bag snapshot` finds the recorder; a launch fills it in.
@@ -43,7 +45,7 @@ class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError("path must name a file")
         for topic in self.topics or ():
             topic_facts(topic)
-        for name in ("split_bytes", "split_s", "max_parts", "snapshot_s", "snapshot_bytes"):
+        for name in ("split_bytes", "split_s", "max_parts", "snapshot_s"):
             value = getattr(self, name)
             if value is not None and not 0 < value < _MAX:
                 raise ValueError(f"{name} must be above zero and below {_MAX:g}, got {value!r}")

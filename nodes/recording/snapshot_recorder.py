@@ -66,6 +66,10 @@ def _weight(message: Encoded) -> int:
     return len(message.data) + _OVERHEAD_BYTES
 
 
+#: Most bytes that are held: what a vehicle's computer has to spare.
+SNAPSHOT_BYTES = 1 << 30
+
+
 class SnapshotRecorder(Node):
     """Holds the last seconds and writes them, while it goes on listening, when triggered.
 
@@ -75,7 +79,7 @@ class SnapshotRecorder(Node):
     wants_all = True
     takes_all_publishers = True
 
-    def __init__(self, params: RecordingParams) -> None:
+    def __init__(self, params: RecordingParams, limit_bytes: int = SNAPSHOT_BYTES) -> None:
         super().__init__()
         assert params.snapshot_s is not None
         self.inputs = params.selected_topics()
@@ -86,7 +90,7 @@ class SnapshotRecorder(Node):
         #: Why the last snapshot could not be written.
         self.refused = ""
         self._params = params
-        self._ring = Ring(round(1e9 * params.snapshot_s), params.snapshot_bytes)
+        self._ring = Ring(round(1e9 * params.snapshot_s), limit_bytes)
         self._latched = LatchedMessages()
         self._counts: deque[tuple[int, tuple[TopicCount, ...]]] = deque()
         self._triggered = False

@@ -74,8 +74,8 @@ class LoopbackServer:
         self._socket = _listen(kept.port if kept else port)
         self.port: int = self._socket.getsockname()[1]
         #: Whether clients of an earlier process find this one at their address.
-        self.is_back = kept is not None and kept.port == self.port
-        self._token = kept.token if kept and self.is_back else secrets.token_urlsafe(24)
+        is_back = kept is not None and kept.port == self.port
+        self._token = kept.token if kept and is_back else secrets.token_urlsafe(24)
         if token_file:
             token_file.save(self.port, self._token)
         self._loop: asyncio.AbstractEventLoop | None = None

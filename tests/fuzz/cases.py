@@ -649,7 +649,7 @@ def make_detection_peaks(folder: Path, seed: int, script: Sequence[Step]) -> Nod
 
 
 def make_geometry(folder: Path, seed: int, script: Sequence[Step]) -> Node:
-    grid = BevGrid(rows=12, columns=10, cell_m=4.0)
+    grid = geometry.Grid(rows=12, columns=10, cell_m=4.0)
     confidence = "default" if seed % 4 == 3 else "none"
     memory = MemoryParams(tracking=seed % 2 == 1)
     return geometry.create(geometry.Params(grid=grid, confidence=confidence, memory=memory))
@@ -692,7 +692,7 @@ def make_recorder(folder: Path, seed: int, script: Sequence[Step]) -> Node:
 def make_snapshots(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     limit = (1 << 20, 5000, 1)[seed % 3]
     node = snapshot_recorder.SnapshotRecorder(
-        recorder.Params(path=str(folder / "shot.mcap"), raw=True, snapshot_s=1.0, snapshot_bytes=limit)
+        recorder.Params(path=str(folder / "shot.mcap"), raw=True, snapshot_s=1.0), limit
     )
     if seed % 2:
         node.trigger()

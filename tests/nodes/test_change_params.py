@@ -76,8 +76,7 @@ def test_what_earlier_scans_have_left_outlives_a_change_of_the_geometry() -> Non
     peaks = received(made_up_peaks(), "perception/peaks")
     answers(node, [peaks])
     memory = node._stage._memory
-    mask = msgspec.structs.replace(geometry.Params().visibility, rcs_dbsm=-5.0)
-    node.change_params(geometry.Params(visibility=mask))
+    node.change_params(geometry.Params(visibility=geometry.Mask(rcs_dbsm=-5.0)))
     assert node._stage._memory is memory
     (frame,) = answers(node, [peaks])
     assert isinstance(frame, BevFrame)

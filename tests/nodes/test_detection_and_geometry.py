@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.yaw_bias import limited
-from models.perception.find.cfar import CfarParams
 from models.perception.find.detectors import NetworkDetector, detector_name
 from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
-from models.perception.find.peaks import PeakParams
 from models.perception.form.ra_former import RaFormer
 from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Envelope, Received
@@ -113,17 +111,15 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
         threads=3,
         refine=False,
         flip_test=True,
-        threshold=0.35,
-        cfar=CfarParams(false_alarm_rate=1e-3),
+        cfar=dense_predictor.Cfar(false_alarm_rate=1e-3),
     )
     assert dense_predictor.detector_for(params, setup) == "network"  # type: ignore[comparison-overlap]
     path = handed.pop("model")
     assert path.name == "compact_unet.int8.onnx"
     names = ("threads", "refine", "flip_test")
-    renamed = {"setup": setup, "params": PeakParams(threshold=0.35)}
-    assert handed == {name: getattr(params, name) for name in names} | renamed
+    assert handed == {name: getattr(params, name) for name in names} | {"setup": setup}
     by_cfar = msgspec.structs.replace(params, method="cfar")
-    assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar)  # type: ignore[comparison-overlap]
+    assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar_params)  # type: ignore[comparison-overlap]
 
 
 def test_the_geometry_node_heeds_a_confidence_of_its_detector(tmp_path: Path) -> None:

@@ -103,12 +103,6 @@ def test_the_state_at_the_first_beam_holds_for_the_scan(
     assert out.message.ego_compensated is compensated
 
 
-def test_compensation_can_be_switched_off() -> None:
-    node = create(Params(ego_compensation=False))
-    (out,) = steps(node, setup(), state(0, 8.0), *[beam(index) for index in range(25)])
-    assert not out.message.ego_compensated
-
-
 def test_a_setup_that_cannot_be_used_changes_nothing_and_is_said(node: RaFormerNode) -> None:
     """More beams and columns than maps can be formed of in time: the scan under way, of the set-up before, goes on."""
     large = RadarSetup(array=ArrayParams(columns=256), beams=BeamGrid(azimuth_deg=tuple(range(-20, 20))))

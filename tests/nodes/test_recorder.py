@@ -21,7 +21,7 @@ from msgs.values.diagnostics import LogRecord, NodeState
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
 from nodes.recorder import Params, Recorder, create
-from nodes.recording.snapshot_recorder import SnapshotRecorder
+from nodes.recording.snapshot_recorder import Ring, SnapshotRecorder
 from nodes.recording.snapshot_trigger import TriggerFile, find_recorders
 from tests.graph import toy_nodes
 from tests.msgs.bus.test_codec import EXAMPLES
@@ -199,7 +199,8 @@ def test_a_snapshot_holds_the_last_seconds_and_what_was_said_before(tmp_path: Pa
 
 
 def test_the_ring_is_bounded_in_bytes(tmp_path: Path) -> None:
-    bench = Bench(tmp_path / "s.mcap", topics=("log",), snapshot_s=1000.0, snapshot_bytes=10_000)
+    bench = Bench(tmp_path / "s.mcap", topics=("log",), snapshot_s=1000.0)
+    bench.recorder._ring = Ring(10**12, 10_000)
     for number in range(50):
         bench.say("log", LogRecord(stamp_ns=number, node="a", level="info", text="x" * 1000))
         assert bench.recorder._ring.bytes <= 10_000

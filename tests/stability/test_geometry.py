@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.mirrors.arcs import ArcParams
 from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.image_walls import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
 from models.perception.mirrors.mirror_table import NO_WALL, RADAR, hits, wall_arrays
@@ -140,12 +139,13 @@ def test_a_ray_that_misses_the_circle_has_no_hit():
     assert np.isinf(met.missed_m(np.array([18.0]))[1, 0])
 
 
-def test_what_is_seen_through_a_gap_opens_the_wall():
+def test_what_is_seen_through_a_gap_opens_the_wall(monkeypatch):
     """Two fences of 6 m along one line, 6 m apart, a wall seen through the gap: one fence of 18 m, or two of 6 m."""
     fences = np.concatenate([spread((4.0, 4.0), (10.0, 4.0), 9), spread((16.0, 4.0), (22.0, 4.0), 9)])
     back = spread((19.0, 5.0), (19.0, 7.5), 7)
     open_walls = walls_of(np.concatenate([fences, back]), WallParams(max_gap_m=7.0))
-    closed = walls_of(np.concatenate([fences, back]), WallParams(max_gap_m=7.0, open_gap_m=0.0))
+    monkeypatch.setattr("models.perception.mirrors.walls.OPEN_GAP_M", math.inf)
+    closed = walls_of(np.concatenate([fences, back]), WallParams(max_gap_m=7.0))
     assert [len(closed), len(open_walls)] == [2, 3]
     assert max(math.dist(*one.ends_m) for one in closed) == pytest.approx(18.0, abs=0.1)
     assert max(math.dist(*one.ends_m) for one in open_walls) == pytest.approx(6.0, abs=0.1)
@@ -190,7 +190,6 @@ def test_images_of_what_is_seen_are_folded_and_not_hidden():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ArcParams(max_gap_m=0.0), "arcs.max_gap_m"),
         (lambda: ObjectParams(score_table=((0.5, 0.2), (0.4, 0.3))), "objects.score_table"),
         (lambda: Wall(normal=(1.0, 0.0), offset_m=0.0, ends_m=((0.0, 0.0), (0.0, 1.0)), inliers=2,
                       curvature_per_m=math.nan), "wall"),
@@ -280,7 +279,7 @@ def face_of(points_m: np.ndarray, variance_m2: float = 1e-6) -> Recovered:
 def test_yaw_of_a_face_across_the_view(errors: Errors) -> None:
     """Points a centimetre to either side of x = 15: directions near +90 and -90 degrees, the same, mean 0."""
     points_m = np.stack([15.0 + 0.01 * np.cos(np.pi * np.arange(9)), np.linspace(9.0, 13.0, 9)], axis=1)
-    (box,) = form_objects(face_of(points_m), [], ObjectParams(open_view_min_points=1))
+    (box,) = form_objects(face_of(points_m), [], ObjectParams())
     step = np.diff(points_m, axis=0)
     naive_rad = float(np.arctan(step[:, 1] / step[:, 0]).mean())
     quarter = 0.5 * math.pi
@@ -301,7 +300,7 @@ def test_covariance_of_a_face_without_depth(errors: Errors) -> None:
     for _ in range(50):
         along = xy_from_polar(np.array(1.0), rng.uniform(-3.0, 3.0))
         points_m = rng.uniform(60.0, 80.0, 2) + rng.uniform(-2.0, 2.0, 12)[:, None] * along
-        (box,) = form_objects(face_of(points_m), [], ObjectParams(open_view_min_points=1))
+        (box,) = form_objects(face_of(points_m), [], ObjectParams())
         mean = points_m.mean(axis=0)
         naive += not is_positive(points_m.T @ points_m / len(points_m) - np.outer(mean, mean))
         ours += not is_positive(np.array(box.cov_m2))
@@ -350,6 +349,6 @@ def test_stamp_of_an_object(errors: Errors) -> None:
     """Nine stamps of 1.7e18 ns add up to 1.5e19: int64 ends at 9.2e18."""
     points_m = np.stack([np.full(9, 15.0), np.linspace(9.0, 13.0, 9)], axis=1)
     face = face_of(points_m)
-    (box,) = form_objects(face, [], ObjectParams(open_view_min_points=1))
+    (box,) = form_objects(face, [], ObjectParams())
     exact_ns = int(face.stamp_ns[0]) + 4
     errors(naive=abs(int(face.stamp_ns.sum()) // 9 - exact_ns), ours=abs(box.stamp_ns - exact_ns))

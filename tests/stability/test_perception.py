@@ -364,7 +364,7 @@ def test_wall_among_80_percent_outliers(errors: Errors) -> None:
     wall_m = np.stack([20.0 + 0.05 * rng.standard_normal(20), np.linspace(-9.0, 9.0, 20)], axis=1)
     points_m = np.concatenate([wall_m, rng.uniform([5.0, -20.0], [40.0, 20.0], (80, 2))])
     covariance_m2 = np.tile(0.05**2 * np.eye(2), (100, 1, 1))
-    found = find_walls(points_m, covariance_m2, np.zeros(100, int), WallParams(curved=False, open_gap_m=0.0))[0][0]
+    found = find_walls(points_m, covariance_m2, np.zeros(100, int), WallParams(curved=False))[0][0]
     ends_m = np.array([[20.0, -9.0], [20.0, 9.0]])
     naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
     errors(

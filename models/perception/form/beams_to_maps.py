@@ -29,12 +29,11 @@ class FormingStage:
     def __init__(
         self,
         params: FormingParams | None = None,
-        ego_compensation: bool = True,
         background: np.ndarray | None = None,
         timed: Timed = nullcontext,
     ) -> None:
         self.former: RaFormer | None = None
-        self._params, self._ego_compensation = params or FormingParams(), ego_compensation
+        self._params = params or FormingParams()
         self._background, self._timed = background, timed
         self._states = StateHistory()
         #: Why the last set-up was refused.
@@ -96,5 +95,5 @@ class FormingStage:
 
     def _state_for(self, beam: RadarBeam) -> VehicleState | None:
         """Return the newest state not younger than the beam, if valid; the former keeps that of a scan's first beam."""
-        state = self._states.at(beam.stamp_ns) if self._ego_compensation else None
+        state = self._states.at(beam.stamp_ns)
         return state if state is not None and state.valid else None

@@ -10,35 +10,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from models.compiled import compiled
 from models.perception.mirrors.lines import LineFit, claimed, fit_line, residual_gain, variance_across
 from models.physics.mirror import wall_from_ends
-from msgs.values.arrays import require_positive
 
-
-class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions under which a wall counts as curved."""
-
-    #: Curvature over its own standard deviation, and log likelihood over that of the lines it replaces.
-    min_sigmas: float = 3.0
-    min_gain: float = 5.0
-    #: Log likelihood a parameter is worth: lines have two each, the arc in place of several has three.
-    parameter_gain: float = 1.5
-    min_points: int = 6
-    #: Largest curvature, and the largest turn of the wall from end to end.
-    max_curvature_per_m: float = 0.07
-    max_turn_rad: float = 1.4
-    #: Largest gap to the next return along the arc.
-    max_gap_m: float = 6.5
-    pair_gap_m: float = 12.0
-    rounds: int = 8
-
-    def __post_init__(self) -> None:
-        for name in ("min_points", "max_curvature_per_m", "max_turn_rad", "max_gap_m", "rounds"):
-            require_positive(f"arcs.{name}", getattr(self, name))
+#: A wall is curved from this curvature over its standard deviation on, and this log likelihood over that of the line.
+MIN_SIGMAS = 3.0
+MIN_GAIN = 5.0
+#: Log likelihood a coefficient is worth: lines have two each, the arc in place of several has three.
+PARAMETER_GAIN = 1.5
+MIN_POINTS = 6
+#: Largest curvature of a facade, and its largest turn from end to end.
+MAX_CURVATURE_PER_M = 0.07
+MAX_TURN_RAD = 1.4
+#: Largest gap to the next return along the arc of one line, and of two.
+MAX_GAP_M = 6.5
+PAIR_GAP_M = 12.0
+#: Most refits: nearly all arcs stay the same after two or three.
+ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -72,37 +63,37 @@ class _Arc:
     gain: np.ndarray
 
 
-def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: ArcParams) -> list[LineFit]:
+def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit]) -> list[LineFit]:
     """Return the lines of points [N, 2] with covariances [N, 2, 2], with arcs where these explain them better."""
     result: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
         free = np.flatnonzero(~claimed(len(points_m), result))
-        arc, replaced = _best_arc(points_m, covariance_m2, lines, free, params)
+        arc, replaced = _best_arc(points_m, covariance_m2, lines, free)
         result.append(lines[0] if arc is None else arc)
         lines = [fit for fit in lines[1:] if not any(fit is line for line in replaced)]
     return result
 
 
 def _best_arc(
-    points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray, params: ArcParams
+    points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray
 ) -> tuple[LineFit | None, list[LineFit]]:
     """Return the arc through the first line, alone or with another, that explains most beyond what it replaces."""
     best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
     for other in lines:
         pair = other is not lines[0]
-        if pair and float(lines[0].normal @ other.normal) < math.cos(params.max_turn_rad / 2.0):
+        if pair and float(lines[0].normal @ other.normal) < math.cos(MAX_TURN_RAD / 2.0):
             continue
         seeds = np.flatnonzero(claimed(len(points_m), (lines[0], other)))
         frame = _Frame.through(points_m[seeds], covariance_m2[seeds]) if pair else _Frame.of(lines[0])
-        arc = _grown(points_m, covariance_m2, frame, seeds, free, params, pair)
+        arc = _grown(points_m, covariance_m2, frame, seeds, free, pair)
         if arc is None:
             continue
         on_arc = np.zeros(len(points_m), bool)
         on_arc[arc.members] = True
         replaced = [fit for fit in lines if 2 * np.count_nonzero(on_arc[fit.members]) > len(fit.members)]
         rival = sum(fit.score for fit in replaced)
-        saving = params.parameter_gain * (2 * len(replaced) - 3) if len(replaced) > 1 else -params.min_gain
+        saving = PARAMETER_GAIN * (2 * len(replaced) - 3) if len(replaced) > 1 else -MIN_GAIN
         gain = float(arc.gain.sum()) - rival + saving
         if len(replaced) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in replaced):
             best = gain, _as_fit(points_m, frame, arc), replaced
@@ -115,21 +106,19 @@ def _grown(
     frame: _Frame,
     members: np.ndarray,
     free: np.ndarray,
-    params: ArcParams,
     pair: bool,
 ) -> _Arc | None:
     """Return the arc through members and the free returns that continue it; None where it is not clearly bent."""
-    fewest = max(int(params.min_points), 4)
-    if len(members) < fewest:
+    if len(members) < MIN_POINTS:
         return None
     s, d = (points_m - frame.origin) @ frame.tangent, (points_m - frame.origin) @ frame.normal
     axes = np.array([frame.tangent, frame.normal])
-    limits = float(params.pair_gap_m if pair else params.max_gap_m), fewest, int(params.rounds)
+    limits = PAIR_GAP_M if pair else MAX_GAP_M, MIN_POINTS, ROUNDS
     coefficients, covariance, gain, members = _grow(s, d, covariance_m2, axes, members, free, *limits)
-    if len(members) < fewest:
+    if len(members) < MIN_POINTS:
         return None
     arc = _Arc(coefficients, covariance, free[gain > 0.0], gain[gain > 0.0])
-    return arc if _is_bent(arc, s, members, params) else None
+    return arc if _is_bent(arc, s, members) else None
 
 
 @compiled(error_model="numpy")
@@ -217,14 +206,13 @@ def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarra
     return np.sort(order[first:last])
 
 
-def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -> bool:
+def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray) -> bool:
     """Return whether an arc's curvature stands out of its error and is one that walls have."""
     curvature = abs(float(arc.coefficients[2]))
     return (
-        curvature >= params.min_sigmas * math.sqrt(float(arc.covariance[2, 2]))
-        and curvature <= params.max_curvature_per_m
-        and curvature * float(np.ptp(s[members])) <= params.max_turn_rad
-        and len(members) >= params.min_points
+        curvature >= MIN_SIGMAS * math.sqrt(float(arc.covariance[2, 2]))
+        and curvature <= MAX_CURVATURE_PER_M
+        and curvature * float(np.ptp(s[members])) <= MAX_TURN_RAD
     )
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from models.perception.cards import learned_path, read_card
-from models.perception.mirrors.image_walls import DirectReturns, RayWallCrossings, RecoveryParams
+from models.perception.mirrors.image_walls import CUT_DEPTH_M, DirectReturns, RayWallCrossings, RecoveryParams
 from models.perception.mirrors.mirror_table import WallArrays, behind_walls, wall_arrays
 from models.perception.mirrors.recovery import Recovered
 from models.physics.plane import segment_distance_m
@@ -131,7 +131,7 @@ def _surroundings(context: _FoldContext) -> dict[str, np.ndarray]:
         "nearest_loose_return": _log(np.where(loose, distance_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)),
         "return_louder_db": np.clip(louder.max(axis=1, initial=-40.0), -40.0, 40.0),
         "nearest_wall": _log(segment_distance_m(points_m, walls.a, walls.b).min(axis=1, initial=FARTHEST_M)),
-        "behind_wall": behind_walls(points_m, walls, context.params.cut_depth_m),
+        "behind_wall": behind_walls(points_m, walls, CUT_DEPTH_M),
     }
 
 

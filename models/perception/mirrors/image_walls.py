@@ -19,6 +19,18 @@ from models.physics.mirror import crosses, reflect
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy
 
+#: Least depth of an image behind its wall: nearer it is the wall itself.
+MIN_DEPTH_M = 1.0
+#: Walls reach this much further than their outermost return, and by two sigma of where the ray meets them.
+END_MARGIN_M = 0.3
+MAX_MARGIN_M = 4.0
+#: The certain part of a wall ends this much before the outermost return.
+TRIM_M = 1.0
+#: A wall blocks a path that passes it by more than this: more than the error of either.
+CUT_DEPTH_M = 1.0
+#: A wall with this many returns of a long wall behind it hides nothing and mirrors nothing.
+SEEN_THROUGH_POINTS = 3
+
 
 class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the association of images with walls and of the rejection of folded positions."""
@@ -27,41 +39,21 @@ class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     association: Literal["crossing", "buddy"] = "crossing"
     #: Images that two walls mirrored are folded twice.
     second_order: bool = True
-    #: Folded positions on a wall, at a direct return or on a vehicle in sight form no objects.
-    reject_on_wall: bool = True
-    reject_at_return: bool = True
-    reject_on_vehicle: bool = True
-    #: So do those that neither a wall nor a vehicle hides: a sensor that detects their image detects themselves too.
+    #: Folded positions that neither a wall nor a vehicle hides form no objects: a sensor that detects their image
+    #: detects themselves too.
     reject_in_open_view: bool = False
-    #: Walls hide this much more than their ends show.
-    open_view_margin_m: float = 2.5
-    #: Least depth of an image behind its wall.
-    min_depth_m: float = 1.0
-    #: Walls reach this much further than their outermost return, and by two sigma of where the ray meets them.
-    end_margin_m: float = 0.3
-    max_margin_m: float = 4.0
-    #: The certain part of a wall ends this much before the outermost return.
-    trim_m: float = 1.0
-    #: A wall blocks a path that passes it by more than this.
-    cut_depth_m: float = 1.0
-    #: A wall with this many returns of a long wall behind it hides nothing and mirrors nothing.
-    seen_through_points: int = 3
     #: Positions this near a wall or a direct return are that wall or return.
     same_place_m: float = 1.0
     #: Or so many standard deviations of the folded position further.
     same_place_sigmas: float = 0.0
-    #: Direct returns count as the same object if at most this much weaker than the image.
-    comparable_db: float = 6.0
     #: What moves does not explain what stands, nor the reverse: radial speeds over ground on either side of this.
     moving_mps: float | None = None
-    #: One vehicle: direct returns this near each other, and all positions that fit in a box of this size with them.
-    vehicle_eps_m: float = 2.5
+    #: One vehicle: all positions that fit in a box of this size.
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.6
 
     def __post_init__(self) -> None:
-        for name in ("min_depth_m", "max_margin_m", "cut_depth_m", "same_place_m", "vehicle_eps_m"):
-            require_positive(f"recovery.{name}", getattr(self, name))
+        require_positive("recovery.same_place_m", self.same_place_m)
 
 
 @dataclass(frozen=True)
@@ -77,7 +69,7 @@ class DirectReturns:
 
 
 def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Return which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool
+    """Return which walls have `SEEN_THROUGH_POINTS` returns of another one, longer than a vehicle, behind them; bool
     [W].
 
     Returns behind a line prove that the line is no wall: it is a row of vehicles, or a wall drawn too long.
@@ -87,11 +79,11 @@ def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryPara
     if len(walls) == 0 or len(on_long) == 0:
         return transparent
     points_m = returns.points_m[on_long]
-    a, b = walls.trimmed(params.trim_m)
-    deep = crosses(RADAR, points_m, a, b) & (walls.distance_m(points_m) < -params.cut_depth_m)  # [N, W]
+    a, b = walls.trimmed(TRIM_M)
+    deep = crosses(RADAR, points_m, a, b) & (walls.distance_m(points_m) < -CUT_DEPTH_M)  # [N, W]
     for other in np.unique(returns.wall[on_long]):
         counts = deep[returns.wall[on_long] == other].sum(axis=0)
-        transparent |= counts >= params.seen_through_points
+        transparent |= counts >= SEEN_THROUGH_POINTS
     return transparent
 
 
@@ -116,8 +108,8 @@ def associate_crossing(
     opaque = np.ones(len(walls), bool) if opaque is None else opaque
     crossings = RayWallCrossings.of(images_m, azimuth_std_rad, walls)
     missed_m, to_wall_m = crossings.missed_m, crossings.to_wall_m
-    margin_m = np.minimum(params.end_margin_m + 2.0 * crossings.sideways_m, params.max_margin_m)
-    possible = opaque & crossings.behind(params.min_depth_m) & (missed_m <= margin_m)
+    margin_m = np.minimum(END_MARGIN_M + 2.0 * crossings.sideways_m, MAX_MARGIN_M)
+    possible = opaque & crossings.behind(MIN_DEPTH_M) & (missed_m <= margin_m)
     paths = _MirrorPaths.of(images_m, crossings.met, walls, opaque, params)
     possible &= ~paths.is_blocked(np.broadcast_to(RADAR, paths.mirror_m.shape), paths.mirror_m)
     whole = possible & ~paths.is_blocked(paths.mirror_m, paths.position_m)
@@ -201,9 +193,9 @@ class _MirrorPaths:
 
         A vehicle's side is too short to be sure that a path does not pass beside it.
         """
-        a, b = self.walls.trimmed(self.params.trim_m)
+        a, b = self.walls.trimmed(TRIM_M)
         sure = self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
-        deep = np.abs(self.walls.distance_m(end_m)) > self.params.cut_depth_m
+        deep = np.abs(self.walls.distance_m(end_m)) > CUT_DEPTH_M
         return crosses(origin_m, end_m, a, b) & deep & sure & (np.arange(len(self.walls)) != own[:, None])
 
     def second(self, image: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -212,7 +204,7 @@ class _MirrorPaths:
         met = hits(start, end, self.walls)
         crossed = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
         crossed &= self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
-        crossed &= behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m
+        crossed &= behind(end[:, None], met.normal, met.offset_m) > MIN_DEPTH_M
         crossed &= np.arange(len(self.walls)) != first[:, None]
         nearest = _cheapest(np.where(crossed, met.along_ray, np.inf))
         row = np.arange(len(image))

@@ -26,21 +26,23 @@ from msgs.values.units import db_from_ratio
 UNKNOWN, DIRECT, MIRRORED = int(Visibility.UNKNOWN), int(Visibility.DIRECT), int(Visibility.MIRRORED)
 
 
+#: Two-way power loss at a wall, per wall: Fresnel and roughness of a plain facade.
+BOUNCE_LOSS_DB = 6.0
+#: One-way element half-power beamwidth: cells off boresight are detected more weakly.
+ELEMENT_HPBW_DEG = 80.0
+
+
 class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Assumptions of the mask about object, walls and receiver."""
 
     rcs_dbsm: float = 10.0
-    #: Two-way power loss at a wall, per wall: Fresnel and roughness of a plain facade.
-    bounce_loss_db: float = 6.0
     threshold_db: float = 13.0
     max_range_m: float = 109.0
     azimuth_limit_deg: float = 60.0
-    #: One-way element half-power beamwidth: cells off boresight are detected more weakly.
-    element_hpbw_deg: float = 80.0
 
     def __post_init__(self) -> None:
-        require_finite("visibility", self.rcs_dbsm, self.bounce_loss_db, self.threshold_db)
-        for name in ("max_range_m", "azimuth_limit_deg", "element_hpbw_deg"):
+        require_finite("visibility", self.rcs_dbsm, self.threshold_db)
+        for name in ("max_range_m", "azimuth_limit_deg"):
             require_positive(f"visibility.{name}", getattr(self, name))
 
 
@@ -64,7 +66,7 @@ def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: 
     arrays = wall_arrays(walls)
     if len(arrays):
         through = np.concatenate([arrays.a, arrays.b, arrays.normal, arrays.offset_m[:, None]], axis=1)
-        _look_past_walls(mask, cells_m, through, _receiver(level_db - params.bounce_loss_db, params))
+        _look_past_walls(mask, cells_m, through, _receiver(level_db - BOUNCE_LOSS_DB, params))
     return mask.reshape(grid.rows, grid.columns)
 
 
@@ -92,12 +94,11 @@ class _Receiver(NamedTuple):
     threshold_db: float
     max_range_m: float
     azimuth_limit_deg: float
-    element_hpbw_deg: float
 
 
 def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
     """Return the receiver with all fields of one type, for which the kernels are compiled."""
-    limits = (params.threshold_db, params.max_range_m, params.azimuth_limit_deg, params.element_hpbw_deg)
+    limits = (params.threshold_db, params.max_range_m, params.azimuth_limit_deg)
     return _Receiver(float(level_db), *map(float, limits))
 
 
@@ -111,7 +112,7 @@ def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
     if abs(azimuth_deg) > receiver.azimuth_limit_deg:
         return math.inf
     # 12 dB (a / hpbw)^2 each way; R^4 of the two-way path
-    return 24.0 * (azimuth_deg / receiver.element_hpbw_deg) ** 2 + 40.0 * math.log10(max(range_m, 1.0))
+    return 24.0 * (azimuth_deg / ELEMENT_HPBW_DEG) ** 2 + 40.0 * math.log10(max(range_m, 1.0))
 
 
 @compiled

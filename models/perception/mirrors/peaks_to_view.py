@@ -27,7 +27,7 @@ from models.perception.mirrors.recovery import (
 )
 from models.perception.mirrors.rejection import hidden_mask
 from models.perception.mirrors.walls import WallParams, find_walls
-from models.perception.target_lists.wall_points import WallPointParams, wall_like
+from models.perception.target_lists.wall_points import wall_like
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, PathClass, Peaks, SensorLimits, Wall
@@ -39,6 +39,22 @@ WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[lis
 ObjectJudge = Callable[[list[Wall]], Callable[[], tuple[HiddenObject, ...]]]
 #: Walls, association and rejection: ours, or those of the specification (section 3.1.2).
 BackEnd = Literal["ours", "specification"]
+
+#: Former parameters of the node, by their place: the modules of the constants that they are.
+FORMERLY = {
+    "": "models.perception.mirrors.peaks_to_view",
+    "walls": "models.perception.mirrors.walls",
+    "walls.arcs": "models.perception.mirrors.arcs",
+    "wall_points": "models.perception.target_lists.wall_points",
+    "recovery": "models.perception.mirrors.image_walls",
+    **dict.fromkeys(
+        ("recovery.reject_on_wall", "recovery.reject_at_return", "recovery.reject_on_vehicle",
+         "recovery.open_view_margin_m", "recovery.comparable_db", "recovery.vehicle_eps_m"),
+        "models.perception.mirrors.rejection",
+    ),
+    "objects": "models.perception.mirrors.recovered_objects",
+    "visibility": "models.perception.mirrors.observability",
+}  # fmt: skip
 
 
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -53,8 +69,8 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
     walls: WallParams = WallParams()
-    #: Which direct returns may be part of a wall, by those about them; None: all.
-    wall_points: WallPointParams | None = None
+    #: Walls are of the direct returns that look like part of one by those about them.
+    wall_points: bool = False
     recovery: RecoveryParams = RecoveryParams()
     objects: ObjectParams = ObjectParams()
     visibility: VisibilityParams = VisibilityParams()
@@ -181,10 +197,10 @@ def direct_structure(
     covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
     speed_mps = None if peaks.radial_speed_mps is None else peaks.radial_speed_mps[direct]
     labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
-    if params.wall_points is None:
+    if not params.wall_points:
         walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
     else:
-        part = wall_like(points_m, covariance_m2, peaks.snr_db[direct], speed_mps, params.wall_points)
+        part = wall_like(points_m, covariance_m2, peaks.snr_db[direct], speed_mps)
         walls, wall_of_point = _walls_among(part, points_m, covariance_m2, params)
     if wall_prior is not None:
         walls, wall_of_point = wall_prior(points_m, covariance_m2, walls, wall_of_point)
@@ -209,8 +225,8 @@ def warm(params: GeometryParams) -> None:
     Types do not depend on the parameters, so one synthetic street with the default ones needs all kernels.
     """
     recover_bev(made_up_peaks(), GeometryParams())
-    if params.wall_points is not None:
-        wall_like(np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1), None, params.wall_points)
+    if params.wall_points:
+        wall_like(np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1), None)
     observability([], 0.0, params.grid, params.visibility)
 
 

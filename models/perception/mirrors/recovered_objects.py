@@ -16,7 +16,7 @@ from models.perception.find.score_calibration import ScoreTable, calibrated, che
 from models.perception.mirrors.clustering import dbscan, fits_box
 from models.perception.mirrors.mirror_table import wall_arrays
 from models.perception.mirrors.recovery import Recovered
-from models.perception.mirrors.rejection import in_open_view
+from models.perception.mirrors.rejection import OPEN_VIEW_MARGIN_M, in_open_view
 from models.physics.plane import segment_distance_m
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy
@@ -28,53 +28,55 @@ UNIFORM_FACE = 12.0
 MAX_PAIRS = 20_000
 
 
-class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions under which recovered points form an object, and the limits of its size."""
+#: Fragments no further apart than this plus one sigma belong together, if they fit in one vehicle.
+EPS_M = 2.5
+VEHICLE_LENGTH_M = 5.5
+VEHICLE_WIDTH_M = 2.5
+#: Least joint score of an object, and least SNR of one of a single point.
+MIN_SCORE = 0.54
+SINGLE_MIN_SNR_DB = 15.0
+#: An object that no wall hides should have been detected directly: it needs more evidence.
+OPEN_VIEW_MIN_POINTS = 3
+OPEN_VIEW_MIN_SCORE = 0.765
+#: Longer than any vehicle: a wall seen in a mirror.
+MAX_LENGTH_M = 14.0
+#: A line this long that starts at a wall's end is the building's next face.
+FACE_LENGTH_M = 6.5
+#: This few points, this near in image range and no stronger than that within a beam of a larger object, are part of it.
+SATELLITE_POINTS = 2
+SATELLITE_RANGE_M = 1.5
+SATELLITE_DB = 3.0
+#: Or this near in line with one of so many points, if the longest vehicle reaches so far.
+SIDE_POINTS = 4
+SIDE_GAP_M = 4.0
+SIDE_WIDTH_M = 1.2
+SIDE_LENGTH_M = 12.5
+#: Least size of a reported box: that of a bicycle.
+MIN_LENGTH_M = 1.5
+MIN_WIDTH_M = 0.8
 
-    eps_m: float = 2.5
-    #: Fragments no further apart than eps plus one sigma belong together, if they fit in one vehicle.
-    vehicle_length_m: float = 5.5
-    vehicle_width_m: float = 2.5
+
+class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Conditions under which recovered points form an object, as far as sensors differ in them."""
+
     min_points: int = 2
-    min_score: float = 0.54
-    #: Least score and SNR of an object of a single point.
+    #: Least score of an object of a single point.
     single_min_score: float = 0.45
-    single_min_snr_db: float = 15.0
-    #: An object that no wall, lengthened by the margin, hides should have been detected directly: it needs more
-    #: evidence.
-    open_view_min_points: int = 3
-    open_view_min_score: float = 0.765
-    open_view_margin_m: float = 2.5
-    #: Longer than any vehicle: a wall seen in a mirror.
-    max_length_m: float = 14.0
-    #: A line this long that starts at a wall's end is the building's next face.
-    face_length_m: float = 6.5
     #: An object this much weaker than another at the same range is its side lobe.
     lobe_db: float = 22.0
-    #: This few points, this near in image range and azimuth to a larger object, are part of it.
-    satellite_points: int = 2
-    satellite_range_m: float = 1.5
+    #: Width of a beam, within which points of a larger object are near in azimuth.
     satellite_beam_deg: float = 9.0
-    satellite_db: float = 3.0
-    #: Or this near in line with one of so many points, if the longest vehicle reaches so far.
-    side_points: int = 4
-    side_gap_m: float = 4.0
-    side_width_m: float = 1.2
-    side_length_m: float = 12.5
-    min_length_m: float = 1.5
-    min_width_m: float = 0.8
     #: From the joint score to the share of such objects that are true; empty: the joint score itself.
     score_table: ScoreTable = ()
 
     def __post_init__(self) -> None:
-        for name in ("eps_m", "vehicle_length_m", "min_points", "max_length_m", "min_length_m", "min_width_m"):
-            require_positive(f"objects.{name}", getattr(self, name))
+        require_positive("objects.min_points", self.min_points)
         check_table("objects.score_table", self.score_table)
 
 
 def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) -> tuple[HiddenObject, ...]:
     """Return the objects of hidden points, best score first (then x, then y), ids in that order."""
-    labels = merge_fragments(recovered, dbscan(recovered.points_m, params.eps_m, 1), params)
+    labels = merge_fragments(recovered, dbscan(recovered.points_m, EPS_M, 1))
     clusters = [recovered.take(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
     clusters = [cluster for cluster in clusters if _is_object(cluster, walls, params)]
     clusters = _without_satellites(_without_lobes(clusters, params.lobe_db), params)
@@ -83,7 +85,7 @@ def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) 
     return tuple(msgspec.structs.replace(box, id=index) for index, box in enumerate(boxes))
 
 
-def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectParams) -> np.ndarray:
+def merge_fragments(recovered: Recovered, labels: np.ndarray) -> np.ndarray:
     """Join clusters whose nearest points lie within eps plus one sigma of their distance and that fit in one vehicle.
 
     Nearest clusters first; labels [N] renumbered 0, 1, ... in the order of their smallest.
@@ -95,14 +97,14 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
     distance_m = np.hypot(difference[:, 0], difference[:, 1])
     variance = np.einsum("pi,pij,pj->p", difference, covariance_m2[first] + covariance_m2[second], difference)
     sigma_m = np.sqrt(variance) / np.maximum(distance_m, 1e-9)
-    near = np.flatnonzero((distance_m <= params.eps_m + sigma_m) & (labels[first] != labels[second]))
+    near = np.flatnonzero((distance_m <= EPS_M + sigma_m) & (labels[first] != labels[second]))
     for pair in near[np.argsort(distance_m[near], kind="stable")][:MAX_PAIRS]:
         i, j = first[pair], second[pair]
         if labels[i] == labels[j]:
             continue
         union = (labels == labels[i]) | (labels == labels[j])
         slack_m = float(sigma_m[pair])
-        if fits_box(points_m[union], params.vehicle_length_m + slack_m, params.vehicle_width_m + slack_m):
+        if fits_box(points_m[union], VEHICLE_LENGTH_M + slack_m, VEHICLE_WIDTH_M + slack_m):
             labels[union] = labels[union].min()
     return np.searchsorted(np.unique(labels), labels)
 
@@ -110,19 +112,19 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
 def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
     """Return whether a cluster has evidence, the length of a vehicle, and is no next face of a building."""
     extent_m = float(np.linalg.norm(cluster.points_m[:, None] - cluster.points_m, axis=-1).max())
-    if extent_m > params.max_length_m or not _has_evidence(cluster, walls, params):
+    if extent_m > MAX_LENGTH_M or not _has_evidence(cluster, walls, params):
         return False
-    return not (extent_m > params.face_length_m and _starts_at_wall_end(cluster, walls))
+    return not (extent_m > FACE_LENGTH_M and _starts_at_wall_end(cluster, walls))
 
 
 def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
     """Return whether a cluster has enough points or one strong one; more are required where no wall hides it."""
     score = joint_score(cluster.score)
-    strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= params.single_min_snr_db)
-    enough = score >= params.min_score if len(cluster) >= params.min_points else bool(strong.any())
+    strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= SINGLE_MIN_SNR_DB)
+    enough = score >= MIN_SCORE if len(cluster) >= params.min_points else bool(strong.any())
     centre_m = cluster.points_m.mean(axis=0, keepdims=True)
-    if enough and in_open_view(centre_m, walls, params.open_view_margin_m)[0]:
-        return len(cluster) >= params.open_view_min_points and score >= params.open_view_min_score
+    if enough and in_open_view(centre_m, walls, OPEN_VIEW_MARGIN_M)[0]:
+        return len(cluster) >= OPEN_VIEW_MIN_POINTS and score >= OPEN_VIEW_MIN_SCORE
     return enough
 
 
@@ -167,35 +169,35 @@ def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list
     return [
         cluster
         for cluster in clusters
-        if len(cluster) > params.satellite_points
+        if len(cluster) > SATELLITE_POINTS
         or not any(
             len(other) >= 2 * len(cluster)
-            and (_in_one_beam(cluster, other, params) or _along_side(cluster, other, params))
+            and (_in_one_beam(cluster, other, params) or _along_side(cluster, other))
             for other in clusters
         )
     ]
 
 
-def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
+def _along_side(cluster: Recovered, other: Recovered) -> bool:
     """Return whether a cluster continues a long one in line, over a gap, within the length of the longest vehicle."""
-    if len(other) < params.side_points:
+    if len(other) < SIDE_POINTS:
         return False
     centre = other.points_m.mean(axis=0)
     spread, axes = np.linalg.eigh(np.cov(other.points_m.T))
     reach = (np.vstack([other.points_m, cluster.points_m]) - centre) @ axes[:, ::-1]
     own, stray = reach[: len(other), 0], reach[len(other) :]
     gap_m = np.maximum(stray[:, 0] - own.max(), own.min() - stray[:, 0])
-    in_line = (gap_m <= params.side_gap_m) & (np.abs(stray[:, 1]) <= params.side_width_m)
-    return bool(spread[1] > 4.0 * spread[0] and in_line.all() and np.ptp(reach[:, 0]) <= params.side_length_m)
+    in_line = (gap_m <= SIDE_GAP_M) & (np.abs(stray[:, 1]) <= SIDE_WIDTH_M)
+    return bool(spread[1] > 4.0 * spread[0] and in_line.all() and np.ptp(reach[:, 0]) <= SIDE_LENGTH_M)
 
 
 def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
     """Return whether each point of a cluster has one of the other, as strong, at its image range in its beam."""
     range_m, azimuth_rad = polar_from_xy(cluster.images_m)
     other_range_m, other_azimuth_rad = polar_from_xy(other.images_m)
-    near = np.abs(range_m[:, None] - other_range_m) <= params.satellite_range_m
+    near = np.abs(range_m[:, None] - other_range_m) <= SATELLITE_RANGE_M
     near &= np.abs(azimuth_rad[:, None] - other_azimuth_rad) <= math.radians(params.satellite_beam_deg)
-    near &= other.snr_db >= cluster.snr_db[:, None] - params.satellite_db
+    near &= other.snr_db >= cluster.snr_db[:, None] - SATELLITE_DB
     return bool(near.any(axis=1).all())
 
 
@@ -222,8 +224,8 @@ def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
         id=0,
         x_m=float(centre[0]),
         y_m=float(centre[1]),
-        length_m=float(np.clip(length_m, params.min_length_m, params.max_length_m)),
-        width_m=float(np.clip(width_m, params.min_width_m, params.max_length_m)),
+        length_m=float(np.clip(length_m, MIN_LENGTH_M, MAX_LENGTH_M)),
+        width_m=float(np.clip(width_m, MIN_WIDTH_M, MAX_LENGTH_M)),
         # a box has no front: the same axis in (-pi/2, pi/2]
         yaw_rad=math.pi / 2.0 - (math.pi / 2.0 - yaw_rad) % math.pi,
         score=float(calibrated(params.score_table, np.array([joint_score(cluster.score)]))[0]),

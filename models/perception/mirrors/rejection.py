@@ -11,12 +11,19 @@ from dataclasses import replace
 import numpy as np
 
 from models.perception.mirrors.clustering import NOISE, dbscan, fits_box
-from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
+from models.perception.mirrors.image_walls import CUT_DEPTH_M, DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import NO_WALL, WallArrays, behind_walls, wall_arrays
 from models.perception.mirrors.recovery import Recovered
 from models.physics.plane import segment_distance_m
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Wall
+
+#: Walls hide this much more than their ends show: a return may be missed.
+OPEN_VIEW_MARGIN_M = 2.5
+#: Direct returns count as the same object if at most this much weaker than the image.
+COMPARABLE_DB = 6.0
+#: Direct returns this near each other may be of one vehicle.
+VEHICLE_EPS_M = 2.5
 
 
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
@@ -31,17 +38,15 @@ def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns,
     reach_m = params.same_place_m + params.same_place_sigmas * recovered.largest_std_m
     if params.reject_in_open_view:
         explained |= ~_behind_something(recovered, walls, returns, params)
-    if params.reject_on_wall:
-        arrays = wall_arrays(walls)
-        to_walls_m = segment_distance_m(recovered.points_m, arrays.a, arrays.b)
-        explained |= np.logical_or.reduce(to_walls_m <= reach_m[:, None], axis=1)
-    if len(returns.points_m) and params.reject_at_return:
+    arrays = wall_arrays(walls)
+    to_walls_m = segment_distance_m(recovered.points_m, arrays.a, arrays.b)
+    explained |= np.logical_or.reduce(to_walls_m <= reach_m[:, None], axis=1)
+    if len(returns.points_m):
         distance_m = np.linalg.norm(recovered.points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
-        alike = returns.snr_db >= recovered.snr_db[:, None] - params.comparable_db
+        alike = returns.snr_db >= recovered.snr_db[:, None] - COMPARABLE_DB
         alike &= _may_move_alike(recovered, returns, params)
         explained |= (alike & (distance_m <= reach_m[:, None])).any(axis=1)
-    if len(returns.points_m) and params.reject_on_vehicle:
-        explained |= _on_visible_vehicle(recovered, wall_arrays(walls), returns, params)
+        explained |= _on_visible_vehicle(recovered, arrays, returns, params)
     return ~explained
 
 
@@ -49,7 +54,7 @@ def _behind_something(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
     """Return the positions that a wall, lengthened by the margin, or a vehicle's returns hide; bool [N]."""
-    behind = ~in_open_view(recovered.points_m, walls, params.open_view_margin_m)
+    behind = ~in_open_view(recovered.points_m, walls, OPEN_VIEW_MARGIN_M)
     range_m, azimuth_rad = polar_from_xy(recovered.points_m)
     for group in _vehicle_groups(wall_arrays(walls), returns, params):
         group_range_m, group_azimuth_rad = polar_from_xy(returns.points_m[group])
@@ -63,7 +68,7 @@ def _vehicle_groups(walls: WallArrays, returns: DirectReturns, params: RecoveryP
     """Return the indices of each group of near returns off the long walls, with the others on their short walls."""
     long_walls = walls.length_m > params.vehicle_length_m + 1.0
     loose = np.flatnonzero(~np.append(long_walls, False)[returns.wall])
-    labels = dbscan(returns.points_m[loose], params.vehicle_eps_m, 2)
+    labels = dbscan(returns.points_m[loose], VEHICLE_EPS_M, 2)
     return [_with_whole_walls(loose[labels == label], returns) for label in range(int(labels.max(initial=NOISE)) + 1)]
 
 
@@ -93,7 +98,7 @@ def _on_visible_vehicle(
     for group in _vehicle_groups(walls, returns, params):
         points_m = returns.points_m[group]
         near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
-        near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
+        near &= recovered.snr_db <= returns.snr_db[group].max() + COMPARABLE_DB
         candidates = np.flatnonzero(near & ~explained)
         # most groups do not fit by themselves: then no further point fits
         slack_m = sigma_m[candidates].max(initial=0.0)
@@ -103,7 +108,7 @@ def _on_visible_vehicle(
             together = np.vstack([points_m, recovered.points_m[i]])
             length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
             explained[i] = fits_box(together, length_m, width_m)
-    return explained & ~behind_walls(recovered.points_m, walls.take(long_walls), params.cut_depth_m)
+    return explained & ~behind_walls(recovered.points_m, walls.take(long_walls), CUT_DEPTH_M)
 
 
 def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:

@@ -18,7 +18,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from models.perception.mirrors.arcs import ArcParams, with_arcs
+from models.perception.mirrors.arcs import with_arcs
 from models.perception.mirrors.clustering import NOISE
 from models.perception.mirrors.lines import INLIER_SIGMAS, Line, LineFit, claimed
 from models.perception.mirrors.wall_search import Limits, Segment, best_segment, left_over, next_on_line, supported
@@ -27,6 +27,9 @@ from msgs.values.perception import Wall
 
 #: Candidate pieces for each wall that may be kept, the best first: all pairs of them are compared.
 _MAX_CANDIDATES = 4
+#: A wall is split at a gap this wide through which so many returns of another wall are visible: one may be an outlier.
+OPEN_GAP_M = 2.0
+SEEN_THROUGH_POINTS = 2
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,9 +57,6 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     max_walls: int = 12
     #: Lines of different clusters join, grow and hide each other; without it they stay as RANSAC leaves them.
     joined: bool = True
-    #: A wall is split at a gap this wide through which so many returns of another wall are visible; 0: never.
-    open_gap_m: float = 2.0
-    seen_through_points: int = 2
     #: A wall extends to the end of another that lies on its line, at most this far, unless returns are visible through
     #: it there; 0: never.
     corner_reach_m: float = 10.0
@@ -64,7 +64,6 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     behind_walls: bool = False
     #: Walls that an arc explains better than lines are arcs.
     curved: bool = True
-    arcs: ArcParams = ArcParams()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -110,9 +109,8 @@ def _join_clusters(
     free = np.flatnonzero(~claimed(len(points_m), fits))
     fits = [_extended(points_m, covariance_m2, fit, free, params) for fit in fits]
     if params.curved:
-        fits = with_arcs(points_m, covariance_m2, fits, params.arcs)
-    if params.open_gap_m > 0.0:
-        fits = [part for fit in fits for part in _opened(points_m, covariance_m2, fit, fits, params)]
+        fits = with_arcs(points_m, covariance_m2, fits)
+    fits = [part for fit in fits for part in _opened(points_m, covariance_m2, fit, fits, params)]
     if params.corner_reach_m > 0.0:
         fits = [_to_corner(points_m, fit, fits, params) for fit in fits]
     fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
@@ -255,7 +253,7 @@ def _opened(
     if fit.curvature_per_m != 0.0:
         return [fit]
     reach = np.sort(points_m[fit.members] @ fit.tangent)
-    wide = np.flatnonzero(np.diff(reach) >= params.open_gap_m)
+    wide = np.flatnonzero(np.diff(reach) >= OPEN_GAP_M)
     if len(wide) == 0:
         return [fit]
     through = np.zeros(len(wide), int)
@@ -263,7 +261,7 @@ def _opened(
         if other is not fit:
             foot = _passed_at(fit, points_m[other.members])[:, None]
             through = np.maximum(through, ((foot > reach[wide]) & (foot < reach[wide + 1])).sum(axis=0))
-    cuts = 0.5 * (reach[wide] + reach[wide + 1])[through >= params.seen_through_points]
+    cuts = 0.5 * (reach[wide] + reach[wide + 1])[through >= SEEN_THROUGH_POINTS]
     if len(cuts) == 0:
         return [fit]
     part_of = np.searchsorted(cuts, points_m[fit.members] @ fit.tangent)
@@ -288,7 +286,7 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
                 continue
             passed = _passed_at(fit, points_m) if passed is None else passed
             between = (passed > min(at, high)) & (passed < max(at, low)) & ((passed < low) | (passed > high))
-            if between.sum() < params.seen_through_points:
+            if between.sum() < SEEN_THROUGH_POINTS:
                 low, high = min(low, at), max(high, at)
     ends_m = np.array([low, high])[:, None] * fit.tangent - fit.offset_m * fit.normal
     return replace(fit, ends_m=ends_m)

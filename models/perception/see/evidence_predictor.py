@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
@@ -38,6 +38,11 @@ ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
 
 class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
     """Description of an evidence network file: how it was made, its input, its scores; a JSON file beside it."""
+
+    formerly: ClassVar[dict[str, str]] = {
+        "encoding.walls": "models.perception.mirrors.walls",
+        "encoding.walls.arcs": "models.perception.mirrors.arcs",
+    }
 
     name: str
     sha256: str

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 
+import msgspec
+from msgspec.structs import replace
+
 from models.perception.mirrors.image_walls import RecoveryParams
 from models.perception.mirrors.peaks_to_view import GeometryParams
 from models.perception.mirrors.recovered_objects import ObjectParams
 from models.perception.mirrors.walls import WallParams
-from models.perception.target_lists.wall_points import WallPointParams
 
 DETECTION_GEOMETRY = GeometryParams(
     cluster_eps_m=3.0,
     cluster_min_points=3,
-    wall_points=WallPointParams(),
+    wall_points=True,
     walls=WallParams(
         min_length_m=6.5,
         min_inliers=8,
@@ -36,3 +38,22 @@ DETECTION_GEOMETRY = GeometryParams(
     # whatever the scores of their points: simulated places 0 to 39 and 140 to 199 of the set `validation`
     objects=ObjectParams(min_points=3, single_min_score=1.01, score_table=((0.0, 0.0), (1.0, 0.5))),
 )
+
+
+class DetectionWalls(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What makes a wall."""
+
+    #: Least returns of a wall: a radar of few targets shows fewer of them.
+    min_inliers: int = DETECTION_GEOMETRY.walls.min_inliers
+
+
+class DetectionGeometry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of the geometry for a radar that gives detections."""
+
+    walls: DetectionWalls = DetectionWalls()
+
+    @property
+    def geometry(self) -> GeometryParams:
+        """All of them."""
+        walls = replace(DETECTION_GEOMETRY.walls, min_inliers=self.walls.min_inliers)
+        return replace(DETECTION_GEOMETRY, walls=walls)

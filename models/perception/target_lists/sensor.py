@@ -10,6 +10,9 @@ from models.perception.mirrors.observability import UNKNOWN_SENSITIVITY_DB
 from msgs.values.arrays import require_finite, require_positive
 from msgs.values.perception import SensorLimits
 
+#: Weaker by more than this at the same range: a side lobe.
+LOBE_DB = 22.0
+
 
 class DetectionSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A radar as its data sheet describes it; standard deviations count where a detection carries none."""
@@ -27,8 +30,6 @@ class DetectionSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     max_range_m: float = 100.0
     #: Interval after which radial speeds repeat; None: they are not ambiguous.
     speed_period_mps: float | None = None
-    #: Weaker by more than this at the same range: a side lobe.
-    lobe_db: float = 22.0
     #: Height over ground, which elevations are measured from.
     height_m: float = 0.5
     #: SNR of the weakest detection that it reports.
@@ -39,7 +40,7 @@ class DetectionSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     def __post_init__(self) -> None:
         positive = ("range_std_m", "azimuth_std_deg", "elevation_std_deg", "speed_std_mps", "range_resolution_m",
-                    "beam_width_deg", "azimuth_limit_deg", "max_range_m", "lobe_db")  # fmt: skip
+                    "beam_width_deg", "azimuth_limit_deg", "max_range_m")  # fmt: skip
         for name in positive:
             require_positive(f"sensor.{name}", getattr(self, name))
         for name in ("speed_period_mps", "reference_range_m"):
@@ -61,6 +62,6 @@ class DetectionSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             beam_width_rad=math.radians(self.beam_width_deg),
             azimuth_limit_rad=math.radians(self.azimuth_limit_deg),
             max_range_m=self.max_range_m,
-            lobe_db=self.lobe_db,
+            lobe_db=LOBE_DB,
             threshold_db=self.threshold_db,
         )

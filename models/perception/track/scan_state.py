@@ -9,7 +9,7 @@ import msgspec
 from models.perception.mirrors.peaks_to_view import WallPrior
 from models.perception.see.wall_memory import RadarPose, WallMemory
 from models.perception.track.odometry import ScanOdometry, stationary_pose
-from models.perception.track.tracker import Tracker, TrackerParams
+from models.perception.track.tracker import Tracker, TrackerParams, TrackParams
 from models.perception.track.wall_priors import WallPriorStore
 from models.perception.track.yaw_rate_bias import BiasEstimate
 from msgs.values.environment import WallPriors
@@ -22,7 +22,7 @@ class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Parameters of the state kept across scans."""
 
     tracking: bool = True
-    tracker: TrackerParams = TrackerParams()
+    tracker: TrackParams = TrackParams()
 
 
 class ScanMemory:
@@ -30,7 +30,8 @@ class ScanMemory:
 
     def __init__(self, params: MemoryParams) -> None:
         self._odometry = ScanOdometry()
-        self._tracker = Tracker(params.tracker) if params.tracking else None
+        tracker = TrackerParams(confirm_existence=params.tracker.confirm_existence)
+        self._tracker = Tracker(tracker) if params.tracking else None
         self._priors = WallPriorStore()
         self._elements = WallMemory()
 

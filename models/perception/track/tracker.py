@@ -52,8 +52,18 @@ LEAST_EXISTENCE = 0.05
 MAX_GAP_S = 2.0
 
 
-class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Motion and measurement model, birth of objects, and the existence from which a track is published."""
+class TrackParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Tracks that are published."""
+
+    #: A track is published from this existence on.
+    confirm_existence: float = 0.6
+
+    def __post_init__(self) -> None:
+        require_within("tracker.confirm_existence", LEAST_EXISTENCE, 1.0, self.confirm_existence)
+
+
+class TrackerParams(TrackParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Motion and measurement model and birth of objects, as far as what is tracked differs in them."""
 
     #: Spectral density of the white acceleration: after 1 s the velocity has this variance more.
     acceleration_density_m2ps3: float = 2.0
@@ -65,13 +75,11 @@ class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     detection_probability: float = 0.6
     #: Density of the reports of a scan that are new objects; with their scores it gives that of false reports.
     birth_density_per_m2: float = 3e-4
-    #: A track is published from this existence on.
-    confirm_existence: float = 0.6
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in self.__struct_fields__:
             require_positive(f"tracker.{name}", getattr(self, name))
-        require_within("tracker.confirm_existence", LEAST_EXISTENCE, 1.0, self.confirm_existence)
         require_within("tracker.detection_probability", 0.0, MAX_EXISTENCE, self.detection_probability)
         require_within("tracker.birth_density_per_m2", 1e-12, 1.0, self.birth_density_per_m2)
 

@@ -59,9 +59,9 @@ class StandInCard:
     AHEAD = 48
 
     def __init__(self, datagrams: list[bytes]) -> None:
-        self.params = dca1000.Params(
-            host_address=HOST, card_address=CARD, command_port=free_udp_port(), data_port=free_udp_port()
-        )
+        self.params = dca1000.Params(host_address=HOST, card_address=CARD)
+        # others on this machine may have the card's own
+        dca1000.COMMAND_PORT, dca1000.DATA_PORT = free_udp_port(), free_udp_port()
         #: Codes and contents of the commands so far.
         self.commands: list[tuple[int, bytes]] = []
         self.datagrams = datagrams
@@ -70,7 +70,7 @@ class StandInCard:
         self.taken: Callable[[], int] | None = None
         self._ends = threading.Event()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((CARD, self.params.command_port))
+        self._socket.bind((CARD, dca1000.COMMAND_PORT))
         self._socket.settimeout(0.02)
         self._threads = [threading.Thread(target=self._serve, daemon=True)]
         self._threads[0].start()
@@ -84,7 +84,7 @@ class StandInCard:
     def report(self, bits: int) -> None:
         """Send a report unasked."""
         content = struct.pack("<HHHH", dca1000.HEADER, dca1000.REPORT, bits, dca1000.FOOTER)
-        self._socket.sendto(content, (HOST, self.params.command_port))
+        self._socket.sendto(content, (HOST, dca1000.COMMAND_PORT))
 
     def _serve(self) -> None:
         while not self._ends.is_set():
@@ -113,4 +113,4 @@ class StandInCard:
             for at, content in enumerate(self.datagrams):
                 while taken is not None and at - taken() > self.AHEAD and not self._ends.wait(0.001):
                     pass
-                source.sendto(content, (HOST, self.params.data_port))
+                source.sendto(content, (HOST, dca1000.DATA_PORT))

@@ -241,7 +241,7 @@ def test_a_recording_that_ends_and_a_card_that_is_gone(tmp_path: Path) -> None:
 def test_a_card_that_is_absent_at_the_start_is_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dca1000, "TIMEOUT_S", 0.1)
     (tmp_path / "chirps.cfg").write_text(CFG)
-    nobody = {"host_address": "127.0.0.1", "card_address": "127.0.0.3", "command_port": 1024, "data_port": 1025}
+    nobody = {"host_address": "127.0.0.1", "card_address": "127.0.0.3"}
     with pytest.raises(ValueError, match=r"dca1000: card at 127\.0\.0\.3 does not answer command 0x09"):
         load_node("contrib.boards.dca1000_radar", {"config": str(tmp_path / "chirps.cfg"), "card": nobody})
     with pytest.raises(FileNotFoundError):

@@ -142,7 +142,7 @@ def test_another_sensor_and_another_list_are_said(bus: dict) -> None:
 
 
 def test_silence_is_said(bus: dict) -> None:
-    found, node, _ = run(bus, [measurement(random_targets(4, 0), 1)], rest_s=3.0, silence_s=2.0)
+    found, node, _ = run(bus, [measurement(random_targets(4, 0), 1)], rest_s=3.0)
     assert len(found) == 1
     state, reason = node.health()
     assert state is NodeState.DEGRADED
@@ -161,7 +161,6 @@ def test_a_bus_that_is_not_there_is_said() -> None:
     [
         ({"radar": {"sensor_id": 9}}, r"radar\.params\.radar: sensor_id must lie in 0\.\.7"),
         ({"radar": {"kind": "tracks"}}, r"radar\.params\.radar\.kind"),
-        ({"silence_s": 0.0}, "silence_s must be finite and positive"),
         ({"dbc": "launch/can/mirrorwave.dbc"}, "mirrorwave.dbc: the DBC has no message 'CLUSTER_STATUS'"),
         ({"sensr": "a"}, "unknown field"),
     ],

@@ -233,9 +233,7 @@ def test_a_dbc_of_another_layout_is_refused(tmp_path: Path) -> None:
         TargetListReader(load_dbc(tmp_path / "a.dbc"), TargetListParams())
 
 
-@pytest.mark.parametrize(
-    "params", [{"sensor_id": 8}, {"sensor_id": -1}, {"range_std_m": 0.0}, {"azimuth_std_deg": 1e9}]
-)
+@pytest.mark.parametrize("params", [{"sensor_id": 8}, {"sensor_id": -1}])
 def test_params_are_checked(params: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(params))):
         TargetListParams(**params)

@@ -148,7 +148,7 @@ def test_a_cut_recording_is_processed_as_far_as_it_goes_and_said(
             ["process", "{capture}", "--profile", "magic"],
             "unknown profile 'magic'; known are default, accurate, balanced, cfar, fast, specification, or FILE.yaml",
         ),
-        (["process", "{capture}", "-p", "geometry.walls.magic=1"], "geometry.params.walls"),
+        (["process", "{capture}", "-p", "geometry.grid.magic=1"], "geometry.params.grid"),
         (["process", "{capture}", "-p", "nobody.x=1"], "unknown node 'nobody'"),
         (["process", "{garbage}"], "garbage.mcap"),
         (["sim", "run", "nowhere.yaml", "--out", "{out}"], "nowhere.yaml"),

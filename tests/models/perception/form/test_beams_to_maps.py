@@ -57,9 +57,6 @@ def test_motion_is_that_of_the_newest_state_before_the_beam_if_it_is_valid() -> 
         stage.add_state(VehicleState(stamp_ns=stamp_ns, speed_mps=speed_mps, valid=valid))
     speeds = [state and state.speed_mps for state in (stage._state_for(beam(0, 0, at)) for at in (9, 10, 19, 25, 35))]
     assert speeds == [1.0, 2.0, 2.0, None, 4.0]
-    without = FormingStage(ego_compensation=False)
-    without.take_over(stage)
-    assert without._state_for(beam(0, 0, 35)) is None
     # states go on to a stage that takes over, and so does the radar
     stage.set_up(SETUP)
     later = FormingStage()

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.mirrors.arcs import ArcParams, _across, _unbroken, with_arcs
+from models.perception.mirrors import arcs
+from models.perception.mirrors.arcs import _across, _unbroken, with_arcs
 from models.perception.mirrors.lines import LineFit, fit_line
 
 STD_M = 0.05
@@ -33,7 +34,7 @@ def test_points_of_a_circle_are_one_wall_of_its_curvature(bend: float) -> None:
     y_m = np.linspace(-8.0, 8.0, 17)
     points_m, covariance_m2 = circle(bend, y_m), np.tile(STD_M**2 * np.eye(2), (17, 1, 1))
     line = line_through(points_m, covariance_m2, np.arange(17), score=1.0)
-    (arc,) = with_arcs(points_m, covariance_m2, [line], ArcParams())
+    (arc,) = with_arcs(points_m, covariance_m2, [line])
     assert arc.curvature_per_m == pytest.approx(bend, rel=0.05)
     np.testing.assert_allclose(arc.ends_m[np.argsort(arc.ends_m[:, 1])], points_m[[0, -1]], atol=0.05)
     np.testing.assert_array_equal(arc.members, np.arange(17))
@@ -46,29 +47,33 @@ def test_points_of_a_circle_are_one_wall_of_its_curvature(bend: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bend", "params"),
+    ("bend", "limits"),
     [
         (1e-4, {}),
-        (0.05, {"max_curvature_per_m": 0.045}),
-        (0.05, {"max_turn_rad": 0.75}),
-        (0.02, {"min_points": 18}),
-        (0.02, {"min_sigmas": 60.0}),
-        (0.02, {"min_gain": 1e6}),
+        (0.05, {"MAX_CURVATURE_PER_M": 0.045}),
+        (0.05, {"MAX_TURN_RAD": 0.75}),
+        (0.02, {"MIN_POINTS": 18}),
+        (0.02, {"MIN_SIGMAS": 60.0}),
+        (0.02, {"MIN_GAIN": 1e6}),
     ],
 )
-def test_what_is_not_clearly_bent_stays_a_line(bend: float, params: dict[str, float]) -> None:
+def test_what_is_not_clearly_bent_stays_a_line(
+    bend: float, limits: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Straight to its error; over the largest curvature; 16 m at 0.05 per metre are 0.8 rad; too few points."""
+    for name, value in limits.items():
+        monkeypatch.setattr(arcs, name, value)
     y_m = np.linspace(-8.0, 8.0, 17)
     points_m, covariance_m2 = circle(bend, y_m), np.tile(STD_M**2 * np.eye(2), (17, 1, 1))
     line = line_through(points_m, covariance_m2, np.arange(17), score=1.0)
-    assert with_arcs(points_m, covariance_m2, [line], ArcParams(**params)) == [line]  # type: ignore[arg-type]
+    assert with_arcs(points_m, covariance_m2, [line]) == [line]
 
 
 def test_two_lines_of_a_circle_become_one_wall() -> None:
     y_m = np.linspace(-8.0, 8.0, 18)
     points_m, covariance_m2 = circle(0.05, y_m), np.tile(STD_M**2 * np.eye(2), (18, 1, 1))
     lines = [line_through(points_m, covariance_m2, members, score=1.0) for members in (np.arange(9), np.arange(9, 18))]
-    (arc,) = with_arcs(points_m, covariance_m2, lines, ArcParams())
+    (arc,) = with_arcs(points_m, covariance_m2, lines)
     np.testing.assert_array_equal(arc.members, np.arange(18))
     assert arc.curvature_per_m == pytest.approx(0.05, rel=0.08)
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.target_lists.wall_points import WallPointParams, wall_like
-
-PARAMS = WallPointParams()
+from models.perception.target_lists.wall_points import wall_like
 
 
 def mask(points_m: np.ndarray, speed_mps: np.ndarray | None = None) -> np.ndarray:
     count = len(points_m)
-    return wall_like(points_m, np.tile(0.01 * np.eye(2), (count, 1, 1)), np.full(count, 20.0), speed_mps, PARAMS)
+    return wall_like(points_m, np.tile(0.01 * np.eye(2), (count, 1, 1)), np.full(count, 20.0), speed_mps)
 
 
 @pytest.mark.parametrize("direction_rad", [0.0, 0.7, 1.5707963])
