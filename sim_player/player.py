@@ -46,7 +46,7 @@ class ScenePlayer:
     leaves out its weakest paths, chosen from one instant to the next.
 
     `drive` moves the radar in place of the scene's `ego`, which then must stand still; the planner knows no drive:
-    ValueError for "auto".
+    ValueError for "auto". `walls_stop` false: drawn drives are played to their end, also the few that cross a wall.
     """
 
     def __init__(
@@ -62,6 +62,7 @@ class ScenePlayer:
         precision: str = "float32",
         purpose: str = "samples",
         drive: Drive | None = None,
+        walls_stop: bool = True,
     ) -> None:
         check_precision(precision)
         if drive is not None and scene.ego != Ego():
@@ -76,7 +77,8 @@ class ScenePlayer:
             raise ValueError(f"phase_jitter_rad must be finite and not negative, got {phase_jitter_rad!r}")
         self.scene, self.drive = scene, drive
         self.setup = msgspec.structs.replace(setup, stamp_ns=start_ns)
-        self._meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
+        meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
+        self._meeting = meeting if walls_stop else None
         self._moves = drive is not None or scene.moves
         self._seed = seed
         self._phase_jitter_rad = phase_jitter_rad

@@ -96,7 +96,9 @@ class LabelledDrive:
         budget_db: float = -20.0,
         purpose: str = "objects",
     ) -> None:
-        self._player = ScenePlayer(scene, seed, setup, effects=effects, budget_db=budget_db, purpose=purpose)
+        self._player = ScenePlayer(
+            scene, seed, setup, effects=effects, budget_db=budget_db, purpose=purpose, walls_stop=False
+        )
         self._scene, self._setup, self._seed = scene, self._player.setup, seed
         self._folder = BeamFolder(self._setup, FormingParams(range_window=WINDOW), setup.map_grid)
 

@@ -171,8 +171,7 @@ def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list
         for cluster in clusters
         if len(cluster) > SATELLITE_POINTS
         or not any(
-            len(other) >= 2 * len(cluster)
-            and (_in_one_beam(cluster, other, params) or _along_side(cluster, other))
+            len(other) >= 2 * len(cluster) and (_in_one_beam(cluster, other, params) or _along_side(cluster, other))
             for other in clusters
         )
     ]
