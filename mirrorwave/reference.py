@@ -100,12 +100,14 @@ def commands_page() -> str:
     import typer
     from typer.cli import get_docs_for_click
 
-    from mirrorwave.cli import command_line
+    from mirrorwave.cli import COMMON_OPTIONS, command_line
 
     command = typer.main.get_command(command_line())
     text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="mirrorwave", title="Commands")
     title, _, body = text.partition("\n\n")
-    return f"{title}\n\n{_COMMANDS_HEAD}\n{body.rstrip()}\n"
+    common = "".join(f"* `{name}`: {text}\n" for name, text in COMMON_OPTIONS.items())
+    head = f"{_COMMANDS_HEAD}\nOptions that mean the same in every verb that names them as common:\n\n{common}"
+    return f"{title}\n\n{head}\n{body.rstrip()}\n"
 
 
 def node_modules() -> list[str]:

@@ -550,7 +550,13 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
     if scene.radar.preset == "spad":
         from sim_player.lidar.player import LidarPlayer
 
-        _require_for_lidar(params)
+        # `sim run` asks for samples where nothing is said
+        radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
+        default = Params(scene=params.scene)
+        for name in radar_only:
+            value = getattr(params, name)
+            if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
+                raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
         return LidarPlayer(scene, seed=params.seed)
 
     from sim_player.player import ScenePlayer
@@ -564,17 +570,6 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
         budget_db=params.budget_db,
         purpose=params.purpose,
     )
-
-
-def _require_for_lidar(params: Params) -> None:
-    """Raise `ValueError` for parameters of radars."""
-    radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
-    default = Params(scene=params.scene)
-    for name in radar_only:
-        value = getattr(params, name)
-        # `sim run` asks for samples where nothing is said
-        if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
-            raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 
 def events_of(params: Params, backlog: Backlog | None = None) -> Iterator[Event]:

@@ -20,15 +20,7 @@ from msgs.files.shipped import shipped_path
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
-from nodes.can.bus import (
-    BURST,
-    BusParams,
-    CanLink,
-    LogFrame,
-    decode_frame,
-    frame_stamp_ns,
-    load_decoder,
-)
+from nodes.can.bus import BURST, BusParams, CanLink, LogFrame, decode_frame, frame_stamp_ns, load_decoder
 from nodes.can.log_file import on_one_clock, read_log
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset
@@ -238,17 +230,14 @@ class VehicleCanNode(Node):
 
     def _on_radar_clock(self, state: VehicleState) -> VehicleState | None:
         """Return a state with its stamp on the radar's clock, None from before that began."""
-        self._noted(state)
-        stamp_ns = state.stamp_ns + self._clock_offset_ns
-        return None if stamp_ns < 0 else msgspec.structs.replace(state, stamp_ns=stamp_ns)
-
-    def _noted(self, state: VehicleState) -> None:
         was_valid = self._last is not None and self._last.valid
         if was_valid and not state.valid:
             _LOG.warning("vehicle state is not valid: %s", state.reason)
         elif state.valid and not was_valid:
             _LOG.info("vehicle state is valid")
         self._last = state
+        stamp_ns = state.stamp_ns + self._clock_offset_ns
+        return None if stamp_ns < 0 else msgspec.structs.replace(state, stamp_ns=stamp_ns)
 
 
 def create(params: Params) -> VehicleCanNode:

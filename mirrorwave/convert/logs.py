@@ -16,7 +16,7 @@ import msgspec
 from msgs.files.checksums import file_sha256
 from msgs.files.text_files import read_text
 from msgs.recording.clock_steps import Bridged
-from msgs.recording.mcap import RecordingReader, RecordingWriter, whole_recording
+from msgs.recording.mcap import RecordingReader, whole_recording
 from msgs.values.units import ns_from_s
 
 
@@ -111,18 +111,14 @@ def import_sigmf(path: Path, out: Path, advance: Callable[[], None]) -> dict[str
             counts["beams"] += 1
             advance()
         if (truth := truth_beside(path)).is_file():
-            counts["truth"] = _copy_truth(writer, truth)
+            count = 0
+            with RecordingReader(truth) as reader:
+                for each in reader.messages(("sim/truth",)):
+                    stamp_ns: int = getattr(each.message, "stamp_ns", each.log_time_ns)
+                    writer.write(each.topic, each.message, publisher="import", sequence=count, sent_ns=max(0, stamp_ns))
+                    count += 1
+            counts["truth"] = count
     return counts
-
-
-def _copy_truth(writer: RecordingWriter, path: Path) -> int:
-    count = 0
-    with RecordingReader(path) as reader:
-        for each in reader.messages(("sim/truth",)):
-            stamp_ns: int = getattr(each.message, "stamp_ns", each.log_time_ns)
-            writer.write(each.topic, each.message, publisher="import", sequence=count, sent_ns=max(0, stamp_ns))
-            count += 1
-    return count
 
 
 def _can_provenance(source: CanSource) -> dict[str, str]:

@@ -155,7 +155,11 @@ class ReplayedGraph:
     def confirm(self, patience_s: float) -> None:
         """Wait until every node has told that it took all that was sent, or takes nothing more for `patience_s`."""
         least, moved_s = self._missing(), time.monotonic()
-        while not (self._stopped() or (self._heard_since(self._sent_ns) and self._missing() == 0)):
+
+        def all_heard() -> bool:
+            return all(self._now[node].stamp_ns >= self._sent_ns for node in self._before)
+
+        while not (self._stopped() or (all_heard() and self._missing() == 0)):
             self.serve(_TURN_S)
             if self._missing() < least:
                 least, moved_s = self._missing(), time.monotonic()
@@ -176,15 +180,13 @@ class ReplayedGraph:
         if isinstance(received.message, NodeStatus):
             self._now[received.message.node] = received.message
         elif received.topic == self.answer:
-            self._take_answer(received.message.scan_id)  # type: ignore[attr-defined]
-
-    def _take_answer(self, scan_id: int) -> None:
-        """Answers come in order: older scans than the answered one will not be answered any more."""
-        self._silent = False
-        self._answered_s = time.monotonic()
-        self._open.discard(scan_id)
-        if scan_id in self._in_flight:
-            del self._in_flight[: self._in_flight.index(scan_id) + 1]
+            # answers come in order: older scans than the answered one will not be answered any more
+            self._silent = False
+            self._answered_s = time.monotonic()
+            scan: int = received.message.scan_id  # type: ignore[attr-defined]
+            self._open.discard(scan)
+            if scan in self._in_flight:
+                del self._in_flight[: self._in_flight.index(scan) + 1]
 
     def _until(self, done: Callable[[], bool], timeout_s: float) -> None:
         end_s = time.monotonic() + timeout_s
@@ -195,9 +197,6 @@ class ReplayedGraph:
         """Topics with fewer subscribers than nodes that take them."""
         wanted = Counter(count.topic for status in self._now.values() for count in status.received)
         return ", ".join(topic for topic in self._topics if self._bus.subscribers(topic) < wanted[topic])
-
-    def _heard_since(self, time_ns: int) -> bool:
-        return all(self._now[node].stamp_ns >= time_ns for node in self._before)
 
     def _missing(self) -> int:
         """Messages of the played topics that nodes have not taken."""

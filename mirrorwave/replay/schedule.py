@@ -205,7 +205,10 @@ class Replay:
             if self._stop.requested:
                 return None
             self._send(recorded, due_ns)
-            self._note_played(recorded)
+            # add the time since the message before
+            if not TOPICS[recorded.topic].latched:
+                self._played_ns += 0 if self._at_ns is None else max(0, self._time_ns - self._at_ns)
+                self._at_ns = self._time_ns
         self._finish_scans()
         self._passes += 1
         # a span that holds nothing but what is said once would be begun again and again without a pause
@@ -295,12 +298,6 @@ class Replay:
             self._graph.serve(0.0)
         self._sent[recorded.topic] += 1
         self._unconfirmed |= is_latched
-
-    def _note_played(self, recorded: Recorded) -> None:
-        """Add the time since the message before."""
-        if not TOPICS[recorded.topic].latched:
-            self._played_ns += 0 if self._at_ns is None else max(0, self._time_ns - self._at_ns)
-            self._at_ns = self._time_ns
 
     def _finish_scans(self) -> None:
         """Let the graph answer what is on its way: what comes next may begin elsewhere."""

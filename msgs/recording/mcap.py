@@ -212,7 +212,11 @@ class RecordingWriter:
             min(max(message.stamp_ns, 0), MAX_U64),
             message.data,
         )
-        self._flush_when_due(message.sent_ns)
+        if self._flushed_ns is None:
+            self._flushed_ns = message.sent_ns
+        if message.sent_ns - self._flushed_ns >= FLUSH_INTERVAL_NS:
+            self._mcap.flush()
+            self._flushed_ns = message.sent_ns
 
     def flush(self) -> None:
         """Write the chunks in progress; data that the disk refuses is lost."""
@@ -259,13 +263,6 @@ class RecordingWriter:
                 compressed=topic not in self._plain_topics,
             )
         return self._channels[key]
-
-    def _flush_when_due(self, now_ns: int) -> None:
-        if self._flushed_ns is None:
-            self._flushed_ns = now_ns
-        if now_ns - self._flushed_ns >= FLUSH_INTERVAL_NS:
-            self._mcap.flush()
-            self._flushed_ns = now_ns
 
 
 def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> Encoded:
@@ -432,8 +429,11 @@ class RecordingReader:
 
         def first() -> tuple[Channel, Message]:
             _, offset, at, channel, raw = heapq.heappop(waiting)
-            if (offset, at) < positions.get(channel.id, (0, 0)):
-                self._note_set_back(channel.topic)
+            # say once that what one publisher sent comes in another order than it was written in
+            if (offset, at) < positions.get(channel.id, (0, 0)) and not self._is_set_back:
+                self._is_set_back = True
+                told = "messages come by their times, not as they were sent"
+                _LOG.warning("%s: the clock was set back while %s was recorded: %s", self.path, channel.topic, told)
             positions[channel.id] = offset, at
             return channel, raw
 
@@ -445,15 +445,6 @@ class RecordingReader:
                     heapq.heappush(waiting, (raw.log_time, chunk.offset, at, channel, raw))
         while waiting:
             yield first()
-
-    def _note_set_back(self, topic: str) -> None:
-        """Say once that what one publisher sent comes in another order than it was written in."""
-        if not self._is_set_back:
-            self._is_set_back = True
-            _LOG.warning(
-                "%s: the clock was set back while %s was recorded: messages come by their times, not as they were sent",
-                self.path, topic,
-            )  # fmt: skip
 
     def _may_hold(self, chunk: _Chunk, topics: Collection[str]) -> bool:
         """Return whether a chunk has to be read for these topics: raw beams are a thousand times all else."""

@@ -191,11 +191,7 @@ def write_capture(
     try:
         with whole(data_path) as part, part.open("wb") as file:
             captures, sha512 = _write_beams(file, setup, beams)
-        metadata = {
-            "global": _global_of(setup, sha512, background_path.name),
-            "captures": captures,
-            "annotations": [],
-        }
+        metadata = {"global": _global_of(setup, sha512, background_path.name), "captures": captures, "annotations": []}
         _require_valid(metadata, meta_path)
         if setup.background is not None:
             with whole(background_path) as part, part.open("wb") as file:

@@ -162,7 +162,7 @@ class LineSplitter:
         return self._say_left_out() + lines
 
     def _passed(self, line: bytes) -> list[str]:
-        if _tells_state(line):
+        if line.startswith(RECORD_SEPARATOR.encode()) and b'"state"' in line:
             return [_printable(line)]
         if self._allowed < 1.0:
             self._left_out += 1
@@ -173,10 +173,6 @@ class LineSplitter:
     def _say_left_out(self) -> list[str]:
         count, self._left_out = self._left_out, 0
         return [f"({counted(count, 'line')} left out: more than {LINES_PER_S} a second)"] if count else []
-
-
-def _tells_state(line: bytes) -> bool:
-    return line.startswith(RECORD_SEPARATOR.encode()) and b'"state"' in line
 
 
 def _printable(line: bytes) -> str:

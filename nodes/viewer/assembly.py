@@ -117,7 +117,12 @@ class ScanAssembly:
                 self._images.add(message)
                 self._post_without_view(message.stamp_ns, now_ns)
             case SceneTruth():
-                self._keep_truth(message, now_ns)
+                self._truths.pop(message.scan_id, None)
+                self._truths[message.scan_id] = message
+                while len(self._truths) > _KEPT_TRUTHS:
+                    del self._truths[next(iter(self._truths))]
+                if self._frame is not None and self._frame.scan_id == message.scan_id:
+                    self._post_view(now_ns)
             case VehicleState():
                 self._vehicle = message
 
@@ -164,14 +169,6 @@ class ScanAssembly:
             return False
         return now_ns - self._map_posted_ns < LATE_MAP_PERIOD_NS
 
-    def _keep_truth(self, truth: SceneTruth, now_ns: int) -> None:
-        self._truths.pop(truth.scan_id, None)
-        self._truths[truth.scan_id] = truth
-        while len(self._truths) > _KEPT_TRUTHS:
-            del self._truths[next(iter(self._truths))]
-        if self._frame is not None and self._frame.scan_id == truth.scan_id:
-            self._post_view(now_ns)
-
 
 class Assembly:
     """Processes messages of a live graph in order of arrival and posts a page's contents. Belongs to one thread."""
@@ -211,19 +208,16 @@ class Assembly:
         table = self._watching(now_ns).table(now_ns)
         self._board.post("nodes", lambda: (json_text(table),))
         self._post_warnings(now_ns)
-        self._post_series(now_ns)
-
-    def _watching(self, now_ns: int) -> Watch:
-        self._watch = self._watch or Watch(now_ns, self._board.series)
-        return self._watch
-
-    def _post_series(self, now_ns: int) -> None:
-        """Post new samples, as seldom as maps while views are late."""
-        is_shed = self._sheds and self._watching(now_ns).is_late and self._series_posted_ns is not None
+        # post new samples, as seldom as maps while views are late
+        is_shed = self._sheds and self._watching(now_ns).is_late and (self._series_posted_ns is not None)
         if not is_shed or now_ns - (self._series_posted_ns or 0) >= LATE_MAP_PERIOD_NS:
             self._series_posted_ns = now_ns
             self._board.series.advance(now_ns)
             self._board.post_series()
+
+    def _watching(self, now_ns: int) -> Watch:
+        self._watch = self._watch or Watch(now_ns, self._board.series)
+        return self._watch
 
     def _post_warnings(self, now_ns: int) -> None:
         post_warnings(self._board, self._watching(now_ns).warnings(now_ns), now_ns)

@@ -89,7 +89,14 @@ def view_json(
             "rcs_dbsm": frame.visibility_rcs_dbsm,
         },
         "truth": None if truth is None else _truth_json(truth, frame),
-        "vehicle": None if vehicle is None else _vehicle_json(vehicle),
+        "vehicle": None
+        if vehicle is None
+        else {
+            "speed_mps": round(vehicle.speed_mps, 2),
+            "yaw_rate_rps": round(vehicle.yaw_rate_rps, 4),
+            "valid": vehicle.valid,
+            "reason": vehicle.reason,
+        },
     }
 
 
@@ -256,17 +263,17 @@ def _positioned(frame: BevFrame) -> list[HiddenObject]:
 
 def _by_urgency(tracks: Sequence[Track]) -> list[Track]:
     """Return the tracks worth showing, in order of urgency: those that enter sight first, then the nearest."""
-    finite = [track for track in tracks if _has_position(track)]
+    finite = [
+        track
+        for track in tracks
+        if all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps, track.age_s)))
+    ]
     return sorted(finite, key=_urgency)[:MAX_TRACKS]
 
 
 def _urgency(track: Track) -> tuple[float, float]:
     appears_s = _appears_s(track)
     return math.inf if appears_s is None else appears_s, math.hypot(track.x_m, track.y_m)
-
-
-def _has_position(track: Track) -> bool:
-    return all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps, track.age_s)))
 
 
 def _appears_s(track: Track) -> float | None:
@@ -352,15 +359,6 @@ def _truth_object_json(item: TruthObject, stamp_ns: int, frame: BevFrame) -> dic
         "yaw": round(item.yaw_rad, 4),
         "velocity": _metres((item.velocity_x_mps, item.velocity_y_mps)),
         "hidden": item.hidden,
-    }
-
-
-def _vehicle_json(vehicle: VehicleState) -> dict[str, Any]:
-    return {
-        "speed_mps": round(vehicle.speed_mps, 2),
-        "yaw_rate_rps": round(vehicle.yaw_rate_rps, 4),
-        "valid": vehicle.valid,
-        "reason": vehicle.reason,
     }
 
 

@@ -79,7 +79,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
     (r"--count \d+", "--count 8"),
     # drives, which are many scans each; no page trains on them
-    (r"^(mirrorwave sim dataset .*--count) 8 (--motion .*)$", r"\1 2 \2"),
+    (r"^(mirrorwave sim dataset .*--count) 8 (--scans .*)$", r"\1 2 \2"),
     (r"^(mirrorwave topic echo .*)--count 8", r"\1--count 2"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),

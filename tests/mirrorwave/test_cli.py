@@ -265,8 +265,9 @@ def helps(width: int) -> Iterator[tuple[str, str, list[str]]]:
     def walk(command: Any, words: tuple[str, ...]) -> Iterator[tuple[str, str, list[str]]]:
         context = Context(command, info_name=" ".join(("mirrorwave", *words)), terminal_width=width)
         parts = getattr(command, "commands", {})
-        wanted = [parameter.help for parameter in command.params if getattr(parameter, "help", None)]
-        wanted += [part.help.split("\n\n")[0] for part in parts.values()]
+        shown = [parameter for parameter in command.params if not getattr(parameter, "hidden", False)]
+        wanted = [parameter.help for parameter in shown if getattr(parameter, "help", None)]
+        wanted += [part.help.split("\n\n")[0] for part in parts.values() if not part.hidden]
         yield " ".join(words), command.get_help(context), [*wanted, command.help]
         for name, part in parts.items():
             yield from walk(part, (*words, name))

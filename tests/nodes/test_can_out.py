@@ -64,11 +64,7 @@ class Views(Node):
 @pytest.fixture
 def bus() -> dict:
     """A virtual bus of its own for each test, whose frames keep the stamps of the virtual clock."""
-    return {
-        "interface": "virtual",
-        "channel": f"out-{next(_channels)}",
-        "options": {"preserve_timestamps": True},
-    }
+    return {"interface": "virtual", "channel": f"out-{next(_channels)}", "options": {"preserve_timestamps": True}}
 
 
 def run(bus: dict, duration_ms: int, view_times_ms: list[int]) -> list[can.Message]:

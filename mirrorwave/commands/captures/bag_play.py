@@ -35,7 +35,7 @@ def play(
     ] = None,
     start: StartS = 0.0,
     end: EndS = None,
-    duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Play S seconds.")] = None,
+    duration: Annotated[float | None, typer.Option(hidden=True)] = None,
     clock: Annotated[bool, typer.Option("--clock", help="Move stamps onto the clock of now.")] = False,
     start_paused: Annotated[bool, typer.Option("--start-paused", help="Wait for the space key.")] = False,
     domain: Domain = DEFAULT_DOMAIN,

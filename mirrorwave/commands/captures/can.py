@@ -113,21 +113,17 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     if as_json:
         print_json({"log": str(log), **report.as_dict()})
     else:
-        _print_signals(report)
+        columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
+        rows = [_signals_row(row) for row in report.messages()]
+        print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS", "PERIOD_MS"))
+        print_line("")
+        print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
+        if report.loss:
+            print_line(f"the log breaks off: {report.loss}")
     if report.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
     if not report.known:
         raise typer.Exit(ExitCode.FAILED)
-
-
-def _print_signals(report: SignalReport) -> None:
-    columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
-    rows = [_signals_row(row) for row in report.messages()]
-    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS", "PERIOD_MS"))
-    print_line("")
-    print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
-    if report.loss:
-        print_line(f"the log breaks off: {report.loss}")
 
 
 def _signals_row(row: dict[str, Any]) -> list[Any]:

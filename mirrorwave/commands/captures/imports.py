@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -16,28 +15,6 @@ app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others 
 app.command()(loaded("contrib.imports.verb:sensors"))
 
 
-class KindOption(StrEnum):
-    """Content of the folder."""
-
-    SIM = "sim"
-    REAL = "real"
-
-
-class DeviceOption(StrEnum):
-    """Device whose lanes the file was written from."""
-
-    XWR14XX = "xwr14xx"
-    XWR16XX = "xwr16xx"
-    XWR18XX = "xwr18xx"
-
-
-class FalloffOption(StrEnum):
-    """Law of a hidden surface: r^-2 of retroreflectors, r^-4 of matt ones."""
-
-    RETROREFLECTIVE = "retroreflective"
-    MATT = "matt"
-
-
 @app.callback()
 def _group() -> None:
     """Bring captures and logs of others in."""
@@ -47,12 +24,10 @@ def _group() -> None:
 def xradarnlos(
     folder: Annotated[Path, typer.Argument(metavar="SOURCE", help="Folder in the published layout.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Data set to write; must be empty or new.")],
-    kind: Annotated[KindOption, typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")] = (
-        KindOption.SIM
-    ),
-    keys: Annotated[
-        str, typer.Option(metavar="LOS,IMAGE,TRUE", help="Arrays of a simulated points file, by what they are.")
-    ] = "L,G,T",
+    kind: Annotated[
+        Literal["sim", "real"], typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")
+    ] = "sim",
+    keys: Annotated[str, typer.Option(hidden=True)] = "L,G,T",
     skip_broken: Annotated[bool, typer.Option(help="Count captures that cannot be read; exit code 3.")] = False,
     as_json: AsJson = False,
 ) -> int:
@@ -68,7 +43,7 @@ def xradarnlos(
         summary = import_folder(
             folder,
             out,
-            kind.value,
+            kind,
             SimKeys(direct=wanted_keys[0], image=wanted_keys[1], true_place=wanted_keys[2]),
             skip_broken,
             progress.update,
@@ -76,7 +51,7 @@ def xradarnlos(
     for reason in summary.broken:
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
     if as_json:
-        print_json({"folder": str(out), "kind": kind.value, **vars(summary)})
+        print_json({"folder": str(out), "kind": kind, **vars(summary)})
     else:
         print_line(
             f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
@@ -97,7 +72,8 @@ def dca1000(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
     device: Annotated[
-        DeviceOption | None, typer.Option(help='Device, where FILE does not name it ("% Platform:").')
+        Literal["xwr14xx", "xwr16xx", "xwr18xx"] | None,
+        typer.Option(help='Device, where FILE does not name it ("% Platform:").'),
     ] = None,
     remove_static: Annotated[bool, typer.Option(help="Take off what stands still.")] = False,
     mirrored: Annotated[bool, typer.Option(help="Receivers run to the right as the radar looks.")] = False,
@@ -114,7 +90,7 @@ def dca1000(
     from contrib.boards.import_dca1000 import ImportParams, capture_files, import_capture, write_recording
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
-    chirps = read_config(config, device.value if device else None)
+    chirps = read_config(config, device)
     files = capture_files(capture, chirps)
     for file in files[len(capture) :]:
         typer.echo(f"mirrorwave: {capture[0]}: goes on in {file}", err=True)
@@ -165,11 +141,7 @@ def can(
 
     require_new_file(out)
     source = CanSource(
-        log=log,
-        dbc=shipped_path(dbc),
-        mapping=shipped_path(mapping),
-        channel=channel,
-        start_ns=start_ns,
+        log=log, dbc=shipped_path(dbc), mapping=shipped_path(mapping), channel=channel, start_ns=start_ns
     )
     with progress_bar(f"reading {log.name}"):
         counts = import_can(source, out)
@@ -244,8 +216,9 @@ def transients(
         4.0
     ),
     falloff: Annotated[
-        FalloffOption, typer.Option(help="Loss over distance of the hidden surface.")
-    ] = FalloffOption.RETROREFLECTIVE,
+        Literal["retroreflective", "matt"],
+        typer.Option(help="Loss over distance of a hidden surface: r^-2 of retroreflectors, r^-4 of matt ones."),
+    ] = "retroreflective",
     snr: Annotated[float, typer.Option(metavar="RATIO", help="Power of signal over noise; higher is sharper.")] = 1.0,
     as_json: AsJson = False,
 ) -> int:
@@ -253,7 +226,7 @@ def transients(
     from lab.transients.import_transients import import_transients
 
     with progress_bar(f"reading {capture.name}"):
-        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff.value, snr)
+        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff, snr)
     if as_json:
         print_json({"folder": str(out), **summary})
     else:

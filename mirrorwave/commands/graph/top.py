@@ -14,15 +14,7 @@ import msgspec
 import typer
 
 from mirrorwave.commands.graph.nodes import node_row, shed_text
-from mirrorwave.console import (
-    DEFAULT_DOMAIN,
-    AsJson,
-    Domain,
-    console_table,
-    print_json,
-    print_picture,
-    stdout_console,
-)
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, console_table, print_json, print_picture, stdout_console
 from mirrorwave.diagnose.running_graph import no_heartbeat, require_graph
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.interface import Bus
