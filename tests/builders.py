@@ -13,6 +13,7 @@ from models.perception.form.beams_to_maps import FormingStage
 from models.perception.form.ra_forming import FormingParams
 from models.perception.track.scan_state import MemoryParams
 from models.perception.track.views_over_scans import ViewStage
+from msgs.values.perception import BevFrame, BevGrid, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 
@@ -36,3 +37,18 @@ def example_beam(**fields: Any) -> RadarBeam:
     """The first of 25 beams, straight ahead, of one sample of silence, unless told otherwise."""
     plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "beam_index": 0, "beam_count": 25, "azimuth_rad": 0.0}
     return RadarBeam(**{"samples": np.zeros((1, 1, 2), np.int16), "full_scale_dbm": 0.0} | plain | fields)
+
+
+def example_view(rows: int = 2, columns: int = 2, **fields: Any) -> BevFrame:
+    """A view of scan 0 at time 0 with nothing in it and nothing observed, unless told otherwise."""
+    plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "grid": BevGrid(rows=rows, columns=columns)}
+    plain |= {"visibility": np.zeros((rows, columns), np.uint8), "los_points_m": np.zeros((0, 2), np.float32)}
+    return BevFrame(**plain | fields)
+
+
+def example_truth(**fields: Any) -> SceneTruth:
+    """The truth of scan 0 at time 0 without a point, unless told otherwise."""
+    none = np.zeros((0, 3), np.float32)
+    plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "hidden_object": np.zeros(0, np.int32)}
+    plain |= dict.fromkeys(("los_points_m", "mirrored_points_m", "hidden_points_m"), none)
+    return SceneTruth(**plain | fields)

@@ -57,6 +57,8 @@ _VIEWER_PORT = 8765
 
 def all_findings(domain: str) -> list[Finding]:
     """Every check in a fixed order; one that cannot run has failed."""
+    from mirrorwave.diagnose.doctor_graph import check_room, graph_findings
+    from mirrorwave.diagnose.node_types import plugin_findings
     from msgs.bus.zmq import run_dir
 
     checks: dict[str, Callable[[], Iterator[Finding]]] = {
@@ -64,14 +66,14 @@ def all_findings(domain: str) -> list[Finding]:
         "packages": check_packages,
         "extras": check_extras,
         "processor": check_processor,
-        "disk": check_disk,
+        "disk": lambda: iter([check_room("disk", Path.cwd())]),
         "clock": check_clock,
         "can": check_can,
         "weights": lambda: check_weights(WEIGHTS),
-        "plug-ins": check_plugins,
+        "plug-ins": lambda: iter(plugin_findings()),
         "run directory": lambda: check_run_dir(run_dir(domain)),
         "viewer port": check_viewer_port,
-        "graph": lambda: check_graph(run_dir(domain)),
+        "graph": lambda: graph_findings(run_dir(domain)),
     }
     findings: list[Finding] = []
     for name, check in checks.items():
@@ -107,13 +109,6 @@ def check_extras() -> Iterator[Finding]:
         absent = [name for name in names if name != "mirrorwave" and not _is_installed(name)]
         hint = f"not installed: {', '.join(absent)}; pip install 'mirrorwave[{extra}]'" if absent else ", ".join(names)
         yield Finding(f"extra {extra}", Status.OK, hint)
-
-
-def check_disk() -> Iterator[Finding]:
-    """Room for recordings and runs where the doctor was called."""
-    from mirrorwave.diagnose.doctor_graph import check_room
-
-    yield check_room("disk", Path.cwd())
 
 
 def check_clock() -> Iterator[Finding]:
@@ -177,26 +172,12 @@ def check_weights(folder: Path) -> Iterator[Finding]:
             yield Finding(f"weights {network.stem}", Status.FAILED, f"cannot be read: {error_line(error)}")
 
 
-def check_plugins() -> Iterator[Finding]:
-    """Every node and effect that another package brings can be used."""
-    from mirrorwave.diagnose.node_types import plugin_findings
-
-    yield from plugin_findings()
-
-
 def check_run_dir(run_dir: Path) -> Iterator[Finding]:
     """The directory of the graph's sockets can be written and a message gets through."""
     run_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryFile(dir=run_dir):
         pass
     yield Finding("run directory", Status.OK, str(run_dir))
-
-
-def check_graph(run_dir: Path) -> Iterator[Finding]:
-    """Every node and topic of the running graph: what fails, what is silent and why."""
-    from mirrorwave.diagnose.doctor_graph import graph_findings
-
-    yield from graph_findings(run_dir)
 
 
 def _check_network(network: Path) -> Finding:

@@ -17,6 +17,7 @@ import logging
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from io import BytesIO, FileIO
 from pathlib import Path
@@ -179,6 +180,7 @@ class RecordingWriter:
             self._mcap.add_metadata(METADATA_NAME, metadata)
             stack.pop_all()
         self._channels: dict[tuple[str, str], int] = {}
+        self._sequences: Counter[tuple[str, str]] = Counter()
         self._flushed_ns: int | None = None
         self._is_finished = False
 
@@ -198,8 +200,13 @@ class RecordingWriter:
             counts[topic] = counts.get(topic, 0) + self._mcap.counts[number]
         return counts
 
-    def write(self, topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> None:
-        """Append a message that `publisher` sent at `sent_ns` (not negative)."""
+    def write(
+        self, topic: str, message: msgspec.Struct, *, publisher: str, sent_ns: int, sequence: int | None = None
+    ) -> None:
+        """Append a message that `publisher` sent at `sent_ns` (not negative); by default the next of its topic."""
+        if sequence is None:
+            sequence = self._sequences[topic, publisher]
+            self._sequences[topic, publisher] += 1
         self.write_encoded(encoded(topic, message, publisher=publisher, sequence=sequence, sent_ns=sent_ns))
 
     def write_encoded(self, message: Encoded) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,12 +23,7 @@ from msgs.files.shipped import LAUNCH
 from msgs.recording.mcap import RecordingWriter, info
 from msgs.values.vehicle import VehicleState
 
-
-@pytest.fixture(autouse=True)
-def quiet_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        yield
+pytestmark = pytest.mark.usefixtures("quiet_domain")
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from msgs.bus.local import LocalNetwork
 from msgs.values.diagnostics import NodeState
-from msgs.values.perception import BevFrame, BevGrid, SceneTruth
+from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.bev_viewer import BevViewer, Params, create
@@ -28,7 +28,7 @@ from nodes.viewer import server as server_module
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import MAX_CLIENT_MESSAGE_BYTES, MAX_CLIENT_MESSAGES_PER_S, Play, Seek, ViewerServer
-from tests.builders import example_map
+from tests.builders import example_map, example_truth, example_view
 
 PATIENCE_S = 60.0
 
@@ -45,14 +45,7 @@ def server(board: Board) -> Iterator[ViewerServer]:
 
 
 def frame(scan_id: int) -> BevFrame:
-    grid = BevGrid(rows=4, columns=4)
-    return BevFrame(
-        stamp_ns=scan_id,
-        scan_id=scan_id,
-        grid=grid,
-        visibility=np.zeros((4, 4), np.uint8),
-        los_points_m=np.zeros((0, 2), np.float32),
-    )
+    return example_view(stamp_ns=scan_id, scan_id=scan_id)
 
 
 def ra_map(scan_id: int) -> RangeAzimuthMap:
@@ -61,11 +54,7 @@ def ra_map(scan_id: int) -> RangeAzimuthMap:
 
 
 def truth(scan_id: int) -> SceneTruth:
-    empty = np.zeros((0, 3), np.float32)
-    return SceneTruth(
-        stamp_ns=scan_id, scan_id=scan_id, los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty,
-        hidden_object=np.zeros(0, np.int32),
-    )  # fmt: skip
+    return example_truth(stamp_ns=scan_id, scan_id=scan_id)
 
 
 def text_post(board: Board, number: int, kind: str = "view") -> None:

@@ -21,10 +21,16 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Look at the vehicle's CAN bus and at logs of it.", no_args_is_help=True)
 
-_DBC = Path("launch/can/mirrorwave.dbc")
-_MAPPING = Path("launch/can/mirrorwave.yaml")
+DBC = Path("launch/can/mirrorwave.dbc")
+MAPPING = Path("launch/can/mirrorwave.yaml")
 Dbc = Annotated[Path, typer.Option("--dbc", help="The car's DBC.")]
 Mapping = Annotated[Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")]
+Channel = Annotated[
+    str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
+]
+Signals = Annotated[
+    bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
+]
 #: Longer lists are cut on the terminal; --json keeps them whole.
 _SHOWN_EVENTS = 40
 #: How often a live bus is read, and how many gaps between frames of a message its period is taken from.
@@ -34,15 +40,11 @@ _POLL_S, _KEPT_GAPS = 0.005, 1000
 @app.command()
 def decode(
     log: Annotated[Path, typer.Argument(help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
-    dbc: Dbc = _DBC,
-    mapping: Mapping = _MAPPING,
-    channel: Annotated[
-        str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
-    ] = None,
+    dbc: Dbc = DBC,
+    mapping: Mapping = MAPPING,
+    channel: Channel = None,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.0, help="Show a state each S seconds.")] = 1.0,
-    signals: Annotated[
-        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
-    ] = False,
+    signals: Signals = False,
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
@@ -148,13 +150,11 @@ def monitor(
         list[str] | None,
         typer.Option("--option", "-o", metavar="KEY=VALUE", help="For the interface; may be repeated."),
     ] = None,
-    dbc: Dbc = _DBC,
-    mapping: Mapping = _MAPPING,
+    dbc: Dbc = DBC,
+    mapping: Mapping = MAPPING,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.01, help="A line each S seconds.")] = 0.5,
     duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Stop after S seconds.")] = None,
-    signals: Annotated[
-        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
-    ] = False,
+    signals: Signals = False,
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state of a live bus, line by line; exit code 1 if it was never valid."""

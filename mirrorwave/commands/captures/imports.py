@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from mirrorwave.commands.captures.can import DBC, MAPPING, Channel, Dbc, Mapping
 from mirrorwave.commands.verbs import loaded
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
 from msgs.values.wording import counted
@@ -123,13 +124,9 @@ def dca1000(
 def can(
     log: Annotated[Path, typer.Argument(metavar="SOURCE", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of vehicle/state.")],
-    dbc: Annotated[Path, typer.Option("--dbc", help="The car's DBC.")] = Path("launch/can/mirrorwave.dbc"),
-    mapping: Annotated[
-        Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")
-    ] = Path("launch/can/mirrorwave.yaml"),
-    channel: Annotated[
-        str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
-    ] = None,
+    dbc: Dbc = DBC,
+    mapping: Mapping = MAPPING,
+    channel: Channel = None,
     start_ns: Annotated[
         int | None, typer.Option("--start-ns", metavar="N", help="Stamp of the first frame, to fit another recording.")
     ] = None,

@@ -14,7 +14,7 @@ import typer
 
 from mirrorwave import early_start
 from mirrorwave.commands.captures.bag_options import Raw, command_line, recorder_params, require_new_recording
-from mirrorwave.completion import complete_launch_files, complete_profiles
+from mirrorwave.completion import Overrides, complete_launch_files, complete_profiles
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
 from mirrorwave.exit_signals import stopped_by_signal
 from msgs.values.wording import counted
@@ -27,9 +27,7 @@ def launch(
     file: Annotated[
         Path, typer.Argument(metavar="LAUNCH_FILE", help="Launch file (YAML).", autocompletion=complete_launch_files)
     ],
-    param: Annotated[
-        list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
-    ] = None,
+    param: Overrides = None,
     params_file: Annotated[Path | None, typer.Option(help="YAML mapping of node to parameters.")] = None,
     profile: Annotated[
         str | None,

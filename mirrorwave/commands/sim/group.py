@@ -100,12 +100,9 @@ def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, 
     """MCAP recording of messages at the times their stamps say, as if `player` had sent them."""
     from msgs.recording.mcap import whole_recording
 
-    sequences: dict[str, int] = {}
     with whole_recording(path, metadata) as writer:
         for topic, message in events:
-            sequence = sequences.get(topic, 0)
-            sequences[topic] = sequence + 1
-            writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=_sent_ns(message))
+            writer.write(topic, message, publisher="player", sent_ns=_sent_ns(message))
 
 
 def _sent_ns(message: Any) -> int:
