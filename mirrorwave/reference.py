@@ -127,7 +127,7 @@ def _topic_row(topic: Topic) -> tuple[str, ...]:
         delivery = "newest only"
     rate = f"{topic.rate_hz:.3g}" if topic.rate_hz else "when needed"
     limit = f"{topic.max_bytes / MIB:g} MiB" if topic.max_bytes >= MIB else f"{topic.max_bytes >> 10} KiB"
-    return f"`{topic.name}`", _link(topic.type), rate, limit, delivery
+    return f"`{topic.name}`", f"[{topic.type.__name__}](#{_anchor(topic.type.__name__)})", rate, limit, delivery
 
 
 def _type_section(kind: type) -> str:
@@ -249,10 +249,6 @@ def _mentioned(hint: Any) -> Iterator[type]:
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     return "\n".join(table(head, rows)) + "\n"
-
-
-def _link(kind: type) -> str:
-    return f"[{kind.__name__}](#{_anchor(kind.__name__)})"
 
 
 def _anchor(title: str) -> str:

@@ -241,7 +241,9 @@ class Player(Node):
             if not self._made or self._is_sent or self._backlog.lag_ns(self._made[0].offset_ns) < 0:
                 break
             if self._is_left_out(self._made[0]):
-                self._drop()
+                self._made.popleft()
+                if not self._made:
+                    self._make_next()
             else:
                 out.append(self._take())
         if not out and self._makes_ahead():
@@ -288,11 +290,6 @@ class Player(Node):
         if not (self._is_sent or self._made):
             self._make_next()
         return outgoing
-
-    def _drop(self) -> None:
-        self._made.popleft()
-        if not self._made:
-            self._make_next()
 
     def _makes_ahead(self) -> bool:
         """Return whether scans are made before their time, since making takes longer than they last."""

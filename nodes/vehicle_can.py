@@ -160,7 +160,12 @@ class LogSource:
             if frame.stamp_ns > until_ns:
                 break
             due.append(frame)
-            self._advance()
+            self._next = None
+            try:
+                self._next = next(self._frames, None)
+            except (ValueError, OSError) as error:
+                self.trouble = str(error)
+                _LOG.error("%s", error)
         return due
 
     def close(self) -> None:
@@ -171,14 +176,6 @@ class LogSource:
     def _restamped(self, frame: LogFrame) -> LogFrame:
         start_ns = self._start_ns if self._start_ns is not None else self._play_ns or 0
         return frame._replace(stamp_ns=start_ns + frame.stamp_ns - self._first_ns)
-
-    def _advance(self) -> None:
-        self._next = None
-        try:
-            self._next = next(self._frames, None)
-        except (ValueError, OSError) as error:
-            self.trouble = str(error)
-            _LOG.error("%s", error)
 
 
 class VehicleCanNode(Node):

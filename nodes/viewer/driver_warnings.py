@@ -257,7 +257,11 @@ def hidden_objects(facts: Facts) -> Iterable[Finding]:
     frame = facts.frame
     if frame is None or not _is_fresh(facts):
         return
-    tracks = [track for track in frame.tracks if _is_finite(track)]
+    tracks = [
+        track
+        for track in frame.tracks
+        if all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps)))
+    ]
     count = Counter(side_of_track(track) for track in tracks)
     tracks = sorted(tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
     crossings = _crossings(facts, tracks)
@@ -286,10 +290,6 @@ def _by_precedence(finding: Finding) -> tuple[int, bool, bool, float]:
 
 def _others(count: int) -> str:
     return f"; {count} more on this side" if count > 0 else ""
-
-
-def _is_finite(track: Track) -> bool:
-    return all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps)))
 
 
 class Crossing(NamedTuple):

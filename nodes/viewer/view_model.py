@@ -322,18 +322,18 @@ def _object_json(item: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]
 
 def _nearest_json(item: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
     """Return the hidden true object of the least face error; None if none is hidden, or none has a position."""
-    hidden = [other for other in truth.objects if other.hidden and _is_finite(other)]
+    hidden = [
+        other
+        for other in truth.objects
+        if other.hidden
+        and all(math.isfinite(getattr(other, name)) for name in other.__struct_fields__ if name not in _NO_NUMBERS)
+    ]
     distances = object_distances([item], truth, hidden)
     if not hidden or not np.isfinite(distances.error_m).all():
         return None
     nearest = int(distances.error_m[0].argmin())
     errors = {"face_error": distances.error_m[0, nearest], "centre_error": distances.centre_m[0, nearest]}
     return {"class": hidden[nearest].object_class, **{name: round(float(value), 2) for name, value in errors.items()}}
-
-
-def _is_finite(item: TruthObject) -> bool:
-    """Return whether all numbers of a true object are finite: the bus accepts any."""
-    return all(math.isfinite(getattr(item, name)) for name in item.__struct_fields__ if name not in _NO_NUMBERS)
 
 
 def _truth_json(truth: SceneTruth, frame: BevFrame) -> dict[str, Any]:
