@@ -19,3 +19,14 @@ def quiet_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="mw") as folder:
         monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
         yield Path(folder)
+
+
+@pytest.fixture(scope="session")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scans of the corner, of four chirps a beam and basic effects."""
+    from mirrorwave.cli import main
+
+    path = tmp_path_factory.mktemp("capture") / "corner.mcap"
+    command = ["sim", "run", "launch/scenes/corner.yaml", "--out", str(path), "--scans", "2", "--effects", "basic"]
+    assert main([*command, "--chirps-per-beam", "4"]) == 0
+    return path

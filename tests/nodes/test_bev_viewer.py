@@ -129,39 +129,15 @@ def test_the_page_needs_nothing_from_outside(server: ViewerServer) -> None:
         assert "https:" not in body
 
 
-@pytest.mark.parametrize("path", ["/", "/wrong/", "/wrong/viewer.js", "/%F0%9F%92%A9/", "//", "/x" * 100])
-def test_without_the_token_there_is_no_page(server: ViewerServer, path: str) -> None:
-    response = get(server, path)
-    assert response.status == 403
-    assert server.url.split("/")[3] not in response.body.decode()  # type: ignore[attr-defined]
-    assert response.headers["x-content-type-options"] == "nosniff"
-
-
 def test_a_token_is_its_own_and_long() -> None:
     with ViewerServer(Board(), title="a") as one, ViewerServer(Board(), title="b") as other:
         assert one.url.split("/")[3] != other.url.split("/")[3]
         assert len(one.url.split("/")[3]) >= 32
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:8765", "127.0.0.1.evil.example", "[::1]", ""])
-def test_another_host_name_is_refused(server: ViewerServer, host: str) -> None:
-    assert get(server, token_path(server), Host=host).status == 403
-
-
 @pytest.mark.parametrize("host", ["localhost", "localhost:8765", "127.0.0.1:9"])
 def test_a_tunnel_may_have_another_port(server: ViewerServer, host: str) -> None:
     assert get(server, token_path(server), Host=host).status == 200
-
-
-def test_another_origin_is_refused(server: ViewerServer) -> None:
-    assert get(server, token_path(server), Origin="http://evil.example").status == 403
-    assert get(server, token_path(server), Origin="null").status == 403
-
-
-@pytest.mark.parametrize("path", ["../server.py", "index.html", "x", "viewer.js/", "static/viewer.js"])
-def test_nothing_else_is_served(server: ViewerServer, path: str) -> None:
-    assert get(server, token_path(server) + path).status == 404
-    assert get(server, token_path(server) + "ws").status == 426
 
 
 @pytest.mark.parametrize("origin", [None, "http://evil.example", "null", "https://127.0.0.1", "http://127.0.0.1:1"])
