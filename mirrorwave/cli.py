@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.metadata
 import logging
 import os
 import sys
@@ -23,6 +22,7 @@ from mirrorwave.terminal import READER_LEFT
 from msgs.files.open_files import raise_open_files
 from msgs.files.plugins import VERBS, plugins
 from nodes.process.kernel_cache import use_fallback
+from nodes.process.machine import installed_version
 
 #: Verbs and groups as the help lists them, each with an example.
 _PANELS = {
@@ -171,10 +171,7 @@ def _options(
 
 def version() -> str:
     """Version of the installed project, or "unknown" in a bare checkout."""
-    try:
-        return importlib.metadata.version("mirrorwave")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+    return installed_version("mirrorwave") or "unknown"
 
 
 @functools.cache

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
 
 import can
 import msgspec
@@ -54,32 +53,8 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
         require_clock_offset("clock_offset_s", self.clock_offset_s)
 
 
-class FrameSource(Protocol):
-    """Source of frames: a bus or a log."""
-
-    @property
-    def trouble(self) -> str:
-        """Reason for missing frames; empty while all is well."""
-
-    @property
-    def ended(self) -> bool:
-        """Return whether no further frame will ever come."""
-
-    def stamp_ns(self, now_ns: int) -> int:
-        """Return the bus clock's time on the clock of the stamps."""
-
-    def due_ns(self, now_ns: int, stamp_ns: int) -> int:
-        """Return the bus time of the next poll, or of `stamp_ns` on the clock of the stamps if that is earlier."""
-
-    def frames(self, now_ns: int) -> list[LogFrame]:
-        """Return the frames up to now, with their stamps."""
-
-    def close(self) -> None:
-        """Close bus or file."""
-
-
 class LiveSource:
-    """Frames of a bus; their stamps are on the bus clock."""
+    """Frames of a bus; their stamps are on the bus clock, its fault is `trouble`, and they never end."""
 
     ended = False
 
@@ -176,6 +151,10 @@ class LogSource:
     def _restamped(self, frame: LogFrame) -> LogFrame:
         start_ns = self._start_ns if self._start_ns is not None else self._play_ns or 0
         return frame._replace(stamp_ns=start_ns + frame.stamp_ns - self._first_ns)
+
+
+#: Source of frames.
+FrameSource = LiveSource | LogSource
 
 
 class VehicleCanNode(Node):

@@ -16,6 +16,7 @@ from pathlib import Path
 from mirrorwave.console import error_line
 from mirrorwave.diagnose.findings import Finding, Status
 from msgs.files.shipped import WEIGHTS
+from nodes.process.machine import installed_version
 
 _MIB = 1 << 20
 #: Package -> module to import: importing it is what finds a missing shared library.
@@ -106,7 +107,7 @@ def check_extras() -> Iterator[Finding]:
     optional = [_EXTRA.match(line) for line in importlib.metadata.requires("mirrorwave") or ()]
     for extra in declared:
         names = [match["name"] for match in optional if match and match["extra"] == extra]
-        absent = [name for name in names if name != "mirrorwave" and not _is_installed(name)]
+        absent = [name for name in names if name != "mirrorwave" and installed_version(name) is None]
         hint = f"not installed: {', '.join(absent)}; pip install 'mirrorwave[{extra}]'" if absent else ", ".join(names)
         yield Finding(f"extra {extra}", Status.OK, hint)
 
@@ -190,14 +191,6 @@ def _check_network(network: Path) -> Finding:
     if promised != digest:
         return Finding(check, Status.FAILED, f"checksum {digest[:12]} is not the card's {str(promised)[:12]}")
     return Finding(check, Status.OK, f"{network.stat().st_size / _MIB:.1f} MiB, checksum as on its card")
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def _one_more(number: int) -> int:

@@ -207,47 +207,26 @@ class ReplayedGraph:
         if before.pid != now.pid:
             return [NodeLoss(node=node, what="node", reason="started anew", count=1)]
         shed = {(count.what, count.reason): count.count for count in before.shed}
-        left_out = [
-            NodeLoss(
-                node=node,
-                what=count.what,
-                reason=count.reason,
-                count=count.count - shed.get((count.what, count.reason), 0),
-            )
-            for count in now.shed
-        ]
-        return self._untaken(node) + self._lost_between(node) + left_out
+        losses = self._untaken(node)
+        # of what nodes make of the played topics, between them
+        old = {count.topic: count for count in before.received}
+        for count in now.received:
+            if count.topic in CHAIN and count.topic not in self._topics and count.topic in old:
+                lost = _trouble(count) - _trouble(old[count.topic])
+                losses.append(NodeLoss(node=node, what=count.topic, reason="lost or outdated", count=lost))
+        for work in now.shed:
+            left_out = work.count - shed.get((work.what, work.reason), 0)
+            losses.append(NodeLoss(node=node, what=work.what, reason=work.reason, count=left_out))
+        return losses
 
     def _untaken(self, node: str) -> list[NodeLoss]:
-        before = _by_topic(self._before[node])
-        return [
-            NodeLoss(
-                node=node, what=topic_count.topic, reason="not received",
-                count=self._sent[topic_count.topic] - (topic_count.messages - before[topic_count.topic].messages),
-            )
-            for topic_count in self._now[node].received
-            if topic_count.topic in self._topics and topic_count.topic in before
-        ]  # fmt: skip
-
-    def _lost_between(self, node: str) -> list[NodeLoss]:
-        """Losses of what nodes make of the played topics, between them."""
-        before = _by_topic(self._before[node])
-        return [
-            NodeLoss(
-                node=node,
-                what=topic_count.topic,
-                reason="lost or outdated",
-                count=_trouble(topic_count) - _trouble(old),
-            )
-            for topic_count in self._now[node].received
-            if topic_count.topic in CHAIN
-            and topic_count.topic not in self._topics
-            and (old := before.get(topic_count.topic)) is not None
-        ]
-
-
-def _by_topic(status: NodeStatus) -> dict[str, TopicCount]:
-    return {count.topic: count for count in status.received}
+        before = {count.topic: count.messages for count in self._before[node].received}
+        losses = []
+        for count in self._now[node].received:
+            if count.topic in self._topics and count.topic in before:
+                untaken = self._sent[count.topic] - (count.messages - before[count.topic])
+                losses.append(NodeLoss(node=node, what=count.topic, reason="not received", count=untaken))
+        return losses
 
 
 def _trouble(count: TopicCount) -> int:

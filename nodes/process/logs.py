@@ -36,8 +36,11 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-class JsonFormatter(logging.Formatter):
-    """A log record as one JSON object: time, node, level, text and, where there is one, the traceback."""
+class SeparatedJsonFormatter(logging.Formatter):
+    """A log record as one JSON object: time, node, level, text and, where there is one, the traceback.
+
+    A record separator before it tells a supervisor that it is no text that a library wrote to the same stream.
+    """
 
     def __init__(self, node: str) -> None:
         super().__init__()
@@ -50,15 +53,7 @@ class JsonFormatter(logging.Formatter):
             entry["state"] = state
         if record.exc_info:
             entry["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(entry)
-
-
-class SeparatedJsonFormatter(JsonFormatter):
-    """The same, marked so that a supervisor distinguishes it from text that a library wrote to the same stream."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the JSON object behind a record separator."""
-        return RECORD_SEPARATOR + super().format(record)
+        return RECORD_SEPARATOR + json.dumps(entry)
 
 
 def of_thread(node: str) -> Callable[[logging.LogRecord], bool]:

@@ -35,6 +35,7 @@ from mirrorwave.console import (
     ExitCode,
     print_json,
     print_line,
+    print_result,
     print_table,
     progress_bar,
     require_new_file,
@@ -190,10 +191,7 @@ def convert(
     """
     require_new_file(out)
     conversion = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
-    if as_json:
-        print_json(conversion)
-    else:
-        _print_conversion(conversion)
+    print_result(as_json, conversion, lambda: _print_conversion(conversion))
     if conversion.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_rows, print_table, progress_bar
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_result,
+    print_rows,
+    print_table,
+    progress_bar,
+)
 from mirrorwave.terminal import ends_with_reader
 from msgs.values.wording import counted
 
@@ -61,10 +70,7 @@ def decode(
         report.read(_each(on_one_clock(read_log(log, channel)), advance))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames")
-    if as_json:
-        print_json({"log": str(log), **report.as_dict()})
-    else:
-        _print_report(report)
+    print_result(as_json, {"log": str(log), **report.as_dict()}, lambda: _print_report(report))
     if report.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
     if not report.valid_states:
@@ -174,10 +180,7 @@ def monitor(
         with ends_with_reader():
             for state in _live_states(node, every, duration):
                 was_valid = was_valid or state.valid
-                if as_json:
-                    print_json(state_row(state))
-                else:
-                    print_line(_state_line(state))
+                print_result(as_json, state_row(state), _state_line(state))
     finally:
         node.close()
     if not was_valid:

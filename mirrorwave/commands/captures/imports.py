@@ -9,7 +9,16 @@ import typer
 
 from mirrorwave.commands.captures.can import DBC, MAPPING, Channel, Dbc, Mapping
 from mirrorwave.commands.verbs import loaded
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_result,
+    print_table,
+    progress_bar,
+    require_new_file,
+)
 from msgs.values.wording import counted
 
 app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")
@@ -51,14 +60,12 @@ def xradarnlos(
         )
     for reason in summary.broken:
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
-    if as_json:
-        print_json({"folder": str(out), "kind": kind, **vars(summary)})
-    else:
-        print_line(
-            f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
-            f"{counted(summary.mirrored_points, 'mirrored point')}, "
-            f"{counted(summary.negative_cells, 'cell')} below zero, {counted(len(summary.broken), 'capture')} left out"
-        )
+    line = (
+        f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
+        f"{counted(summary.mirrored_points, 'mirrored point')}, "
+        f"{counted(summary.negative_cells, 'cell')} below zero, {counted(len(summary.broken), 'capture')} left out"
+    )
+    print_result(as_json, {"folder": str(out), "kind": kind, **vars(summary)}, line)
     return ExitCode.DONE_WITH_LOSS if summary.broken else ExitCode.DONE
 
 
@@ -175,10 +182,8 @@ def detections(
         typer.echo(f"mirrorwave: {source}: left out: {count}: {reason}", err=True)
     if counts["loss"]:
         typer.echo(f"mirrorwave: {counts['loss']}", err=True)
-    if as_json:
-        print_json({"recording": str(out), **counts})
-    else:
-        print_line(f"{out}: {counted(counts['detections'], 'detection')} in {counted(counts['scans'], 'scan')}")
+    line = f"{out}: {counted(counts['detections'], 'detection')} in {counted(counts['scans'], 'scan')}"
+    print_result(as_json, {"recording": str(out), **counts}, line)
     return ExitCode.DONE_WITH_LOSS if counts["left_out"] or counts["loss"] else ExitCode.DONE
 
 
@@ -195,10 +200,8 @@ def sigmf(
     require_new_file(out)
     with progress_bar("beams", len(SigmfCapture.open(capture, verify=False))) as advance:
         counts = import_sigmf(capture, out, advance)
-    if as_json:
-        print_json({"recording": str(out), **counts})
-    else:
-        print_line(f"{out}: {counted(counts['beams'], 'beam')}, {counted(counts['truth'], 'truth')}")
+    line = f"{out}: {counted(counts['beams'], 'beam')}, {counted(counts['truth'], 'truth')}"
+    print_result(as_json, {"recording": str(out), **counts}, line)
     return ExitCode.DONE
 
 
@@ -224,11 +227,9 @@ def transients(
 
     with progress_bar(f"reading {capture.name}"):
         summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff, snr)
-    if as_json:
-        print_json({"folder": str(out), **summary})
-    else:
-        print_line(
-            f"{out}: hidden surface {summary['distance_m']:.3f} m from the wall, tilted by {summary['tilt_deg']:.1f} "
-            f"deg; {summary['hidden_photons']} of {summary['photons']} photons; hidden.png, hidden.npz, summary.json"
-        )
+    line = (
+        f"{out}: hidden surface {summary['distance_m']:.3f} m from the wall, tilted by {summary['tilt_deg']:.1f} "
+        f"deg; {summary['hidden_photons']} of {summary['photons']} photons; hidden.png, hidden.npz, summary.json"
+    )
+    print_result(as_json, {"folder": str(out), **summary}, line)
     return ExitCode.DONE

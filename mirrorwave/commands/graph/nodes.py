@@ -14,7 +14,17 @@ import msgspec
 import typer
 
 from mirrorwave.completion import NodeName
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_rows, print_table
+from mirrorwave.console import (
+    DEFAULT_DOMAIN,
+    AsJson,
+    Domain,
+    ExitCode,
+    print_json,
+    print_line,
+    print_result,
+    print_rows,
+    print_table,
+)
 from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.topics import ABOUT_NODES
@@ -228,10 +238,7 @@ def restart(
     answer = restart_node(domain, node, parse_changes(node, params or []))
     if answer.error:
         raise ValueError(f"{node} was not restarted with these parameters: {answer.error}" if params else answer.error)
-    if as_json:
-        print_json(json.loads(answer.params))
-    else:
-        print_line(f"{node} is ready again")
+    print_result(as_json, json.loads(answer.params), f"{node} is ready again")
 
 
 @app.command()

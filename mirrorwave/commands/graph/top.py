@@ -14,7 +14,15 @@ import msgspec
 import typer
 
 from mirrorwave.commands.graph.nodes import node_row, shed_text
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, console_table, print_json, print_picture, stdout_console
+from mirrorwave.console import (
+    DEFAULT_DOMAIN,
+    AsJson,
+    Domain,
+    console_table,
+    print_picture,
+    print_result,
+    stdout_console,
+)
 from mirrorwave.diagnose.running_graph import no_heartbeat, require_graph
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.interface import Bus
@@ -115,10 +123,7 @@ def top(
         report = {"domain": domain, **watch.report(bus.now_ns())}
     if not report["nodes"]:
         raise no_heartbeat(domain, window)
-    if as_json:
-        print_json(report)
-    else:
-        print_picture(_picture(report))
+    print_result(as_json, report, lambda: print_picture(_picture(report)))
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mirrorwave.console import AsJson, Progress, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, Progress, print_json, print_line, print_result, print_table, progress_bar
 from msgs.values.wording import counted, duration_text
 
 if TYPE_CHECKING:
@@ -84,10 +84,7 @@ def dataset(
             executor=executor,
             slurm=parse_slurm(slurm or []),
         )
-    if as_json:
-        print_json(report.summary() | {"series": recipe.described(seed)})
-    else:
-        print_line(report.line())
+    print_result(as_json, report.summary() | {"series": recipe.described(seed)}, report.line())
 
 
 def statistics(
