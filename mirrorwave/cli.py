@@ -75,6 +75,9 @@ _VERBS = {
 COMMON_OPTIONS = {
     "--json": "Print JSON instead of a table.",
     "--domain": "Graph to talk to [default; environment variable MIRRORWAVE_DOMAIN].",
+    "--window": "Seconds to listen to the graph [two heartbeats of each node or more].",
+    "--workers": "Processes that work at a time [1].",
+    "--threads": "Threads of a network that is trained or run [1].",
     "--plot": "File of a picture of the result (png, svg, pdf).",
     "--seed": "Seed of what is random; the same seed gives the same bytes [0].",
 }
@@ -138,12 +141,12 @@ class WholeHelp(typer.core.TyperGroup):
 
 def _hide_common_options(command: Any) -> None:
     """Leave common options out of a verb's list; the end of its help names them."""
-    usual = (None, False, 0, "default")
-    common = [
-        p for p in command.params if COMMON_OPTIONS.keys() & set(p.opts) and p.default in usual and not p.required
-    ]
+    usual = (None, False, 0, 1, "default")
+    common = [option for option in command.params if COMMON_OPTIONS.keys() & set(option.opts) and not option.required]
+    # what differs from verb to verb is explained there, but for how long each listens
+    common = [option for option in common if option.default in usual or "--window" in option.opts]
     if common:
-        command.epilog = f"Common options (see mirrorwave --help): {', '.join(p.opts[0] for p in common)}"
+        command.epilog = f"Common options (see mirrorwave --help): {', '.join(option.opts[0] for option in common)}"
     for option in common:
         option.hidden = True
 

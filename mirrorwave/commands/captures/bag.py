@@ -119,7 +119,7 @@ def _launch_of(run_dir: Path) -> dict[str, str]:
 
 @app.command()
 def snapshot(
-    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="Wait S s for the answer.")] = 60.0,
+    timeout: Annotated[float, typer.Option(min=0.1, hidden=True)] = 60.0,
     as_json: AsJson = False,
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
