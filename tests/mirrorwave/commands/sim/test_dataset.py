@@ -26,7 +26,7 @@ def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[
     out = tmp_path / "streets"
 
     def said() -> tuple[dict[str, object], str]:
-        dataset(out, 2, seed=1, places="street_v1", as_json=True)
+        dataset(out, 2, seed=1, places="street", effects="basic", as_json=True)
         captured = capsys.readouterr()
         return json.loads(captured.out), captured.err
 
@@ -41,7 +41,7 @@ def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert (spoilt["made"], spoilt["kept"]) == (2, 0)
     assert [row["shard"] for row in spoilt["rewritten"]] == ["shard-00000.npz"]  # type: ignore[attr-defined]
     assert f"{shard}: made again: cannot be read" in errors
-    dataset(out, 2, seed=1, places="street_v1")
+    dataset(out, 2, seed=1, places="street", effects="basic")
     assert re.search(r"streets: 2 scenes in \d+ s, 0.00 a second, 2 there already\n", capsys.readouterr().out)
 
 
