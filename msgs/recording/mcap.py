@@ -439,8 +439,10 @@ class RecordingReader:
             # say once that what one publisher sent comes in another order than it was written in
             if (offset, at) < positions.get(channel.id, (0, 0)) and not self._is_set_back:
                 self._is_set_back = True
-                told = "messages come by their times, not as they were sent"
-                _LOG.warning("%s: the clock was set back while %s was recorded: %s", self.path, channel.topic, told)
+                consequence = "messages come by their times, not as they were sent"
+                _LOG.warning(
+                    "%s: the clock was set back while %s was recorded: %s", self.path, channel.topic, consequence
+                )
             positions[channel.id] = offset, at
             return channel, raw
 
