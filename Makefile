@@ -187,9 +187,9 @@ object-network: setup-dev  ## field and evidence network from places and drives 
 	$(BIN)/mirrorwave sim dataset --out data/object_places --count 2000 --effects all --truth --seed 6100 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_places_2 --count 8000 --effects all --truth --seed 6102 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_places_3 --count 8000 --effects all --truth --seed 6103 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives --count 200 --motion --scans 8 --seed 6200 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_drives --count 200 --scans 8 --seed 6200 --workers 2
 	$(BIN)/mirrorwave sim dataset --out data/object_places_validation --count 600 --effects all --truth --seed 6101 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives_validation --count 50 --motion --scans 8 --seed 6201 --workers 2
+	$(BIN)/mirrorwave sim dataset --out data/object_drives_validation --count 50 --scans 8 --seed 6201 --workers 2
 	$(BIN)/mirrorwave train objects --data data/object_places --data data/object_places_2 --data data/object_places_3 \
 		--data data/object_drives --validation data/object_places_validation --out runs/objects --workers 2 --threads 2
 	$(BIN)/mirrorwave export runs/objects/evidence_unet.onnx --precision int8 --data data/object_places \

@@ -177,7 +177,7 @@ def _told(reader: Any) -> list[tuple[str, int, bytes]]:
 
 
 def _replay(parts: Parts, box: Box) -> None:
-    from mirrorwave.replay.schedule import first_sensed_ns, latched_before, whole_scans
+    from mirrorwave.replay.schedule import first_sensed_ns, whole_scans
     from msgs.bus.topics import TOPICS
     from msgs.recording.mcap import RecordingReader
     from nodes.player import capture_events, moved
@@ -188,7 +188,8 @@ def _replay(parts: Parts, box: Box) -> None:
     with RecordingReader(path) as reader:
         topics = tuple(topic for topic in reader.types if topic in TOPICS)
         first_ns = first_sensed_ns(reader, topics, {})
-        latched_before(reader, [topic for topic in topics if TOPICS[topic].latched], {}, first_ns)
+        latched = [topic for topic in topics if TOPICS[topic].latched]
+        list(reader.messages(latched, 0, first_ns))
         is_cut, end_ns = bool(number(parts, 1, 2)), None if number(parts, 1, 4) < 2 else first_ns + 400_000_000
         for recorded in whole_scans(reader.messages(topics, first_ns), is_cut, end_ns):
             moved(recorded.message, 1_000_000_000)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.metadata
 import logging
 import os
 import sys
@@ -23,14 +22,11 @@ from mirrorwave.terminal import READER_LEFT
 from msgs.files.open_files import raise_open_files
 from msgs.files.plugins import VERBS, plugins
 from nodes.process.kernel_cache import use_fallback
+from nodes.process.machine import installed_version
 
 #: Verbs and groups as the help lists them, each with an example.
 _PANELS = {
-    "Start here": {
-        "demo": "demo --duration 30",
-        "process": "process --sample --view",
-        "view": "view seen.mcap",
-    },
+    "Start here": {"demo": "demo --duration 30", "process": "process --sample --view", "view": "view seen.mcap"},
     "Run a graph": {
         "launch": "launch launch/corner.yaml --duration 60",
         "top": "top --once",
@@ -48,9 +44,7 @@ _PANELS = {
         "calibrate": "calibrate background field.mcap --out background.npy",
         "annotate": "annotate scene.yaml --out labelled",
     },
-    "Simulate": {
-        "sim": "sim run launch/scenes/corner.yaml --out corner.mcap --scans 5",
-    },
+    "Simulate": {"sim": "sim run launch/scenes/corner.yaml --out corner.mcap --scans 5"},
     "Train and measure": {
         "train": "train dense --data data/places --out runs/dense",
         "export": "export runs/dense --out dense.onnx",
@@ -76,6 +70,16 @@ _VERBS = {
     "top": "mirrorwave.commands.graph.top:top",
     "graph": "mirrorwave.commands.graph.graph:graph",
     "annotate": "contrib.annotate.verb:annotate",
+}
+#: Options that mean the same in every verb that has them: explained once, a verb's help names those it takes.
+COMMON_OPTIONS = {
+    "--json": "Print JSON instead of a table.",
+    "--domain": "Graph to talk to [default; environment variable MIRRORWAVE_DOMAIN].",
+    "--window": "Seconds to listen to the graph [two heartbeats of each node or more].",
+    "--workers": "Processes that work at a time [1].",
+    "--threads": "Threads of a network that is trained or run [1].",
+    "--plot": "File of a picture of the result (png, svg, pdf).",
+    "--seed": "Seed of what is random; the same seed gives the same bytes [0].",
 }
 #: Verb group -> module and `typer.Typer`.
 _GROUPS = {
@@ -108,8 +112,13 @@ class WholeHelp(typer.core.TyperGroup):
         command = super().get_command(ctx, cmd_name)
         if isinstance(command, typer.core.TyperGroup):
             _describe_whole(command)
+            for inner in command.commands.values():
+                _hide_common_options(inner)
+        elif command is not None:
+            _hide_common_options(command)
         if command is not None and self.name == _NAME and cmd_name in _EXAMPLES:
-            command.epilog = f"Example: mirrorwave {_EXAMPLES[cmd_name]}"
+            example = f"Example: mirrorwave {_EXAMPLES[cmd_name]}"
+            command.epilog = "\n\n".join(filter(None, (command.epilog, example)))
         return command
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -126,17 +135,27 @@ class WholeHelp(typer.core.TyperGroup):
         if brought := [name for name in self.list_commands(ctx) if name not in _EXAMPLES]:
             with formatter.section("Of other packages"):
                 formatter.write_dl([(name, self.commands[name].get_short_help_str(1000)) for name in brought])
+        with formatter.section("Options of many verbs"):
+            formatter.write_dl(list(COMMON_OPTIONS.items()))
+
+
+def _hide_common_options(command: Any) -> None:
+    """Leave common options out of a verb's list; the end of its help names them."""
+    usual = (None, False, 0, 1, "default")
+    common = [option for option in command.params if COMMON_OPTIONS.keys() & set(option.opts) and not option.required]
+    # what differs from verb to verb is explained there, but for how long each listens
+    common = [option for option in common if option.default in usual or "--window" in option.opts]
+    if common:
+        command.epilog = f"Common options (see mirrorwave --help): {', '.join(option.opts[0] for option in common)}"
+    for option in common:
+        option.hidden = True
 
 
 def _describe_whole(group: typer.core.TyperGroup) -> None:
     for command in group.commands.values():
         if command.help and not command.short_help:
             # a short help that is given is wrapped, one that is made from the long one is cut
-            command.short_help = _first_paragraph(command.help)
-
-
-def _first_paragraph(text: str) -> str:
-    return " ".join(text.strip().split("\n\n")[0].split())
+            command.short_help = " ".join(command.help.strip().split("\n\n")[0].split())
 
 
 def _version(wanted: bool) -> None:
@@ -155,10 +174,7 @@ def _options(
 
 def version() -> str:
     """Version of the installed project, or "unknown" in a bare checkout."""
-    try:
-        return importlib.metadata.version("mirrorwave")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+    return installed_version("mirrorwave") or "unknown"
 
 
 @functools.cache
@@ -186,11 +202,6 @@ def command_line(verb: str = "") -> typer.Typer:
             if name not in _VERBS | _GROUPS:
                 app.add_typer(group, name=name, cls=WholeHelp)
     return app
-
-
-def _verb(argv: list[str]) -> str:
-    """Return the verb or verb group that a command line begins with, or nothing: then all are wanted."""
-    return argv[0] if argv and (argv[0] in _VERBS | _GROUPS or argv[0] in plugins(VERBS).usable) else ""
 
 
 def _understood(words: list[str]) -> list[str]:
@@ -228,7 +239,9 @@ def _run(argv: list[str] | None) -> int:
     try:
         use_fallback()
         words = _understood(sys.argv[1:] if argv is None else argv)
-        code = command_line(_verb(words))(args=words, prog_name="mirrorwave", standalone_mode=False)
+        code = command_line(
+            words[0] if words and (words[0] in _VERBS | _GROUPS or words[0] in plugins(VERBS).usable) else ""
+        )(args=words, prog_name="mirrorwave", standalone_mode=False)
         # what typer makes of an interrupt; other versions let it through
         if code == INTERRUPTED:
             return ended_by_signal(argv)

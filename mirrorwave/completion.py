@@ -83,6 +83,16 @@ def _files(incomplete: str, folder: str) -> list[str]:
     return beginning([*shipped, *near], incomplete)
 
 
+#: Parameters of a graph, and single ones over them.
+Profile = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME|FILE", help="Parameters: fast, balanced, ..., or a file.", autocompletion=complete_profiles
+    ),
+]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
+]
 #: A node of a running graph.
 NodeName = Annotated[
     str, typer.Argument(metavar="NODE", help="Node, as `node list` names it.", autocompletion=complete_nodes)

@@ -63,6 +63,16 @@ def print_json(value: Any) -> None:
         sys.stdout.flush()
 
 
+def print_result(as_json: bool, value: Any, show: str | Callable[[], None]) -> None:
+    """Print a result: as JSON, or as a line or what `show` prints of it."""
+    if as_json:
+        print_json(value)
+    elif isinstance(show, str):
+        print_line(show)
+    else:
+        show()
+
+
 def printable(text: str) -> str:
     """`text` without control characters but tabs and line ends: what a file says must not steer a terminal."""
     return as_utf8(text).translate(_CONTROL)

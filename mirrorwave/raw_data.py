@@ -14,7 +14,11 @@ from msgs.values.radar import RadarSetup
 def require_raw(capture: Path) -> None:
     """Raise `ValueError`, saying what a file holds and which verb takes it, unless raw data can be processed."""
     if capture.suffix != ".mcap":
-        _require_capture_name(capture)
+        is_sigmf = capture.suffix in (".sigmf-meta", ".sigmf-data") or Path(f"{capture}.sigmf-meta").is_file()
+        if capture.is_file() and not is_sigmf:
+            is_scene = capture.suffix in (".yaml", ".yml")
+            scene = "; mirrorwave sim run SCENE --out NAME.mcap records a scene" if is_scene else ""
+            raise ValueError(f"{capture}: must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta{scene}")
         _require_bearings(capture, SigmfCapture.open(capture, verify=False).setup)
         return
     with RecordingReader(capture) as reader:
@@ -35,14 +39,6 @@ def _require_bearings(capture: Path, setup: RadarSetup) -> None:
     """Raise `ValueError` for a radar of one beam: nothing tells from where its echoes come."""
     if len(setup.beams) < 2:
         raise ValueError(f"{capture}: a scan must have 2 beams or more to tell directions apart, its radar has 1")
-
-
-def _require_capture_name(path: Path) -> None:
-    """Raise `ValueError` for a file that is there and belongs to no capture."""
-    is_sigmf = path.suffix in (".sigmf-meta", ".sigmf-data") or Path(f"{path}.sigmf-meta").is_file()
-    if path.is_file() and not is_sigmf:
-        scene = "; mirrorwave sim run SCENE --out NAME.mcap records a scene" if path.suffix in (".yaml", ".yml") else ""
-        raise ValueError(f"{path}: must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta{scene}")
 
 
 def _use_of(recording: Path, held: Iterable[str]) -> str:

@@ -100,12 +100,14 @@ def commands_page() -> str:
     import typer
     from typer.cli import get_docs_for_click
 
-    from mirrorwave.cli import command_line
+    from mirrorwave.cli import COMMON_OPTIONS, command_line
 
     command = typer.main.get_command(command_line())
     text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="mirrorwave", title="Commands")
     title, _, body = text.partition("\n\n")
-    return f"{title}\n\n{_COMMANDS_HEAD}\n{body.rstrip()}\n"
+    common = "".join(f"* `{name}`: {text}\n" for name, text in COMMON_OPTIONS.items())
+    head = f"{_COMMANDS_HEAD}\nOptions that mean the same in every verb that names them as common:\n\n{common}"
+    return f"{title}\n\n{head}\n{body.rstrip()}\n"
 
 
 def node_modules() -> list[str]:
@@ -125,7 +127,7 @@ def _topic_row(topic: Topic) -> tuple[str, ...]:
         delivery = "newest only"
     rate = f"{topic.rate_hz:.3g}" if topic.rate_hz else "when needed"
     limit = f"{topic.max_bytes / MIB:g} MiB" if topic.max_bytes >= MIB else f"{topic.max_bytes >> 10} KiB"
-    return f"`{topic.name}`", _link(topic.type), rate, limit, delivery
+    return f"`{topic.name}`", f"[{topic.type.__name__}](#{_anchor(topic.type.__name__)})", rate, limit, delivery
 
 
 def _type_section(kind: type) -> str:
@@ -247,10 +249,6 @@ def _mentioned(hint: Any) -> Iterator[type]:
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     return "\n".join(table(head, rows)) + "\n"
-
-
-def _link(kind: type) -> str:
-    return f"[{kind.__name__}](#{_anchor(kind.__name__)})"
 
 
 def _anchor(title: str) -> str:

@@ -99,7 +99,8 @@ class DensePredictorNode(Node):
                 case RadarSetup() as setup:
                     self._set_up(setup)
                 case RangeAzimuthMap() as ra_map:
-                    out += self._detected(ra_map)
+                    peaks = self._refusals.attempt("map", partial(self._stage.detect, ra_map))
+                    out += [] if peaks is None else [Outgoing("perception/peaks", peaks)]
         return out
 
     def health(self) -> tuple[NodeState, str]:
@@ -122,15 +123,6 @@ class DensePredictorNode(Node):
             self._setup = setup
         except ValueError as error:
             self._refusals.refuse("setup", error)
-
-    def _detected(self, ra_map: RangeAzimuthMap) -> list[Outgoing]:
-        try:
-            peaks = self._stage.detect(ra_map)
-        except ValueError as error:
-            self._refusals.refuse("map", error)
-            return []
-        self._refusals.accept()
-        return [Outgoing("perception/peaks", peaks)]
 
 
 def detection_stage(params: Params, timed: Timed = nullcontext) -> DetectionStage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from contextlib import nullcontext
+from functools import partial
 from typing import ClassVar
 
 import msgspec
@@ -60,21 +61,14 @@ class DetectionPeaksNode(Node):
                 case VehicleState() as state:
                     self._stage.add_state(state)
                 case RadarDetections() as detections:
-                    out += self._classified(detections)
+                    work = partial(self._stage.peaks, detections)
+                    peaks = self._refusals.attempt("scan", work, f"scan {detections.scan_id}")
+                    out += [] if peaks is None else [Outgoing("perception/peaks", peaks)]
         return out
 
     def health(self) -> tuple[NodeState, str]:
         """Report DEGRADED while detections are refused."""
         return self._refusals.health()
-
-    def _classified(self, detections: RadarDetections) -> list[Outgoing]:
-        try:
-            peaks = self._stage.peaks(detections)
-        except ValueError as error:
-            self._refusals.refuse("scan", error, f"scan {detections.scan_id}")
-            return []
-        self._refusals.accept()
-        return [Outgoing("perception/peaks", peaks)]
 
 
 def detections_stage(params: Params, timed: Timed = nullcontext) -> DetectionsStage:

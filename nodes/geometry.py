@@ -197,12 +197,10 @@ class GeometryNode(Node):
             self._refusals.refuse("setup", error)
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
-        try:
-            view = self._stage.view(peaks, self._counted_map_of(peaks))
-        except ValueError as error:
-            self._refusals.refuse("scan", error, f"scan {peaks.scan_id}")
+        ra_map = self._counted_map_of(peaks)
+        view = self._refusals.attempt("scan", lambda: self._stage.view(peaks, ra_map), f"scan {peaks.scan_id}")
+        if view is None:
             return []
-        self._refusals.accept()
         self._bias_log.note(self._stage.yaw_rate_bias)
         return [Outgoing("perception/hidden_objects", view)]
 

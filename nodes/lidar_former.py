@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import partial
 
 import msgspec
 
@@ -39,21 +40,13 @@ class LidarFormerNode(Node):
                 case LidarSetup() as setup:
                     self._former.set_up(setup)
                 case PhotonHistograms() as histograms:
-                    out += self._formed(histograms)
+                    ra_map = self._refusals.attempt("scan", partial(self._former.add, histograms))
+                    out += [] if ra_map is None else [Outgoing("radar/ra_map", ra_map)]
         return out
 
     def health(self) -> tuple[NodeState, str]:
         """Report DEGRADED while histograms are refused or no set-up has come."""
         return self._refusals.health()
-
-    def _formed(self, histograms: PhotonHistograms) -> list[Outgoing]:
-        try:
-            ra_map = self._former.add(histograms)
-        except ValueError as error:
-            self._refusals.refuse("scan", error)
-            return []
-        self._refusals.accept()
-        return [Outgoing("radar/ra_map", ra_map)]
 
 
 def create(params: Params) -> LidarFormerNode:

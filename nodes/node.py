@@ -273,22 +273,14 @@ class Heartbeat:
     """
 
     def __init__(
-        self,
-        bus: Bus,
-        name: str,
-        log: BusLogHandler | None = None,
-        cpu_s: Callable[[], float] = time.process_time,
+        self, bus: Bus, name: str, log: BusLogHandler | None = None, cpu_s: Callable[[], float] = time.process_time
     ) -> None:
         self._bus, self._name, self._log, self._cpu_s = bus, name, log, cpu_s
         self._started_s = self._last_s = time.monotonic()
         self._process = psutil.Process()
 
     def beat(
-        self,
-        state: NodeState,
-        reason: str = "",
-        stages: tuple[StageTime, ...] = (),
-        shed: tuple[ShedCount, ...] = (),
+        self, state: NodeState, reason: str = "", stages: tuple[StageTime, ...] = (), shed: tuple[ShedCount, ...] = ()
     ) -> None:
         """Publish a heartbeat and all waiting log records."""
         self._last_s = time.monotonic()

@@ -241,7 +241,9 @@ class Player(Node):
             if not self._made or self._is_sent or self._backlog.lag_ns(self._made[0].offset_ns) < 0:
                 break
             if self._is_left_out(self._made[0]):
-                self._drop()
+                self._made.popleft()
+                if not self._made:
+                    self._make_next()
             else:
                 out.append(self._take())
         if not out and self._makes_ahead():
@@ -288,11 +290,6 @@ class Player(Node):
         if not (self._is_sent or self._made):
             self._make_next()
         return outgoing
-
-    def _drop(self) -> None:
-        self._made.popleft()
-        if not self._made:
-            self._make_next()
 
     def _makes_ahead(self) -> bool:
         """Return whether scans are made before their time, since making takes longer than they last."""
@@ -550,7 +547,13 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
     if scene.radar.preset == "spad":
         from sim_player.lidar.player import LidarPlayer
 
-        _require_for_lidar(params)
+        # `sim run` asks for samples where nothing is said
+        radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
+        default = Params(scene=params.scene)
+        for name in radar_only:
+            value = getattr(params, name)
+            if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
+                raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
         return LidarPlayer(scene, seed=params.seed)
 
     from sim_player.player import ScenePlayer
@@ -564,17 +567,6 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
         budget_db=params.budget_db,
         purpose=params.purpose,
     )
-
-
-def _require_for_lidar(params: Params) -> None:
-    """Raise `ValueError` for parameters of radars."""
-    radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
-    default = Params(scene=params.scene)
-    for name in radar_only:
-        value = getattr(params, name)
-        # `sim run` asks for samples where nothing is said
-        if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
-            raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 
 def events_of(params: Params, backlog: Backlog | None = None) -> Iterator[Event]:

@@ -237,7 +237,7 @@ def _with_missed(losses: Losses, missed: Counter[str], ended: str) -> Losses:
     return Losses(topics=tuple(topics), ended=ended)
 
 
-def create(params: Params) -> Node:
+def create(params: Params) -> Recorder | SnapshotRecorder:
     """The node; raises `OSError` where the file cannot be created."""
     if params.snapshot_s is None:
         return Recorder(params)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import can
 import msgspec
@@ -20,15 +20,7 @@ from msgs.files.shipped import shipped_path
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
-from nodes.can.bus import (
-    BURST,
-    BusParams,
-    CanLink,
-    LogFrame,
-    decode_frame,
-    frame_stamp_ns,
-    load_decoder,
-)
+from nodes.can.bus import BURST, BusParams, CanLink, LogFrame, decode_frame, frame_stamp_ns, load_decoder
 from nodes.can.log_file import on_one_clock, read_log
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset
@@ -62,32 +54,8 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
         require_clock_offset("clock_offset_s", self.clock_offset_s)
 
 
-class FrameSource(Protocol):
-    """Source of frames: a bus or a log."""
-
-    @property
-    def trouble(self) -> str:
-        """Reason for missing frames; empty while all is well."""
-
-    @property
-    def ended(self) -> bool:
-        """Return whether no further frame will ever come."""
-
-    def stamp_ns(self, now_ns: int) -> int:
-        """Return the bus clock's time on the clock of the stamps."""
-
-    def due_ns(self, now_ns: int, stamp_ns: int) -> int:
-        """Return the bus time of the next poll, or of `stamp_ns` on the clock of the stamps if that is earlier."""
-
-    def frames(self, now_ns: int) -> list[LogFrame]:
-        """Return the frames up to now, with their stamps."""
-
-    def close(self) -> None:
-        """Close bus or file."""
-
-
 class LiveSource:
-    """Frames of a bus; their stamps are on the bus clock."""
+    """Frames of a bus; their stamps are on the bus clock, its fault is `trouble`, and they never end."""
 
     ended = False
 
@@ -168,7 +136,12 @@ class LogSource:
             if frame.stamp_ns > until_ns:
                 break
             due.append(frame)
-            self._advance()
+            self._next = None
+            try:
+                self._next = next(self._frames, None)
+            except (ValueError, OSError) as error:
+                self.trouble = str(error)
+                _LOG.error("%s", error)
         return due
 
     def close(self) -> None:
@@ -180,13 +153,9 @@ class LogSource:
         start_ns = self._start_ns if self._start_ns is not None else self._play_ns or 0
         return frame._replace(stamp_ns=start_ns + frame.stamp_ns - self._first_ns)
 
-    def _advance(self) -> None:
-        self._next = None
-        try:
-            self._next = next(self._frames, None)
-        except (ValueError, OSError) as error:
-            self.trouble = str(error)
-            _LOG.error("%s", error)
+
+#: Source of frames.
+FrameSource = LiveSource | LogSource
 
 
 class VehicleCanNode(Node):
@@ -238,17 +207,14 @@ class VehicleCanNode(Node):
 
     def _on_radar_clock(self, state: VehicleState) -> VehicleState | None:
         """Return a state with its stamp on the radar's clock, None from before that began."""
-        self._noted(state)
-        stamp_ns = state.stamp_ns + self._clock_offset_ns
-        return None if stamp_ns < 0 else msgspec.structs.replace(state, stamp_ns=stamp_ns)
-
-    def _noted(self, state: VehicleState) -> None:
         was_valid = self._last is not None and self._last.valid
         if was_valid and not state.valid:
             _LOG.warning("vehicle state is not valid: %s", state.reason)
         elif state.valid and not was_valid:
             _LOG.info("vehicle state is valid")
         self._last = state
+        stamp_ns = state.stamp_ns + self._clock_offset_ns
+        return None if stamp_ns < 0 else msgspec.structs.replace(state, stamp_ns=stamp_ns)
 
 
 def create(params: Params) -> VehicleCanNode:

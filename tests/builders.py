@@ -16,7 +16,7 @@ from models.perception.track.scan_state import MemoryParams
 from models.perception.track.views_over_scans import ViewStage
 from models.physics.mirror import wall_from_ends
 from msgs.values.frames import polar_from_xy
-from msgs.values.perception import PathClass, Peaks, Wall
+from msgs.values.perception import BevFrame, BevGrid, PathClass, Peaks, SceneTruth, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 
@@ -62,3 +62,18 @@ def wall_between(a: Sequence[float], b: Sequence[float], **fields: Any) -> Wall:
     normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
     plain: dict[str, Any] = {"inliers": 9, "angle_std_rad": 0.01, "offset_std_m": 0.05}
     return Wall(normal=tuple(normal.tolist()), offset_m=offset_m, ends_m=(tuple(a), tuple(b)), **plain | fields)
+
+
+def example_view(rows: int = 2, columns: int = 2, **fields: Any) -> BevFrame:
+    """A view of scan 0 at time 0 with nothing in it and nothing observed, unless told otherwise."""
+    plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "grid": BevGrid(rows=rows, columns=columns)}
+    plain |= {"visibility": np.zeros((rows, columns), np.uint8), "los_points_m": np.zeros((0, 2), np.float32)}
+    return BevFrame(**plain | fields)
+
+
+def example_truth(**fields: Any) -> SceneTruth:
+    """The truth of scan 0 at time 0 without a point, unless told otherwise."""
+    none = np.zeros((0, 3), np.float32)
+    plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "hidden_object": np.zeros(0, np.int32)}
+    plain |= dict.fromkeys(("los_points_m", "mirrored_points_m", "hidden_points_m"), none)
+    return SceneTruth(**plain | fields)

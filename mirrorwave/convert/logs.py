@@ -16,7 +16,7 @@ import msgspec
 from msgs.files.checksums import file_sha256
 from msgs.files.text_files import read_text
 from msgs.recording.clock_steps import Bridged
-from msgs.recording.mcap import RecordingReader, RecordingWriter, whole_recording
+from msgs.recording.mcap import RecordingReader, whole_recording
 from msgs.values.units import ns_from_s
 
 
@@ -52,9 +52,7 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
     with whole_recording(out, _can_provenance(source)) as writer:
         for step in log_states(decoder, frames):
             for state in step.states:
-                writer.write(
-                    "vehicle/state", state, publisher="vehicle_can", sequence=counts["states"], sent_ns=state.stamp_ns
-                )
+                writer.write("vehicle/state", state, publisher="vehicle_can", sent_ns=state.stamp_ns)
                 counts["states"] += 1
                 counts["valid_states"] += state.valid
                 reason = state.reason
@@ -104,25 +102,19 @@ def import_sigmf(path: Path, out: Path, advance: Callable[[], None]) -> dict[str
         # in the order of measurement, whatever the clock did: a reader goes by the time of sending
         for beam, time_ns in Bridged(capture.beams(), lambda beam: beam.stamp_ns, f"{path}: the clock", noun="beam"):
             if not counts["beams"]:
-                writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=time_ns)
+                writer.write("radar/setup", capture.setup, publisher="import", sent_ns=time_ns)
             # sent when it has been measured, and so after the set-up
             sent_ns = time_ns + ns_from_s(capture.setup.radar.beam_duration_s)
-            writer.write("radar/beam", beam, publisher="import", sequence=counts["beams"], sent_ns=sent_ns)
+            writer.write("radar/beam", beam, publisher="import", sent_ns=sent_ns)
             counts["beams"] += 1
             advance()
         if (truth := truth_beside(path)).is_file():
-            counts["truth"] = _copy_truth(writer, truth)
+            with RecordingReader(truth) as reader:
+                for each in reader.messages(("sim/truth",)):
+                    stamp_ns: int = getattr(each.message, "stamp_ns", each.log_time_ns)
+                    writer.write(each.topic, each.message, publisher="import", sent_ns=max(0, stamp_ns))
+                    counts["truth"] += 1
     return counts
-
-
-def _copy_truth(writer: RecordingWriter, path: Path) -> int:
-    count = 0
-    with RecordingReader(path) as reader:
-        for each in reader.messages(("sim/truth",)):
-            stamp_ns: int = getattr(each.message, "stamp_ns", each.log_time_ns)
-            writer.write(each.topic, each.message, publisher="import", sequence=count, sent_ns=max(0, stamp_ns))
-            count += 1
-    return count
 
 
 def _can_provenance(source: CanSource) -> dict[str, str]:

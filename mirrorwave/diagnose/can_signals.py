@@ -53,7 +53,16 @@ class SignalReport:
                 self.known += 1
                 verdict = watch.take(bytes(frame.data), time_s)
                 if self._every_s is not None:
-                    self._sample(watch, time_s, verdict, self._every_s)
+                    slot = math.floor(time_s / self._every_s) if self._every_s else watch.frames
+                    if slot != watch.slot:
+                        watch.slot = slot
+                        row = {
+                            "time_s": time_s,
+                            "message": watch.message.name,
+                            "verdict": verdict,
+                            "signals": watch.values,
+                        }
+                        self.samples.append(row)
 
     def messages(self) -> list[dict[str, Any]]:
         """Messages that came, in the order of the DBC."""
@@ -69,13 +78,6 @@ class SignalReport:
             "samples": self.samples,
             "loss": self.loss or None,
         }
-
-    def _sample(self, watch: _Watch, time_s: float, verdict: str, every_s: float) -> None:
-        slot = math.floor(time_s / every_s) if every_s else watch.frames
-        if slot != watch.slot:
-            watch.slot = slot
-            row = {"time_s": time_s, "message": watch.message.name, "verdict": verdict, "signals": watch.values}
-            self.samples.append(row)
 
 
 class _Watch:

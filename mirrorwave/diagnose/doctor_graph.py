@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -213,17 +213,14 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
             continue
         spare = Status.WARNING if topic in _SPARE_TOPICS else Status.FAILED
         is_own = topic not in SHIPPED
-        if not publishers and (topic in _OPTIONAL_TOPICS or (is_own and not _is_needed(graph, readers))):
+        # a recorder and a bridge take whatever there is
+        is_needed = any(graph.entries.get(name, {}).get("module") not in _TAKES_ALL for name in readers)
+        if not publishers and (topic in _OPTIONAL_TOPICS or (is_own and not is_needed)):
             continue
         if not publishers:
             yield Finding(f"topic {topic}", spare, f"no publisher; {', '.join(readers)} reads it")
         elif facts.rate_hz:
             yield _check_rate(graph, topic, facts.rate_hz, spare)
-
-
-def _is_needed(graph: _Graph, readers: Collection[str]) -> bool:
-    """Return whether some reader works with a topic; a recorder and a bridge take whatever there is."""
-    return any(graph.entries.get(name, {}).get("module") not in _TAKES_ALL for name in readers)
 
 
 def _is_spare_sensor(graph: _Graph, topic: str) -> bool:

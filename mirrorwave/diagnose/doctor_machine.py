@@ -16,6 +16,7 @@ from pathlib import Path
 from mirrorwave.console import error_line
 from mirrorwave.diagnose.findings import Finding, Status
 from msgs.files.shipped import WEIGHTS
+from nodes.process.machine import installed_version
 
 _MIB = 1 << 20
 #: Package -> module to import: importing it is what finds a missing shared library.
@@ -57,6 +58,8 @@ _VIEWER_PORT = 8765
 
 def all_findings(domain: str) -> list[Finding]:
     """Every check in a fixed order; one that cannot run has failed."""
+    from mirrorwave.diagnose.doctor_graph import check_room, graph_findings
+    from mirrorwave.diagnose.node_types import plugin_findings
     from msgs.bus.zmq import run_dir
 
     checks: dict[str, Callable[[], Iterator[Finding]]] = {
@@ -64,14 +67,14 @@ def all_findings(domain: str) -> list[Finding]:
         "packages": check_packages,
         "extras": check_extras,
         "processor": check_processor,
-        "disk": check_disk,
+        "disk": lambda: iter([check_room("disk", Path.cwd())]),
         "clock": check_clock,
         "can": check_can,
         "weights": lambda: check_weights(WEIGHTS),
-        "plug-ins": check_plugins,
+        "plug-ins": lambda: iter(plugin_findings()),
         "run directory": lambda: check_run_dir(run_dir(domain)),
         "viewer port": check_viewer_port,
-        "graph": lambda: check_graph(run_dir(domain)),
+        "graph": lambda: graph_findings(run_dir(domain)),
     }
     findings: list[Finding] = []
     for name, check in checks.items():
@@ -104,16 +107,9 @@ def check_extras() -> Iterator[Finding]:
     optional = [_EXTRA.match(line) for line in importlib.metadata.requires("mirrorwave") or ()]
     for extra in declared:
         names = [match["name"] for match in optional if match and match["extra"] == extra]
-        absent = [name for name in names if name != "mirrorwave" and not _is_installed(name)]
+        absent = [name for name in names if name != "mirrorwave" and installed_version(name) is None]
         hint = f"not installed: {', '.join(absent)}; pip install 'mirrorwave[{extra}]'" if absent else ", ".join(names)
         yield Finding(f"extra {extra}", Status.OK, hint)
-
-
-def check_disk() -> Iterator[Finding]:
-    """Room for recordings and runs where the doctor was called."""
-    from mirrorwave.diagnose.doctor_graph import check_room
-
-    yield check_room("disk", Path.cwd())
 
 
 def check_clock() -> Iterator[Finding]:
@@ -177,26 +173,12 @@ def check_weights(folder: Path) -> Iterator[Finding]:
             yield Finding(f"weights {network.stem}", Status.FAILED, f"cannot be read: {error_line(error)}")
 
 
-def check_plugins() -> Iterator[Finding]:
-    """Every node and effect that another package brings can be used."""
-    from mirrorwave.diagnose.node_types import plugin_findings
-
-    yield from plugin_findings()
-
-
 def check_run_dir(run_dir: Path) -> Iterator[Finding]:
     """The directory of the graph's sockets can be written and a message gets through."""
     run_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryFile(dir=run_dir):
         pass
     yield Finding("run directory", Status.OK, str(run_dir))
-
-
-def check_graph(run_dir: Path) -> Iterator[Finding]:
-    """Every node and topic of the running graph: what fails, what is silent and why."""
-    from mirrorwave.diagnose.doctor_graph import graph_findings
-
-    yield from graph_findings(run_dir)
 
 
 def _check_network(network: Path) -> Finding:
@@ -209,14 +191,6 @@ def _check_network(network: Path) -> Finding:
     if promised != digest:
         return Finding(check, Status.FAILED, f"checksum {digest[:12]} is not the card's {str(promised)[:12]}")
     return Finding(check, Status.OK, f"{network.stat().st_size / _MIB:.1f} MiB, checksum as on its card")
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def _one_more(number: int) -> int:

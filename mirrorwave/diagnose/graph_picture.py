@@ -95,7 +95,9 @@ def running_picture(domain: str, window_s: float) -> GraphPicture:
         }
         inputs = {link.topic: link for link in _links(rows.get(name, []), "in")}
         nodes.append(_node(name, str(state), reason, inputs, outputs))
-    return GraphPicture(title=f"domain {domain}", nodes=_sources_first([node for node in nodes if _has_work(node)]))
+    # the supervisor reads heartbeats only; it belongs in the picture when it has something to say
+    shown = [node for node in nodes if node.inputs or node.outputs or node.reason]
+    return GraphPicture(title=f"domain {domain}", nodes=_sources_first(shown))
 
 
 def launch_picture(path: Path) -> GraphPicture:
@@ -123,14 +125,10 @@ def text_lines(picture: GraphPicture) -> list[str]:
         arrows += [(link, "->", picture.readers(link.topic), "nobody reads it") for link in node.outputs]
         for at, (link, arrow, peers, nobody) in enumerate(arrows):
             branch = "`-" if at == len(arrows) - 1 else "|-"
-            lines.append(f"  {branch} {link.topic} {arrow} {', '.join(peers) or nobody}{figures_text(link)}")
+            parts = ([] if link.hz is None else [f"{link.hz:.3g} Hz"]) + ([f"{link.lost} LOST"] if link.lost else [])
+            figures = f"  ({', '.join(parts)})" if parts else ""
+            lines.append(f"  {branch} {link.topic} {arrow} {', '.join(peers) or nobody}{figures}")
     return lines
-
-
-def figures_text(link: Link) -> str:
-    """Rate and losses of a link, in words; empty where nothing was measured."""
-    parts = ([] if link.hz is None else [f"{link.hz:.3g} Hz"]) + ([f"{link.lost} LOST"] if link.lost else [])
-    return f"  ({', '.join(parts)})" if parts else ""
 
 
 def _links(rows: list[dict[str, Any]], direction: str) -> list[Link]:
@@ -144,11 +142,6 @@ def _links(rows: list[dict[str, Any]], direction: str) -> list[Link]:
 def _node(name: str, state: str, reason: str, inputs: dict[str, Link], outputs: dict[str, Link]) -> GraphNode:
     topics = [tuple(links[topic] for topic in sorted(links) if topic not in ABOUT_NODES) for links in (inputs, outputs)]
     return GraphNode(node=name, state=state, reason=reason, inputs=topics[0], outputs=topics[1])
-
-
-def _has_work(node: GraphNode) -> bool:
-    # the supervisor reads heartbeats only; it belongs in the picture when it has something to say
-    return bool(node.inputs or node.outputs or node.reason)
 
 
 def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, ...]]:

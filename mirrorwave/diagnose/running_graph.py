@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -95,19 +96,11 @@ def _domains() -> list[str]:
     from mirrorwave.console import DEFAULT_DOMAIN
     from msgs.bus.zmq import run_dir
 
-    parent = run_dir(DEFAULT_DOMAIN).parent
-    try:
-        domains = sorted(entry.name for entry in parent.iterdir() if entry.is_dir())
-    except OSError:
-        return []
-    return [name for name in domains if _is_name(name)]
-
-
-def _is_name(domain: str) -> bool:
-    from msgs.bus.zmq import run_dir
-
-    try:
-        run_dir(domain)
-    except ValueError:
-        return False
-    return True
+    domains = []
+    with contextlib.suppress(OSError):
+        for entry in sorted(run_dir(DEFAULT_DOMAIN).parent.iterdir()):
+            # a folder of another name is none
+            with contextlib.suppress(ValueError):
+                if entry.is_dir() and run_dir(entry.name):
+                    domains.append(entry.name)
+    return domains

@@ -75,7 +75,9 @@ class DelayWatch:
 
 
 def _rows(topic: str, publisher: str, spans: _Spans) -> list[dict[str, Any]]:
-    remarks = {"acquired to sent": _stamp_remark(spans), "sent to received": _sending_remark(spans)}
+    before = spans.before_listening
+    latched = f"{before} sent before listening began (latched)" if before else ""
+    remarks = {"acquired to sent": _stamp_remark(spans), "sent to received": latched}
     rows = []
     for span, values_ms in spans.ms.items():
         remark = remarks.get(span, "")
@@ -99,7 +101,3 @@ def _stamp_remark(spans: _Spans) -> str:
     if spans.ahead:
         remarks.append(f"{spans.ahead} stamped later than they were sent: the publisher's stamps run ahead")
     return "; ".join(remarks)
-
-
-def _sending_remark(spans: _Spans) -> str:
-    return f"{spans.before_listening} sent before listening began (latched)" if spans.before_listening else ""

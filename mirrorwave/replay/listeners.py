@@ -155,7 +155,11 @@ class ReplayedGraph:
     def confirm(self, patience_s: float) -> None:
         """Wait until every node has told that it took all that was sent, or takes nothing more for `patience_s`."""
         least, moved_s = self._missing(), time.monotonic()
-        while not (self._stopped() or (self._heard_since(self._sent_ns) and self._missing() == 0)):
+
+        def all_heard() -> bool:
+            return all(self._now[node].stamp_ns >= self._sent_ns for node in self._before)
+
+        while not (self._stopped() or (all_heard() and self._missing() == 0)):
             self.serve(_TURN_S)
             if self._missing() < least:
                 least, moved_s = self._missing(), time.monotonic()
@@ -176,15 +180,13 @@ class ReplayedGraph:
         if isinstance(received.message, NodeStatus):
             self._now[received.message.node] = received.message
         elif received.topic == self.answer:
-            self._take_answer(received.message.scan_id)  # type: ignore[attr-defined]
-
-    def _take_answer(self, scan_id: int) -> None:
-        """Answers come in order: older scans than the answered one will not be answered any more."""
-        self._silent = False
-        self._answered_s = time.monotonic()
-        self._open.discard(scan_id)
-        if scan_id in self._in_flight:
-            del self._in_flight[: self._in_flight.index(scan_id) + 1]
+            # answers come in order: older scans than the answered one will not be answered any more
+            self._silent = False
+            self._answered_s = time.monotonic()
+            scan: int = received.message.scan_id  # type: ignore[attr-defined]
+            self._open.discard(scan)
+            if scan in self._in_flight:
+                del self._in_flight[: self._in_flight.index(scan) + 1]
 
     def _until(self, done: Callable[[], bool], timeout_s: float) -> None:
         end_s = time.monotonic() + timeout_s
@@ -196,9 +198,6 @@ class ReplayedGraph:
         wanted = Counter(count.topic for status in self._now.values() for count in status.received)
         return ", ".join(topic for topic in self._topics if self._bus.subscribers(topic) < wanted[topic])
 
-    def _heard_since(self, time_ns: int) -> bool:
-        return all(self._now[node].stamp_ns >= time_ns for node in self._before)
-
     def _missing(self) -> int:
         """Messages of the played topics that nodes have not taken."""
         return sum(loss.count for node in self._before for loss in self._untaken(node) if loss.count > 0)
@@ -208,47 +207,26 @@ class ReplayedGraph:
         if before.pid != now.pid:
             return [NodeLoss(node=node, what="node", reason="started anew", count=1)]
         shed = {(count.what, count.reason): count.count for count in before.shed}
-        left_out = [
-            NodeLoss(
-                node=node,
-                what=count.what,
-                reason=count.reason,
-                count=count.count - shed.get((count.what, count.reason), 0),
-            )
-            for count in now.shed
-        ]
-        return self._untaken(node) + self._lost_between(node) + left_out
+        losses = self._untaken(node)
+        # of what nodes make of the played topics, between them
+        old = {count.topic: count for count in before.received}
+        for count in now.received:
+            if count.topic in CHAIN and count.topic not in self._topics and count.topic in old:
+                lost = _trouble(count) - _trouble(old[count.topic])
+                losses.append(NodeLoss(node=node, what=count.topic, reason="lost or outdated", count=lost))
+        for work in now.shed:
+            left_out = work.count - shed.get((work.what, work.reason), 0)
+            losses.append(NodeLoss(node=node, what=work.what, reason=work.reason, count=left_out))
+        return losses
 
     def _untaken(self, node: str) -> list[NodeLoss]:
-        before = _by_topic(self._before[node])
-        return [
-            NodeLoss(
-                node=node, what=topic_count.topic, reason="not received",
-                count=self._sent[topic_count.topic] - (topic_count.messages - before[topic_count.topic].messages),
-            )
-            for topic_count in self._now[node].received
-            if topic_count.topic in self._topics and topic_count.topic in before
-        ]  # fmt: skip
-
-    def _lost_between(self, node: str) -> list[NodeLoss]:
-        """Losses of what nodes make of the played topics, between them."""
-        before = _by_topic(self._before[node])
-        return [
-            NodeLoss(
-                node=node,
-                what=topic_count.topic,
-                reason="lost or outdated",
-                count=_trouble(topic_count) - _trouble(old),
-            )
-            for topic_count in self._now[node].received
-            if topic_count.topic in CHAIN
-            and topic_count.topic not in self._topics
-            and (old := before.get(topic_count.topic)) is not None
-        ]
-
-
-def _by_topic(status: NodeStatus) -> dict[str, TopicCount]:
-    return {count.topic: count for count in status.received}
+        before = {count.topic: count.messages for count in self._before[node].received}
+        losses = []
+        for count in self._now[node].received:
+            if count.topic in self._topics and count.topic in before:
+                untaken = self._sent[count.topic] - (count.messages - before[count.topic])
+                losses.append(NodeLoss(node=node, what=count.topic, reason="not received", count=untaken))
+        return losses
 
 
 def _trouble(count: TopicCount) -> int:

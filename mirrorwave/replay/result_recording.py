@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 
 import msgspec
@@ -21,7 +20,6 @@ class ResultRecording:
 
     def __init__(self, writer: RecordingWriter) -> None:
         self._writer = writer
-        self._sequences: Counter[str] = Counter()
         self._start_ns: int | None = None
         self._now_ns = 0
 
@@ -45,7 +43,4 @@ class ResultRecording:
         self._write("perception/hidden_objects", view.frame)
 
     def _write(self, topic: str, message: msgspec.Struct) -> None:
-        self._writer.write(
-            topic, message, publisher="process", sequence=self._sequences[topic], sent_ns=max(0, self._now_ns)
-        )
-        self._sequences[topic] += 1
+        self._writer.write(topic, message, publisher="process", sent_ns=max(0, self._now_ns))

@@ -205,7 +205,10 @@ class Replay:
             if self._stop.requested:
                 return None
             self._send(recorded, due_ns)
-            self._note_played(recorded)
+            # add the time since the message before
+            if not TOPICS[recorded.topic].latched:
+                self._played_ns += 0 if self._at_ns is None else max(0, self._time_ns - self._at_ns)
+                self._at_ns = self._time_ns
         self._finish_scans()
         self._passes += 1
         # a span that holds nothing but what is said once would be begun again and again without a pause
@@ -231,7 +234,9 @@ class Replay:
         return whole_scans(messages, is_cut, self._params.end_ns)
 
     def _latched_before(self, end_ns: int) -> list[Recorded]:
-        return latched_before(self._reader, self._latched, self._params.renamed, end_ns)
+        """Return the last message before `end_ns` of each latched topic."""
+        messages = self._read(self._latched, 0, end_ns) if self._latched else ()
+        return list({recorded.topic: recorded for recorded in messages}.values())
 
     def _read(self, topics: Collection[str], start_ns: int, end_ns: int | None) -> Iterator[Recorded]:
         return self._reader.messages(topics, start_ns, end_ns, self._params.renamed)
@@ -239,38 +244,31 @@ class Replay:
     def _between_scans(self, recorded: Recorded) -> bool:
         """Wait for the graph and obey keys before a scan; True where play is to go on elsewhere."""
         if self._unconfirmed:
-            self._without_counting(self._settle)
+            # all take in what must be known before the scan
+            started_s = time.monotonic()
+            self._graph.confirm(SETTLE_S if self._params.keeps_time else CONFIRM_S)
+            self._waited_s += time.monotonic() - started_s
+            self._schedule.restart()
+            self._unconfirmed = False
         if self._started_s is None:
             self._started_s, self._waited_s = time.monotonic(), 0.0
         if not self._params.keeps_time:
             self._graph.await_room()
         self._obey(recorded)
         if self._paused and not self._steps:
-            self._without_counting(lambda: self._wait_while_paused(recorded))
+            started_s = time.monotonic()
+            while self._paused and not (self._steps or self._stop.requested or self._jump_ns is not None):
+                self._tell(recorded.log_time_ns)
+                self._graph.serve(_TURN_S)
+                self._obey(recorded)
+            # the rate that was achieved does not suffer from it
+            self._waited_s += time.monotonic() - started_s
             self._schedule.restart()
         self._steps = max(0, self._steps - 1)
         if not self._params.keeps_time:
             self._schedule.forgive(self._time_ns, self._bus.now_ns())
         self._tell(recorded.log_time_ns)
         return self._jump_ns is not None
-
-    def _settle(self) -> None:
-        """Let all take in what must be known before the scan."""
-        self._graph.confirm(SETTLE_S if self._params.keeps_time else CONFIRM_S)
-        self._schedule.restart()
-        self._unconfirmed = False
-
-    def _wait_while_paused(self, recorded: Recorded) -> None:
-        while self._paused and not (self._steps or self._stop.requested or self._jump_ns is not None):
-            self._tell(recorded.log_time_ns)
-            self._graph.serve(_TURN_S)
-            self._obey(recorded)
-
-    def _without_counting(self, wait: Callable[[], None]) -> None:
-        """Wait; the rate that was achieved does not suffer from it."""
-        started_s = time.monotonic()
-        wait()
-        self._waited_s += time.monotonic() - started_s
 
     def _wait_until_due(self, recorded: Recorded) -> int:
         """The bus is served meanwhile, for those who join late."""
@@ -295,12 +293,6 @@ class Replay:
             self._graph.serve(0.0)
         self._sent[recorded.topic] += 1
         self._unconfirmed |= is_latched
-
-    def _note_played(self, recorded: Recorded) -> None:
-        """Add the time since the message before."""
-        if not TOPICS[recorded.topic].latched:
-            self._played_ns += 0 if self._at_ns is None else max(0, self._time_ns - self._at_ns)
-            self._at_ns = self._time_ns
 
     def _finish_scans(self) -> None:
         """Let the graph answer what is on its way: what comes next may begin elsewhere."""
@@ -364,17 +356,6 @@ class Replay:
             interrupted=self._stop.requested,
             loss=self._reader.loss or unreadable,
         )
-
-
-def latched_before(
-    reader: RecordingReader, topics: Collection[str], renamed: Mapping[str, str], end_ns: int
-) -> list[Recorded]:
-    """Return the last message before `end_ns` of each latched topic among `topics`, as the recording names them."""
-    return (
-        list({recorded.topic: recorded for recorded in reader.messages(topics, 0, end_ns, renamed)}.values())
-        if topics
-        else []
-    )
 
 
 def whole_scans(messages: Iterator[Recorded], is_cut: bool, end_ns: int | None) -> Iterator[Recorded]:

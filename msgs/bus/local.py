@@ -125,9 +125,6 @@ class LocalNetwork:
                 self._deliver(queue, self._latched[key], self._faults.get(topic.name, Faults()))
         return queue
 
-    def _leave(self, topic: str, queue: _Queue) -> None:
-        self._queues[topic].remove(queue)
-
     def _send(self, topic: Topic, envelope: Envelope, frames: list[Buffer]) -> None:
         parcel = _Parcel(self._now_ns, envelope.publisher, envelope.sequence, 0, frames)
         if topic.latched:
@@ -206,6 +203,6 @@ class LocalBus:
     def close(self) -> None:
         """Leave the network; waiting messages are discarded."""
         for topic, queue in self._queues.items():
-            self._network._leave(topic, queue)
+            self._network._queues[topic].remove(queue)
         self._network._publishers = {key for key in self._network._publishers if key[1] != self._node}
         self._queues.clear()

@@ -102,7 +102,14 @@ class Tally:
         """Return the message of `frames`; None if it is unreadable (counted, logged) or older than an earlier one."""
         try:
             received = decode(frames, self._any_size)
-            _check_origin(received, topic, now_ns)
+            if received.topic != topic:
+                raise CodecError(f"{topic}: message of {received.topic} on its connection")
+            if len(received.envelope.publisher) > _MAX_NAME:
+                raise CodecError(f"{topic}: publisher must have at most {_MAX_NAME} characters")
+            if received.envelope.sent_ns > now_ns:
+                raise CodecError(
+                    f"{topic}: sent_ns must not lie in the future, got {received.envelope.sent_ns} at {now_ns}"
+                )
         except CodecError as error:
             self._reject(topic, error)
             return None
@@ -198,13 +205,3 @@ def latch(kept: dict[str, T], publisher: str, message: T) -> None:
     kept[publisher] = message
     while len(kept) > MAX_LATCHED:
         del kept[next(iter(kept))]
-
-
-def _check_origin(received: Received, topic: str, now_ns: int) -> None:
-    """Raise `CodecError` for another topic's message, or one from the future, which would make all later ones old."""
-    if received.topic != topic:
-        raise CodecError(f"{topic}: message of {received.topic} on its connection")
-    if len(received.envelope.publisher) > _MAX_NAME:
-        raise CodecError(f"{topic}: publisher must have at most {_MAX_NAME} characters")
-    if received.envelope.sent_ns > now_ns:
-        raise CodecError(f"{topic}: sent_ns must not lie in the future, got {received.envelope.sent_ns} at {now_ns}")

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -79,33 +79,15 @@ class Topic(Facts, frozen=True, kw_only=True):
         return max(1, self.history_bytes // self.max_bytes)
 
 
+#: What a scan brings, of which receivers want the newest.
+_NEWEST: dict[str, Any] = {"rate_hz": 1 / 0.3, "max_bytes": 4 * MIB, "history_bytes": 16 * MIB, "newest_only": True}
 _SHIPPED = (
     Topic(name="radar/beam", type=RadarBeam, rate_hz=25 / 0.3, max_bytes=5 * MIB, history_bytes=125 * MIB),
-    Topic(name="radar/setup", type=RadarSetup, rate_hz=0.0, max_bytes=16 * MIB, history_bytes=16 * MIB, latched=True),
-    Topic(
-        name="radar/ra_map",
-        type=RangeAzimuthMap,
-        rate_hz=1 / 0.3,
-        max_bytes=4 * MIB,
-        history_bytes=16 * MIB,
-        newest_only=True,
-    ),
-    Topic(
-        name="radar/detections",
-        type=RadarDetections,
-        rate_hz=17.0,
-        max_bytes=2 * MIB,
-        history_bytes=16 * MIB,
-        newest_only=True,
-    ),
-    Topic(name="lidar/setup", type=LidarSetup, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=MIB, latched=True),
-    Topic(
-        name="lidar/histograms",
-        type=PhotonHistograms,
-        rate_hz=1 / 0.3,
-        max_bytes=16 * MIB,
-        history_bytes=64 * MIB,
-    ),
+    Topic(name="radar/setup", type=RadarSetup, max_bytes=16 * MIB, history_bytes=16 * MIB, latched=True),
+    Topic(name="radar/ra_map", type=RangeAzimuthMap, **_NEWEST),
+    Topic(name="radar/detections", type=RadarDetections, **_NEWEST | {"rate_hz": 17.0, "max_bytes": 2 * MIB}),
+    Topic(name="lidar/setup", type=LidarSetup, max_bytes=MIB // 16, history_bytes=MIB, latched=True),
+    Topic(name="lidar/histograms", type=PhotonHistograms, rate_hz=1 / 0.3, max_bytes=16 * MIB, history_bytes=64 * MIB),
     Topic(
         name="lidar/points",
         type=LidarPoints,
@@ -115,66 +97,20 @@ _SHIPPED = (
         newest_only=True,
     ),
     Topic(
-        name="camera/image",
-        type=CameraImage,
-        rate_hz=10.0,
-        max_bytes=8 * MIB,
-        history_bytes=64 * MIB,
-        newest_only=True,
+        name="camera/image", type=CameraImage, rate_hz=10.0, max_bytes=8 * MIB, history_bytes=64 * MIB, newest_only=True
     ),
-    Topic(
-        name="perception/peaks",
-        type=Peaks,
-        rate_hz=1 / 0.3,
-        max_bytes=4 * MIB,
-        history_bytes=16 * MIB,
-        newest_only=True,
-    ),
-    Topic(
-        name="perception/hidden_objects",
-        type=BevFrame,
-        rate_hz=1 / 0.3,
-        max_bytes=4 * MIB,
-        history_bytes=16 * MIB,
-        newest_only=True,
-    ),
+    Topic(name="perception/peaks", type=Peaks, **_NEWEST),
+    Topic(name="perception/hidden_objects", type=BevFrame, **_NEWEST),
     Topic(name="vehicle/state", type=VehicleState, rate_hz=50.0, max_bytes=4096, history_bytes=1 * MIB),
     # neither latched nor newest only: a wall without its time is none, and one source must not displace another
-    Topic(
-        name="environment/walls",
-        type=WallPriors,
-        rate_hz=0.0,
-        max_bytes=MIB // 8,
-        history_bytes=4 * MIB,
-        shared=True,
-    ),
+    Topic(name="environment/walls", type=WallPriors, max_bytes=MIB // 8, history_bytes=4 * MIB, shared=True),
     Topic(name="sim/truth", type=SceneTruth, rate_hz=1 / 0.3, max_bytes=4 * MIB, history_bytes=32 * MIB),
     Topic(
-        name="diagnostics/node",
-        type=NodeStatus,
-        rate_hz=2.0,
-        max_bytes=MIB // 4,
-        history_bytes=4 * MIB,
-        shared=True,
+        name="diagnostics/node", type=NodeStatus, rate_hz=2.0, max_bytes=MIB // 4, history_bytes=4 * MIB, shared=True
     ),
-    Topic(
-        name="param/request",
-        type=ParamRequest,
-        rate_hz=0.0,
-        max_bytes=MIB // 4,
-        history_bytes=4 * MIB,
-        shared=True,
-    ),
-    Topic(
-        name="param/values",
-        type=NodeParams,
-        rate_hz=0.0,
-        max_bytes=MIB // 4,
-        history_bytes=4 * MIB,
-        latched=True,
-        shared=True,
-    ),
-    Topic(name="log", type=LogRecord, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=4 * MIB, shared=True),
+    Topic(name="param/request", type=ParamRequest, max_bytes=MIB // 4, history_bytes=4 * MIB, shared=True),
+    Topic(name="param/values", type=NodeParams, max_bytes=MIB // 4, history_bytes=4 * MIB, latched=True, shared=True),
+    Topic(name="log", type=LogRecord, max_bytes=MIB // 16, history_bytes=4 * MIB, shared=True),
 )
 
 
@@ -233,7 +169,11 @@ class Topics(Mapping[str, Topic]):
         Raises `ValueError`, one line that names origin, topic and rule, for a name, type or fact that cannot be, and
         for a topic that is declared otherwise already.
         """
-        _require_fit(topic, origin)
+        where = f"{origin}: topic {topic.name!r}"
+        require_topic_name(topic.name, origin)
+        if reason := refusal_of(topic.type):
+            raise ValueError(f"{where}: {reason}")
+        require_facts(topic, where)
         known = self._declared.get(topic.name)
         if known is not None and known.topic != topic:
             raise ValueError(f"{origin}: topic {topic.name!r}: {_difference(topic, known)}")
@@ -299,15 +239,6 @@ class Topics(Mapping[str, Topic]):
             if known is not None and known.origin != _SHIPPED_BY and name not in self._expected:
                 # which of them came first is a matter of their names
                 del self._declared[name]
-
-
-def _require_fit(topic: Topic, origin: str) -> None:
-    """Raise `ValueError` for a name, type or fact that a topic cannot have."""
-    where = f"{origin}: topic {topic.name!r}"
-    require_topic_name(topic.name, origin)
-    if reason := refusal_of(topic.type):
-        raise ValueError(f"{where}: {reason}")
-    require_facts(topic, where)
 
 
 def require_topic_name(name: object, origin: str) -> None:

@@ -178,7 +178,9 @@ class ZmqBus:
         """
         deadline_ns = self.now_ns() + max(0, int(timeout_s * NANOSECONDS_PER_SECOND))
         while True:
-            self._search_when_due()
+            if self.now_ns() >= self._next_scan_ns:
+                self._bind_again()
+                self._search()
             wake_ns = min(deadline_ns, self._next_scan_ns) if self._subscribers else deadline_ns
             received, is_watched_ready = self._poll(max(0, wake_ns - self.now_ns()))
             if received or is_watched_ready or self.now_ns() >= deadline_ns:
@@ -297,7 +299,12 @@ class ZmqBus:
         return self._tally.without_outdated(received), not self._watched.isdisjoint(ready)
 
     def _drain(self, topic: str, subscriber: zmq.Socket[bytes]) -> list[Received]:
-        self._notice_restarts(topic)
+        # restart the count of a restarted publisher: what its new life sent before it was connected is no loss
+        for node, previous in self._lives[topic].items():
+            life = _life(socket_path(self._dir, topic, node))
+            if life != previous:
+                self._lives[topic][node] = life
+                self._tally.forget(topic, node)
         messages = []
         for _ in range(_MAX_MESSAGES_A_CALL):
             try:
@@ -313,14 +320,6 @@ class ZmqBus:
         now_ns = self.now_ns()
         messages = [self._tally.admit(*parcel, now_ns) for parcel in mailbox.take()]
         return [message for message in messages if message is not None]
-
-    def _notice_restarts(self, topic: str) -> None:
-        """Restart the count of a restarted publisher: what its new life sent before it was connected is no loss."""
-        for node, previous in self._lives[topic].items():
-            life = _life(socket_path(self._dir, topic, node))
-            if life != previous:
-                self._lives[topic][node] = life
-                self._tally.forget(topic, node)
 
     def _serve_newcomers(self, topic: str) -> None:
         """Send a latched topic's last messages again if a subscriber joined; all others discard them as duplicates."""
@@ -340,11 +339,6 @@ class ZmqBus:
             is_new = event[0].startswith(b"\x01")
             self._joined[topic] += 1 if is_new else -1
             joined |= is_new
-
-    def _search_when_due(self) -> None:
-        if self.now_ns() >= self._next_scan_ns:
-            self._bind_again()
-            self._search()
 
     def _search(self) -> None:
         """Connect to the publishers that appeared since the last search."""

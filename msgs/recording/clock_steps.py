@@ -75,7 +75,13 @@ class Bridged(Generic[Item]):
 
     def __next__(self) -> tuple[Item, int]:
         if not self._waiting and not self._read():
-            self._finish()
+            if self._said > _MAX_LINES:
+                more = counted(self._said - _MAX_LINES, "more time", "more times")
+                _LOG.warning("%s was set, off or silent %s", self._whose, more)
+                self._said = 0
+            if (error := self._error) is not None:
+                self._error = None
+                raise error
             raise StopIteration
         item = self._waiting.popleft()
         stamp_ns = self._stamp_ns(item)
@@ -101,15 +107,6 @@ class Bridged(Generic[Item]):
             self._error = error
             return False
         return True
-
-    def _finish(self) -> None:
-        if self._said > _MAX_LINES:
-            more = counted(self._said - _MAX_LINES, "more time", "more times")
-            _LOG.warning("%s was set, off or silent %s", self._whose, more)
-            self._said = 0
-        if (error := self._error) is not None:
-            self._error = None
-            raise error
 
     def _time_of(self, stamp_ns: int) -> int:
         if self._given:

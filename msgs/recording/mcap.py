@@ -17,6 +17,7 @@ import logging
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from io import BytesIO, FileIO
 from pathlib import Path
@@ -179,6 +180,7 @@ class RecordingWriter:
             self._mcap.add_metadata(METADATA_NAME, metadata)
             stack.pop_all()
         self._channels: dict[tuple[str, str], int] = {}
+        self._sequences: Counter[tuple[str, str]] = Counter()
         self._flushed_ns: int | None = None
         self._is_finished = False
 
@@ -198,8 +200,13 @@ class RecordingWriter:
             counts[topic] = counts.get(topic, 0) + self._mcap.counts[number]
         return counts
 
-    def write(self, topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> None:
-        """Append a message that `publisher` sent at `sent_ns` (not negative)."""
+    def write(
+        self, topic: str, message: msgspec.Struct, *, publisher: str, sent_ns: int, sequence: int | None = None
+    ) -> None:
+        """Append a message that `publisher` sent at `sent_ns` (not negative); by default the next of its topic."""
+        if sequence is None:
+            sequence = self._sequences[topic, publisher]
+            self._sequences[topic, publisher] += 1
         self.write_encoded(encoded(topic, message, publisher=publisher, sequence=sequence, sent_ns=sent_ns))
 
     def write_encoded(self, message: Encoded) -> None:
@@ -212,7 +219,11 @@ class RecordingWriter:
             min(max(message.stamp_ns, 0), MAX_U64),
             message.data,
         )
-        self._flush_when_due(message.sent_ns)
+        if self._flushed_ns is None:
+            self._flushed_ns = message.sent_ns
+        if message.sent_ns - self._flushed_ns >= FLUSH_INTERVAL_NS:
+            self._mcap.flush()
+            self._flushed_ns = message.sent_ns
 
     def flush(self) -> None:
         """Write the chunks in progress; data that the disk refuses is lost."""
@@ -259,13 +270,6 @@ class RecordingWriter:
                 compressed=topic not in self._plain_topics,
             )
         return self._channels[key]
-
-    def _flush_when_due(self, now_ns: int) -> None:
-        if self._flushed_ns is None:
-            self._flushed_ns = now_ns
-        if now_ns - self._flushed_ns >= FLUSH_INTERVAL_NS:
-            self._mcap.flush()
-            self._flushed_ns = now_ns
 
 
 def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> Encoded:
@@ -432,8 +436,13 @@ class RecordingReader:
 
         def first() -> tuple[Channel, Message]:
             _, offset, at, channel, raw = heapq.heappop(waiting)
-            if (offset, at) < positions.get(channel.id, (0, 0)):
-                self._note_set_back(channel.topic)
+            # say once that what one publisher sent comes in another order than it was written in
+            if (offset, at) < positions.get(channel.id, (0, 0)) and not self._is_set_back:
+                self._is_set_back = True
+                consequence = "messages come by their times, not as they were sent"
+                _LOG.warning(
+                    "%s: the clock was set back while %s was recorded: %s", self.path, channel.topic, consequence
+                )
             positions[channel.id] = offset, at
             return channel, raw
 
@@ -445,15 +454,6 @@ class RecordingReader:
                     heapq.heappush(waiting, (raw.log_time, chunk.offset, at, channel, raw))
         while waiting:
             yield first()
-
-    def _note_set_back(self, topic: str) -> None:
-        """Say once that what one publisher sent comes in another order than it was written in."""
-        if not self._is_set_back:
-            self._is_set_back = True
-            _LOG.warning(
-                "%s: the clock was set back while %s was recorded: messages come by their times, not as they were sent",
-                self.path, topic,
-            )  # fmt: skip
 
     def _may_hold(self, chunk: _Chunk, topics: Collection[str]) -> bool:
         """Return whether a chunk has to be read for these topics: raw beams are a thousand times all else."""

@@ -135,7 +135,9 @@ class _Source:
         numbers: Counter[int] = Counter()
         for channel, raw in itertools.chain(before, self._reader.raw_messages(start_ns, selection.end_ns, topics)):
             numbers[channel.id] += 1
-            if (numbers[channel.id] - 1) % selection.every == 0 or _is_latched(channel.topic):
+            if (numbers[channel.id] - 1) % selection.every == 0 or (
+                channel.topic in TOPICS and TOPICS[channel.topic].latched
+            ):
                 yield self, channel, raw
 
     def number_of(self, channel: Channel) -> int:
@@ -169,10 +171,6 @@ class _Repeats:
         if len(recent) > _MAX_KEPT:
             del recent[next(iter(recent))]
         return True
-
-
-def _is_latched(topic: str) -> bool:
-    return topic in TOPICS and TOPICS[topic].latched
 
 
 def _latched_before(

@@ -191,11 +191,7 @@ def write_capture(
     try:
         with whole(data_path) as part, part.open("wb") as file:
             captures, sha512 = _write_beams(file, setup, beams)
-        metadata = {
-            "global": _global_of(setup, sha512, background_path.name),
-            "captures": captures,
-            "annotations": [],
-        }
+        metadata = {"global": _global_of(setup, sha512, background_path.name), "captures": captures, "annotations": []}
         _require_valid(metadata, meta_path)
         if setup.background is not None:
             with whole(background_path) as part, part.open("wb") as file:
@@ -389,13 +385,6 @@ def _load_metadata(meta_path: Path) -> dict[str, Any]:
         metadata: dict[str, Any] = json.loads(decode_text(meta_path.read_bytes()), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{meta_path}: must be JSON: {error}") from error
-    _require_few(metadata, meta_path)
-    _require_valid(metadata, meta_path)
-    return metadata
-
-
-def _require_few(metadata: object, meta_path: Path) -> None:
-    """Raise `ValueError` for more segments than the data can hold: each is looked at for a while."""
     data_path = meta_path.with_suffix(".sigmf-data")
     data_bytes = data_path.stat().st_size if data_path.is_file() else 0
     limit = _FREE_SEGMENTS + data_bytes // _SEGMENT_BYTES
@@ -404,6 +393,8 @@ def _require_few(metadata: object, meta_path: Path) -> None:
         if isinstance(segments, list) and len(segments) > limit:
             rule = f"must be at most {limit} for {counted(data_bytes, 'byte')} of data, got {len(segments)}"
             raise ValueError(f"{meta_path}: {name} {rule}")
+    _require_valid(metadata, meta_path)
+    return metadata
 
 
 def _require_valid(metadata: dict[str, Any], meta_path: Path) -> None:

@@ -56,10 +56,10 @@ def _refuse(value: Any, wanted: Any, where: str) -> None:
                     raise ValueError(
                         f"{path}: unknown field; known are {', '.join(valid)}{did_you_mean(str(name), valid)}"
                     )
-                _refuse(inner, valid[name], path)
+                refuse_unknown(inner, valid[name], path)
         elif typing.get_origin(kind) is dict and isinstance(value, Mapping):
             for name, inner in value.items():
-                _refuse(inner, typing.get_args(kind)[1], f"{where}.{name}")
+                refuse_unknown(inner, typing.get_args(kind)[1], f"{where}.{name}")
         elif (choices := _choices(kind)) and isinstance(value, str) and value not in choices:
             raise ValueError(
                 f"{where}: unknown {value!r}; known are {', '.join(choices)}{did_you_mean(value, choices)}"

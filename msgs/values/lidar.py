@@ -98,7 +98,13 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 f"spad.irf_fwhm_s must be longer or the period shorter: of {self.period_s:g} s at least a share of "
                 f"{SHORTEST_PULSE:g}, got {self.irf_fwhm_s!r}"
             )
-        self._require_tail()
+        if self.tail_s > self.period_s:
+            raise ValueError(f"spad.tail_s must not exceed the period, {self.period_s!r} s, got {self.tail_s!r}")
+        if self.tail_share > 0.0 and self.tail_s < SHORTEST_TAIL * self.timing_rms_s:
+            raise ValueError(
+                f"spad.tail_s must be at least {SHORTEST_TAIL:g} of the pulse's {self.timing_rms_s:g} s rms where "
+                f"spad.tail_share is not 0, got {self.tail_s!r}"
+            )
         if 0.0 < self.tick_s < SHORTEST_PULSE * self.period_s:
             raise ValueError(
                 f"spad.tick_s must be 0 or at least a share of {SHORTEST_PULSE:g} of the period, {self.period_s:g} s, "
@@ -111,15 +117,6 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         if self.gates > min(self.pulses, self.bins):
             raise ValueError(
                 f"spad.gates must not exceed the {self.pulses} pulses or the {self.bins} bins, got {self.gates!r}"
-            )
-
-    def _require_tail(self) -> None:
-        if self.tail_s > self.period_s:
-            raise ValueError(f"spad.tail_s must not exceed the period, {self.period_s!r} s, got {self.tail_s!r}")
-        if self.tail_share > 0.0 and self.tail_s < SHORTEST_TAIL * self.timing_rms_s:
-            raise ValueError(
-                f"spad.tail_s must be at least {SHORTEST_TAIL:g} of the pulse's {self.timing_rms_s:g} s rms where "
-                f"spad.tail_share is not 0, got {self.tail_s!r}"
             )
 
     @property

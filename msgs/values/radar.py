@@ -23,13 +23,7 @@ from msgs.values.arrays import (
     require_within,
 )
 from msgs.values.frames import Pose2
-from msgs.values.units import (
-    BOLTZMANN_J_PER_K,
-    REFERENCE_TEMPERATURE_K,
-    SPEED_OF_LIGHT_MPS,
-    ns_from_s,
-    ratio_from_db,
-)
+from msgs.values.units import BOLTZMANN_J_PER_K, REFERENCE_TEMPERATURE_K, SPEED_OF_LIGHT_MPS, ns_from_s, ratio_from_db
 
 #: Magnitude of the int16 code that `full_scale_dbm` refers to.
 FULL_SCALE_CODE = 32768
@@ -45,10 +39,7 @@ RADAR_LIMITS: dict[str, tuple[float, float]] = {
     "noise_figure_db": (-200.0, 200.0),
     "scan_period_s": (1e-9, 1e6),
 }
-ARRAY_LIMITS: dict[str, tuple[float, float]] = {
-    "columns": (1, 256),
-    "rows": (1, 1 << 12),
-}
+ARRAY_LIMITS: dict[str, tuple[float, float]] = {"columns": (1, 256), "rows": (1, 1 << 12)}
 SPACING_LIMITS_M = (1e-9, 1e3)
 RANGE_BIN_LIMITS_M = (1e-9, 1e9)
 #: Without a limit: the same in all directions.

@@ -91,7 +91,11 @@ class CanLink:
         frames: list[can.Message] = []
         error = self._attempt(lambda bus: _drain(bus, frames), now_ns)
         for frame in frames:
-            self._note(frame)
+            if frame.is_error_frame:
+                if frame.arbitration_id & _CAN_ERROR_BUS_OFF:
+                    self._say("bus-off")
+            else:
+                self._is_well()
         self._judge(error, now_ns)
         return frames
 
@@ -148,13 +152,6 @@ class CanLink:
         is_numbered = getattr(error, "error_code", None) is not None or getattr(error, "errno", None) is not None
         if is_numbered or self._in_a_row >= MAX_UNREADABLE:
             self._fail(str(error) or type(error).__name__, now_ns)
-
-    def _note(self, frame: can.Message) -> None:
-        if frame.is_error_frame:
-            if frame.arbitration_id & _CAN_ERROR_BUS_OFF:
-                self._say("bus-off")
-        else:
-            self._is_well()
 
     def _is_well(self) -> None:
         self._in_a_row, self._retry_s = 0, RETRY_S

@@ -72,7 +72,10 @@ class BeamQueue:
     def take(self) -> RadarBeam:
         """Return the next beam; begins its scan if it is a new one's."""
         if not self._current:
-            self._begin()
+            self._begun = self._to_begin[0].scan_id
+            self._shed.clear()
+            while self._to_begin and self._to_begin[0].scan_id == self._begun:
+                self._current.append(self._to_begin.popleft())
         return self._current.popleft()
 
     def torn(self, scan_id: int) -> bool:
@@ -107,12 +110,6 @@ class BeamQueue:
         self.shed_beams += len(self._to_begin) - len(kept)
         self._to_begin = kept
         self._shed.append(scan_id)
-
-    def _begin(self) -> None:
-        self._begun = self._to_begin[0].scan_id
-        self._shed.clear()
-        while self._to_begin and self._to_begin[0].scan_id == self._begun:
-            self._current.append(self._to_begin.popleft())
 
     def _notice_gap(self, received: Received, beam: RadarBeam) -> None:
         """Mark the scans on both sides of a gap in the numbers as torn."""

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from typing import TypeVar
 
 from msgs.values.diagnostics import NodeState
 from msgs.values.wording import counted
 from nodes.node import ShedTally
+
+Answer = TypeVar("Answer")
 
 
 class Refusals:
@@ -26,8 +30,19 @@ class Refusals:
         self._count += kind == self._unit
         self._shed.add(kind, "refused")
         if str(error) != self.reason:
-            self._log.warning("%s", self._line(name or kind, error))
+            so_far = "" if self._unit is None else f"({counted(self._count, self._unit)} refused so far)"
+            self._log.warning("%s", f"{error} {so_far}" if so_far else f"{name or kind} refused: {error}")
         self._shed.refusal = str(error)
+
+    def attempt(self, kind: str, work: Callable[[], Answer], name: str | None = None) -> Answer | None:
+        """Return what `work` gives, its input accepted; None where it raises `ValueError`, its input refused."""
+        try:
+            answer = work()
+        except ValueError as error:
+            self.refuse(kind, error, name)
+            return None
+        self.accept()
+        return answer
 
     def accept(self) -> None:
         """Note that input is accepted again."""
@@ -36,10 +51,3 @@ class Refusals:
     def health(self) -> tuple[NodeState, str]:
         """Return DEGRADED with the reason while input is refused."""
         return (NodeState.DEGRADED, self.reason) if self.reason else (NodeState.READY, "")
-
-    def _line(self, name: str, error: ValueError) -> str:
-        return (
-            f"{name} refused: {error}"
-            if self._unit is None
-            else (f"{error} ({counted(self._count, self._unit)} refused so far)")
-        )

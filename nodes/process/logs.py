@@ -36,8 +36,11 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-class JsonFormatter(logging.Formatter):
-    """A log record as one JSON object: time, node, level, text and, where there is one, the traceback."""
+class SeparatedJsonFormatter(logging.Formatter):
+    """A log record as one JSON object: time, node, level, text and, where there is one, the traceback.
+
+    A record separator before it tells a supervisor that it is no text that a library wrote to the same stream.
+    """
 
     def __init__(self, node: str) -> None:
         super().__init__()
@@ -50,15 +53,7 @@ class JsonFormatter(logging.Formatter):
             entry["state"] = state
         if record.exc_info:
             entry["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(entry)
-
-
-class SeparatedJsonFormatter(JsonFormatter):
-    """The same, marked so that a supervisor distinguishes it from text that a library wrote to the same stream."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the JSON object behind a record separator."""
-        return RECORD_SEPARATOR + super().format(record)
+        return RECORD_SEPARATOR + json.dumps(entry)
 
 
 def of_thread(node: str) -> Callable[[logging.LogRecord], bool]:
@@ -162,7 +157,7 @@ class LineSplitter:
         return self._say_left_out() + lines
 
     def _passed(self, line: bytes) -> list[str]:
-        if _tells_state(line):
+        if line.startswith(RECORD_SEPARATOR.encode()) and b'"state"' in line:
             return [_printable(line)]
         if self._allowed < 1.0:
             self._left_out += 1
@@ -173,10 +168,6 @@ class LineSplitter:
     def _say_left_out(self) -> list[str]:
         count, self._left_out = self._left_out, 0
         return [f"({counted(count, 'line')} left out: more than {LINES_PER_S} a second)"] if count else []
-
-
-def _tells_state(line: bytes) -> bool:
-    return line.startswith(RECORD_SEPARATOR.encode()) and b'"state"' in line
 
 
 def _printable(line: bytes) -> str:

@@ -267,7 +267,9 @@ class Supervisor:
             now_s = time.monotonic()
             self._look_at_server()
             self._hear(messages, now_s)
-            self._read_output()
+            for name, node in self._nodes.items():
+                if node.child is not None:
+                    self._pass_on(name, node.child.read_lines())
             self._reap(now_s)
             self._look_at_silent(now_s)
             self._check_end(now_s)
@@ -303,11 +305,6 @@ class Supervisor:
                 self._say("info", f"{status.node} answers again after {now_s - node.heard_s:.1f} s")
             node.heard(now_s, status.node)
             node.report(status.reason)
-
-    def _read_output(self) -> None:
-        for name, node in self._nodes.items():
-            if node.child is not None:
-                self._pass_on(name, node.child.read_lines())
 
     def _pass_on(self, name: str, lines: list[str]) -> None:
         for line in lines:
@@ -557,13 +554,11 @@ class Supervisor:
         if self._heartbeat.remaining_s() <= 0.0:
             self._hold_again()
             now_s = time.monotonic()
-            failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
+            ended = [(name, node) for name, node in self._nodes.items() if node.phase is Phase.FAILED]
+            failed = [f"{name} FAILED{_because(node.reason)}" for name, node in ended]
             failed += [_silence(name, node, now_s) for name, node in self._nodes.items() if node.is_silent(now_s)]
-            failed += (
-                [counted(self._log.lost, "line of the log is lost", "lines of the log are lost")]
-                if self._log.lost
-                else []
-            )
+            if self._log.lost:
+                failed.append(counted(self._log.lost, "line of the log is lost", "lines of the log are lost"))
             is_up = all(node.was_ready or node.phase in (Phase.ENDED, Phase.FAILED) for node in self._nodes.values())
             state = NodeState.READY if is_up else NodeState.STARTING
             self._heartbeat.beat(NodeState.DEGRADED if failed else state, "; ".join(failed))
@@ -685,10 +680,6 @@ def _new_run_folder(runs_dir: Path, launch: LaunchFile) -> Path:
             continue
         (folder / "launch.yaml").write_text(dump_launch(launch), encoding="utf-8")
         return folder
-
-
-def _is_failed(node: _Watched) -> bool:
-    return node.phase is Phase.FAILED
 
 
 def _silence(name: str, node: _Watched, now_s: float) -> str:

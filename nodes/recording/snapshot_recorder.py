@@ -109,7 +109,7 @@ class SnapshotRecorder(Node):
 
     def pending(self) -> bool:
         """True while a snapshot is asked for and none is being written."""
-        return self._triggered and not self._is_writing()
+        return self._triggered and (self._writing is None or not self._writing.is_alive())
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Take in what came; start to write if that was asked for."""
@@ -118,7 +118,12 @@ class SnapshotRecorder(Node):
                 message = as_recorded(received)
                 self._latched.note(message)
                 self._ring.append(message)
-            self._note_counts(now_ns)
+            # keep the bus's counts of about the ring's first moment: their growth since is what a snapshot lacks
+            if not self._counts or now_ns - self._counts[-1][0] >= _COUNTS_INTERVAL_NS:
+                self._counts.append((now_ns, self.counts()))
+            kept_ns = round(1e9 * (self._params.snapshot_s or 0.0))
+            while len(self._counts) > 1 and self._counts[1][0] <= now_ns - kept_ns:
+                self._counts.popleft()
         if self.pending():
             self._start_writing(now_ns)
         return []
@@ -134,17 +139,6 @@ class SnapshotRecorder(Node):
         if self._door is not None:
             self._door.close()
         _LOG.info("%s: %d snapshots, %d messages", self._params.path, len(self.paths), self.messages)
-
-    def _is_writing(self) -> bool:
-        return self._writing is not None and self._writing.is_alive()
-
-    def _note_counts(self, now_ns: int) -> None:
-        """Keep the bus's counts of about the ring's first moment: their growth since is what a snapshot lacks."""
-        if not self._counts or now_ns - self._counts[-1][0] >= _COUNTS_INTERVAL_NS:
-            self._counts.append((now_ns, self.counts()))
-        assert self._params.snapshot_s is not None
-        while len(self._counts) > 1 and self._counts[1][0] <= now_ns - round(1e9 * self._params.snapshot_s):
-            self._counts.popleft()
 
     def _start_writing(self, now_ns: int) -> None:
         self._triggered = False

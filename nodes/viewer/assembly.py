@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -16,7 +15,7 @@ from msgs.values.units import NANOSECONDS_PER_SECOND
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import Setup, on_one_clock
 from nodes.viewer.driver_warnings import DriverWarning, warnings_json
-from nodes.viewer.newest import Board, WireMessage, json_text
+from nodes.viewer.newest import Board, json_text
 from nodes.viewer.side_sensors import NEAR_NS, Recent, image_json, lidar_json
 from nodes.viewer.trails import Past
 from nodes.viewer.view_model import (
@@ -117,15 +116,22 @@ class ScanAssembly:
                 self._images.add(message)
                 self._post_without_view(message.stamp_ns, now_ns)
             case SceneTruth():
-                self._keep_truth(message, now_ns)
+                self._truths.pop(message.scan_id, None)
+                self._truths[message.scan_id] = message
+                while len(self._truths) > _KEPT_TRUTHS:
+                    del self._truths[next(iter(self._truths))]
+                if self._frame is not None and self._frame.scan_id == message.scan_id:
+                    self._post_view(now_ns)
             case VehicleState():
                 self._vehicle = message
 
     def _post_view(self, now_ns: int) -> None:
         assert self._frame is not None
-        truth = self._truths.get(self._frame.scan_id)
-        facts = {"number": self._number, "age_ms": age_ms(self._frame.stamp_ns, now_ns), **self._facts}
-        self._board.post("view", partial(_view_messages, self._frame, truth, self._vehicle, self._past, facts))
+        frame, vehicle, past, truth = self._frame, self._vehicle, self._past, self._truths.get(self._frame.scan_id)
+        facts = {"number": self._number, "age_ms": age_ms(frame.stamp_ns, now_ns), **self._facts}
+        self._board.post(
+            "view", lambda: (json_text({**view_json(frame, truth, vehicle, past), **facts}), mask_tile(frame))
+        )
 
     def _post_map(self, now_ns: int) -> None:
         if self._map is None:
@@ -133,8 +139,8 @@ class ScanAssembly:
         if self._is_map_shed(now_ns):
             self.maps_shed += 1
         else:
-            age = {"age_ms": age_ms(self._map.stamp_ns, now_ns)}
-            self._board.post("map", partial(_map_messages, self._map, self._peaks, age))
+            ra_map, peaks, age = self._map, self._peaks, {"age_ms": age_ms(self._map.stamp_ns, now_ns)}
+            self._board.post("map", lambda: (json_text({**map_json(ra_map, peaks), **age}), map_tile(ra_map)))
             self._map_posted_ns = now_ns
         self._map = None
 
@@ -152,25 +158,17 @@ class ScanAssembly:
         cloud, image = self._clouds.nearest(stamp_ns), self._images.nearest(stamp_ns)
         if cloud is not None and (cloud, pose) != self._clouds.posted:
             self._clouds.posted = cloud, pose
-            age = {"age_ms": age_ms(cloud.stamp_ns, now_ns)}
-            self._board.post("lidar", partial(_lidar_messages, cloud, pose, age))
+            cloud_age = {"age_ms": age_ms(cloud.stamp_ns, now_ns)}
+            self._board.post("lidar", lambda: (json_text({**lidar_json(cloud), **cloud_age}), points_tile(cloud, pose)))
         if image is not None and (image, pose) != self._images.posted:
             self._images.posted = image, pose
-            age = {"age_ms": age_ms(image.stamp_ns, now_ns)}
-            self._board.post("image", partial(_image_messages, image, age))
+            image_age = {"age_ms": age_ms(image.stamp_ns, now_ns)}
+            self._board.post("image", lambda: (json_text({**image_json(image), **image_age}), image.jpeg.tobytes()))
 
     def _is_map_shed(self, now_ns: int) -> bool:
         if not (self._sheds_maps and self._is_late) or self._map_posted_ns is None:
             return False
         return now_ns - self._map_posted_ns < LATE_MAP_PERIOD_NS
-
-    def _keep_truth(self, truth: SceneTruth, now_ns: int) -> None:
-        self._truths.pop(truth.scan_id, None)
-        self._truths[truth.scan_id] = truth
-        while len(self._truths) > _KEPT_TRUTHS:
-            del self._truths[next(iter(self._truths))]
-        if self._frame is not None and self._frame.scan_id == truth.scan_id:
-            self._post_view(now_ns)
 
 
 class Assembly:
@@ -211,19 +209,16 @@ class Assembly:
         table = self._watching(now_ns).table(now_ns)
         self._board.post("nodes", lambda: (json_text(table),))
         self._post_warnings(now_ns)
-        self._post_series(now_ns)
-
-    def _watching(self, now_ns: int) -> Watch:
-        self._watch = self._watch or Watch(now_ns, self._board.series)
-        return self._watch
-
-    def _post_series(self, now_ns: int) -> None:
-        """Post new samples, as seldom as maps while views are late."""
-        is_shed = self._sheds and self._watching(now_ns).is_late and self._series_posted_ns is not None
+        # post new samples, as seldom as maps while views are late
+        is_shed = self._sheds and self._watching(now_ns).is_late and (self._series_posted_ns is not None)
         if not is_shed or now_ns - (self._series_posted_ns or 0) >= LATE_MAP_PERIOD_NS:
             self._series_posted_ns = now_ns
             self._board.series.advance(now_ns)
             self._board.post_series()
+
+    def _watching(self, now_ns: int) -> Watch:
+        self._watch = self._watch or Watch(now_ns, self._board.series)
+        return self._watch
 
     def _post_warnings(self, now_ns: int) -> None:
         post_warnings(self._board, self._watching(now_ns).warnings(now_ns), now_ns)
@@ -237,29 +232,3 @@ def post_warnings(board: Board, warnings: tuple[DriverWarning, ...], now_ns: int
 def post_sensor(board: Board, setup: Setup) -> None:
     """Post the sensor of a page."""
     board.post("sensor", lambda: (json_text(sensor_json(setup)),))
-
-
-def _view_messages(
-    frame: BevFrame,
-    truth: SceneTruth | None,
-    vehicle: VehicleState | None,
-    past: tuple[Past, ...],
-    facts: dict[str, Any],
-) -> tuple[WireMessage, ...]:
-    return json_text({**view_json(frame, truth, vehicle, past), **facts}), mask_tile(frame)
-
-
-def _map_messages(
-    ra_map: RangeAzimuthMap, peaks: Peaks | None, age: dict[str, float | None]
-) -> tuple[WireMessage, ...]:
-    return json_text({**map_json(ra_map, peaks), **age}), map_tile(ra_map)
-
-
-def _lidar_messages(
-    points: LidarPoints, vehicle_from_radar: Pose2, age: dict[str, float | None]
-) -> tuple[WireMessage, ...]:
-    return json_text({**lidar_json(points), **age}), points_tile(points, vehicle_from_radar)
-
-
-def _image_messages(image: CameraImage, age: dict[str, float | None]) -> tuple[WireMessage, ...]:
-    return json_text({**image_json(image), **age}), image.jpeg.tobytes()

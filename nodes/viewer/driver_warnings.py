@@ -175,7 +175,11 @@ class Warner:
             # the first that counts represents its key
             if finding.key not in keys and self._store(finding, now_ns):
                 keys.add(finding.key)
-        self._memory = {key: memory for key, memory in self._memory.items() if self._is_kept(memory, now_ns)}
+        self._memory = {
+            key: memory
+            for key, memory in self._memory.items()
+            if (memory.last_ns == now_ns or self._stays(memory, now_ns))
+        }
         warnings = [_warning(memory, now_ns) for memory in self._memory.values() if memory.said]
         return tuple(sorted(warnings, key=_by_urgency)[:MAX_WARNINGS])
 
@@ -194,9 +198,6 @@ class Warner:
 
     def _stays(self, memory: _Memory, now_ns: int) -> bool:
         return memory.said and s_from_ns(now_ns - memory.last_ns) <= STAY_S
-
-    def _is_kept(self, memory: _Memory, now_ns: int) -> bool:
-        return memory.last_ns == now_ns or self._stays(memory, now_ns)
 
 
 def _warning(memory: _Memory, now_ns: int) -> DriverWarning:
@@ -245,10 +246,6 @@ def _vehicle_age_s(facts: Facts) -> float:
     return math.inf if facts.vehicle_at_ns is None else s_from_ns(facts.now_ns - facts.vehicle_at_ns)
 
 
-def _is_motion_known(facts: Facts) -> bool:
-    return facts.vehicle is not None and facts.vehicle.valid and _vehicle_age_s(facts) <= VEHICLE_SILENT_S
-
-
 # hidden road users
 
 
@@ -260,7 +257,11 @@ def hidden_objects(facts: Facts) -> Iterable[Finding]:
     frame = facts.frame
     if frame is None or not _is_fresh(facts):
         return
-    tracks = [track for track in frame.tracks if _is_finite(track)]
+    tracks = [
+        track
+        for track in frame.tracks
+        if all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps)))
+    ]
     count = Counter(side_of_track(track) for track in tracks)
     tracks = sorted(tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
     crossings = _crossings(facts, tracks)
@@ -289,10 +290,6 @@ def _by_precedence(finding: Finding) -> tuple[int, bool, bool, float]:
 
 def _others(count: int) -> str:
     return f"; {count} more on this side" if count > 0 else ""
-
-
-def _is_finite(track: Track) -> bool:
-    return all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps)))
 
 
 class Crossing(NamedTuple):
@@ -377,7 +374,9 @@ def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
 def _crossings(facts: Facts, tracks: Sequence[Track]) -> list[Crossing | None]:
     """Return where each track's path and the radar's first approach; None if they do not, or it is undetermined."""
     state = facts.vehicle
-    if state is None or not _is_motion_known(facts):
+    if state is None or not (
+        facts.vehicle is not None and facts.vehicle.valid and _vehicle_age_s(facts) <= VEHICLE_SILENT_S
+    ):
         return [None] * len(tracks)
     count = round(CROSSING_UNTIL_S / CROSSING_STEP_S) + 1
     times_s = CROSSING_STEP_S * np.arange(count)

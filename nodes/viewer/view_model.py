@@ -89,7 +89,14 @@ def view_json(
             "rcs_dbsm": frame.visibility_rcs_dbsm,
         },
         "truth": None if truth is None else _truth_json(truth, frame),
-        "vehicle": None if vehicle is None else _vehicle_json(vehicle),
+        "vehicle": None
+        if vehicle is None
+        else {
+            "speed_mps": round(vehicle.speed_mps, 2),
+            "yaw_rate_rps": round(vehicle.yaw_rate_rps, 4),
+            "valid": vehicle.valid,
+            "reason": vehicle.reason,
+        },
     }
 
 
@@ -256,17 +263,17 @@ def _positioned(frame: BevFrame) -> list[HiddenObject]:
 
 def _by_urgency(tracks: Sequence[Track]) -> list[Track]:
     """Return the tracks worth showing, in order of urgency: those that enter sight first, then the nearest."""
-    finite = [track for track in tracks if _has_position(track)]
+    finite = [
+        track
+        for track in tracks
+        if all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps, track.age_s)))
+    ]
     return sorted(finite, key=_urgency)[:MAX_TRACKS]
 
 
 def _urgency(track: Track) -> tuple[float, float]:
     appears_s = _appears_s(track)
     return math.inf if appears_s is None else appears_s, math.hypot(track.x_m, track.y_m)
-
-
-def _has_position(track: Track) -> bool:
-    return all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps, track.age_s)))
 
 
 def _appears_s(track: Track) -> float | None:
@@ -315,18 +322,18 @@ def _object_json(item: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]
 
 def _nearest_json(item: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
     """Return the hidden true object of the least face error; None if none is hidden, or none has a position."""
-    hidden = [other for other in truth.objects if other.hidden and _is_finite(other)]
+    hidden = [
+        other
+        for other in truth.objects
+        if other.hidden
+        and all(math.isfinite(getattr(other, name)) for name in other.__struct_fields__ if name not in _NO_NUMBERS)
+    ]
     distances = object_distances([item], truth, hidden)
     if not hidden or not np.isfinite(distances.error_m).all():
         return None
     nearest = int(distances.error_m[0].argmin())
     errors = {"face_error": distances.error_m[0, nearest], "centre_error": distances.centre_m[0, nearest]}
     return {"class": hidden[nearest].object_class, **{name: round(float(value), 2) for name, value in errors.items()}}
-
-
-def _is_finite(item: TruthObject) -> bool:
-    """Return whether all numbers of a true object are finite: the bus accepts any."""
-    return all(math.isfinite(getattr(item, name)) for name in item.__struct_fields__ if name not in _NO_NUMBERS)
 
 
 def _truth_json(truth: SceneTruth, frame: BevFrame) -> dict[str, Any]:
@@ -352,15 +359,6 @@ def _truth_object_json(item: TruthObject, stamp_ns: int, frame: BevFrame) -> dic
         "yaw": round(item.yaw_rad, 4),
         "velocity": _metres((item.velocity_x_mps, item.velocity_y_mps)),
         "hidden": item.hidden,
-    }
-
-
-def _vehicle_json(vehicle: VehicleState) -> dict[str, Any]:
-    return {
-        "speed_mps": round(vehicle.speed_mps, 2),
-        "yaw_rate_rps": round(vehicle.yaw_rate_rps, 4),
-        "valid": vehicle.valid,
-        "reason": vehicle.reason,
     }
 
 

@@ -87,6 +87,9 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
     # the fewest places of which two are to train on, beside one for validation and one for the test
     (r"--count \d+", "--count 4"),
+    # drives, which are many scans each; no page trains on them
+    (r"^(mirrorwave sim dataset .*--count) 4 (--scans .*)$", r"\1 2 \2"),
+    (r"^(mirrorwave topic echo .*)--count 4", r"\1--count 2"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),

@@ -21,14 +21,6 @@ CHIRPS = 4
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("capture") / "corner.mcap"
-    command = ["sim", "run", SCENE, "--out", str(path), "--scans", "2", "--effects", "basic"]
-    assert main([*command, "--chirps-per-beam", str(CHIRPS)]) == 0
-    return path
-
-
-@pytest.fixture(scope="module")
 def beams() -> tuple[RadarSetup, list[RadarBeam]]:
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="all"))
     return player.setup, [player.beam(0, index) for index in range(25)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,12 +23,7 @@ from msgs.files.shipped import LAUNCH
 from msgs.recording.mcap import RecordingWriter, info
 from msgs.values.vehicle import VehicleState
 
-
-@pytest.fixture(autouse=True)
-def quiet_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        yield
+pytestmark = pytest.mark.usefixtures("quiet_domain")
 
 
 @pytest.fixture
@@ -265,8 +259,9 @@ def helps(width: int) -> Iterator[tuple[str, str, list[str]]]:
     def walk(command: Any, words: tuple[str, ...]) -> Iterator[tuple[str, str, list[str]]]:
         context = Context(command, info_name=" ".join(("mirrorwave", *words)), terminal_width=width)
         parts = getattr(command, "commands", {})
-        wanted = [parameter.help for parameter in command.params if getattr(parameter, "help", None)]
-        wanted += [part.help.split("\n\n")[0] for part in parts.values()]
+        shown = [parameter for parameter in command.params if not getattr(parameter, "hidden", False)]
+        wanted = [parameter.help for parameter in shown if getattr(parameter, "help", None)]
+        wanted += [part.help.split("\n\n")[0] for part in parts.values() if not part.hidden]
         yield " ".join(words), command.get_help(context), [*wanted, command.help]
         for name, part in parts.items():
             yield from walk(part, (*words, name))

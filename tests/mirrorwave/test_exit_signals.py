@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -16,7 +15,7 @@ import pytest
 
 from mirrorwave.exit_signals import HUNG_UP, INTERRUPTED, TERMINATED, runs_until_stopped
 from msgs.recording.mcap import info
-from tests.mirrorwave.endings import hears_endings
+from tests.mirrorwave.endings import hears_endings, made_box
 
 pytestmark = pytest.mark.graph
 
@@ -58,13 +57,6 @@ sys.argv[:] = [module, *sys.argv[6:]]
 sys.meta_path.insert(0, Hold())
 runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
-TICKING = """
-name: ticking
-nodes:
-  tick:
-    module: tests.graph.toy_nodes
-    params: {kind: tick, period_s: 0.01}
-"""
 #: A module whose import stands for a phase: the command line's own, its verbs', the verb's set-up, its work.
 PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording.mcap"]
 LAUNCH = ["typer", "mirrorwave.completion", "nodes.process.launch_file", "nodes.process.supervisor", "msgs.bus.zmq"]
@@ -105,15 +97,6 @@ def box_of_all() -> Iterator[Path]:
             graph.send_signal(signal.SIGINT)
             graph.communicate(timeout=PATIENCE_S)
     assert graph.returncode == 0
-
-
-@contextmanager
-def made_box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="mw-") as name:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", name)
-        monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
-        (Path(name) / "t.yaml").write_text(TICKING)
-        yield Path(name)
 
 
 def wait_for(process: subprocess.Popen[str], what: Callable[[], bool]) -> None:

@@ -9,7 +9,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,18 +21,11 @@ from mirrorwave.exit_signals import HUNG_UP
 from mirrorwave.terminal import READER_LEFT
 from msgs.recording.mcap import RecordingReader, info
 from nodes.recording.files import recorded_files
-from tests.mirrorwave.endings import hears_endings
+from tests.mirrorwave.endings import hears_endings, made_box
 
 pytestmark = pytest.mark.graph
 
 PATIENCE_S = 90.0
-TICKING = """
-name: ticking
-nodes:
-  tick:
-    module: tests.graph.toy_nodes
-    params: {kind: tick, period_s: 0.01}
-"""
 VERB = [sys.executable, "-m", "mirrorwave"]
 #: Verbs that print and end.
 PRINTING = ["topic list", "sim material concrete --json", "graph launch/corner.yaml", "--help", "--version"]
@@ -55,34 +47,27 @@ LISTENING = [
 @pytest.fixture
 def box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of its own, its name short enough for a graph's sockets; nothing that was started in it is left."""
-    with made_box() as path, graphs_meet_in(path, monkeypatch):
+    with made_box(monkeypatch) as path, only_its_own(path):
         yield path
 
 
 @pytest.fixture(scope="module")
 def box_of_all() -> Iterator[Path]:
-    with made_box() as path, pytest.MonkeyPatch.context() as patch, graphs_meet_in(path, patch), graph(path):
+    with pytest.MonkeyPatch.context() as patch, made_box(patch) as path, only_its_own(path), graph(path):
         yield path
 
 
 @pytest.fixture
 def running(box_of_all: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A graph that runs, for verbs that leave it as it is; nothing but its own processes is left."""
-    with graphs_meet_in(box_of_all, monkeypatch):
+    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(box_of_all))
+    monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
+    with only_its_own(box_of_all):
         yield
 
 
 @contextmanager
-def made_box() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="mw-") as name:
-        (Path(name) / "t.yaml").write_text(TICKING)
-        yield Path(name)
-
-
-@contextmanager
-def graphs_meet_in(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(path))
-    monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
+def only_its_own(path: Path) -> Iterator[None]:
     before = processes_of(path)
     yield
     wait_for(lambda: processes_of(path) == before)

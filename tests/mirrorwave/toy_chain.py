@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 
 from msgs.bus.interface import Outgoing, Received
-from msgs.values.perception import BevFrame, BevGrid, Peaks
+from msgs.values.perception import BevFrame, Peaks
 from nodes.node import Node
+from tests.builders import example_view
 
 PERIOD_NS = 100_000_000
 
@@ -59,13 +60,7 @@ class Tail(Node):
     @staticmethod
     def view(found: msgspec.Struct) -> BevFrame:
         assert isinstance(found, Peaks)
-        return BevFrame(
-            stamp_ns=found.stamp_ns,
-            scan_id=found.scan_id,
-            grid=BevGrid(rows=4, columns=4),
-            visibility=np.zeros((4, 4), np.uint8),
-            los_points_m=np.zeros((0, 2), np.float32),
-        )
+        return example_view(stamp_ns=found.stamp_ns, scan_id=found.scan_id)
 
 
 def create(params: Params) -> Node:

@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from msgs.bus.local import LocalNetwork
 from msgs.values.diagnostics import NodeState
-from msgs.values.perception import BevFrame, BevGrid, SceneTruth
+from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.bev_viewer import BevViewer, Params, create
@@ -28,7 +28,7 @@ from nodes.viewer import server as server_module
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import MAX_CLIENT_MESSAGE_BYTES, MAX_CLIENT_MESSAGES_PER_S, Play, Seek, ViewerServer
-from tests.builders import example_map
+from tests.builders import example_map, example_truth, example_view
 
 PATIENCE_S = 60.0
 
@@ -45,14 +45,7 @@ def server(board: Board) -> Iterator[ViewerServer]:
 
 
 def frame(scan_id: int) -> BevFrame:
-    grid = BevGrid(rows=4, columns=4)
-    return BevFrame(
-        stamp_ns=scan_id,
-        scan_id=scan_id,
-        grid=grid,
-        visibility=np.zeros((4, 4), np.uint8),
-        los_points_m=np.zeros((0, 2), np.float32),
-    )
+    return example_view(stamp_ns=scan_id, scan_id=scan_id)
 
 
 def ra_map(scan_id: int) -> RangeAzimuthMap:
@@ -61,11 +54,7 @@ def ra_map(scan_id: int) -> RangeAzimuthMap:
 
 
 def truth(scan_id: int) -> SceneTruth:
-    empty = np.zeros((0, 3), np.float32)
-    return SceneTruth(
-        stamp_ns=scan_id, scan_id=scan_id, los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty,
-        hidden_object=np.zeros(0, np.int32),
-    )  # fmt: skip
+    return example_truth(stamp_ns=scan_id, scan_id=scan_id)
 
 
 def text_post(board: Board, number: int, kind: str = "view") -> None:
@@ -140,39 +129,15 @@ def test_the_page_needs_nothing_from_outside(server: ViewerServer) -> None:
         assert "https:" not in body
 
 
-@pytest.mark.parametrize("path", ["/", "/wrong/", "/wrong/viewer.js", "/%F0%9F%92%A9/", "//", "/x" * 100])
-def test_without_the_token_there_is_no_page(server: ViewerServer, path: str) -> None:
-    response = get(server, path)
-    assert response.status == 403
-    assert server.url.split("/")[3] not in response.body.decode()  # type: ignore[attr-defined]
-    assert response.headers["x-content-type-options"] == "nosniff"
-
-
 def test_a_token_is_its_own_and_long() -> None:
     with ViewerServer(Board(), title="a") as one, ViewerServer(Board(), title="b") as other:
         assert one.url.split("/")[3] != other.url.split("/")[3]
         assert len(one.url.split("/")[3]) >= 32
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:8765", "127.0.0.1.evil.example", "[::1]", ""])
-def test_another_host_name_is_refused(server: ViewerServer, host: str) -> None:
-    assert get(server, token_path(server), Host=host).status == 403
-
-
 @pytest.mark.parametrize("host", ["localhost", "localhost:8765", "127.0.0.1:9"])
 def test_a_tunnel_may_have_another_port(server: ViewerServer, host: str) -> None:
     assert get(server, token_path(server), Host=host).status == 200
-
-
-def test_another_origin_is_refused(server: ViewerServer) -> None:
-    assert get(server, token_path(server), Origin="http://evil.example").status == 403
-    assert get(server, token_path(server), Origin="null").status == 403
-
-
-@pytest.mark.parametrize("path", ["../server.py", "index.html", "x", "viewer.js/", "static/viewer.js"])
-def test_nothing_else_is_served(server: ViewerServer, path: str) -> None:
-    assert get(server, token_path(server) + path).status == 404
-    assert get(server, token_path(server) + "ws").status == 426
 
 
 @pytest.mark.parametrize("origin", [None, "http://evil.example", "null", "https://127.0.0.1", "http://127.0.0.1:1"])

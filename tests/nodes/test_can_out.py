@@ -20,11 +20,12 @@ from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.local import LocalNetwork
 from msgs.values.diagnostics import NodeState
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject
+from msgs.values.perception import BevFrame, HiddenObject
 from nodes import can_out
 from nodes.can.bus import BusParams, CanLink
 from nodes.node import InProcessGraph, Node, load_node
 from nodes.process.launch_file import read_launch_file
+from tests.builders import example_view
 
 DBC = Path("launch/can/mirrorwave_out.dbc")
 DATABASE = cantools.database.load_file(DBC)
@@ -38,10 +39,8 @@ _channels = itertools.count()
 
 
 def view(stamp_ns: int, scan_id: int = 1, objects: tuple[HiddenObject, ...] = (ONE,)) -> BevFrame:
-    return BevFrame(
-        stamp_ns=stamp_ns, scan_id=scan_id, objects=objects, los_points_m=np.zeros((0, 2), np.float32),
-        grid=BevGrid(rows=2, columns=2), visibility=np.array([[1, 2], [0, 2]], np.uint8),
-    )  # fmt: skip
+    mask = np.array([[1, 2], [0, 2]], np.uint8)
+    return example_view(stamp_ns=stamp_ns, scan_id=scan_id, objects=objects, visibility=mask)
 
 
 class Views(Node):
@@ -64,11 +63,7 @@ class Views(Node):
 @pytest.fixture
 def bus() -> dict:
     """A virtual bus of its own for each test, whose frames keep the stamps of the virtual clock."""
-    return {
-        "interface": "virtual",
-        "channel": f"out-{next(_channels)}",
-        "options": {"preserve_timestamps": True},
-    }
+    return {"interface": "virtual", "channel": f"out-{next(_channels)}", "options": {"preserve_timestamps": True}}
 
 
 def run(bus: dict, duration_ms: int, view_times_ms: list[int]) -> list[can.Message]:

@@ -244,14 +244,7 @@ def test_a_number_of_threads_no_machine_has_is_refused() -> None:
 
 @pytest.mark.parametrize("method", ["network", "cfar"])
 @pytest.mark.parametrize(
-    ("cell", "noise_power_mw"),
-    [
-        (1e30, 1.0),
-        (-1e30, 1.0),
-        (1e30j, 1.0),
-        (-1e30j, 1.0),
-        (1.0, 5e-324),
-    ],
+    ("cell", "noise_power_mw"), [(1e30, 1.0), (-1e30, 1.0), (1e30j, 1.0), (-1e30j, 1.0), (1.0, 5e-324)]
 )
 def test_a_map_of_which_no_powers_follow_is_refused(method: str, cell: float, noise_power_mw: float) -> None:
     """One such cell would spread over its neighbours, or divide by nothing: no peaks, and it is said."""

@@ -37,11 +37,7 @@ _channels = itertools.count()
 @pytest.fixture
 def bus() -> dict:
     """A virtual bus of its own for each test, whose frames keep the stamps of the virtual clock."""
-    return {
-        "interface": "virtual",
-        "channel": f"test-{next(_channels)}",
-        "options": {"preserve_timestamps": True},
-    }
+    return {"interface": "virtual", "channel": f"test-{next(_channels)}", "options": {"preserve_timestamps": True}}
 
 
 def drive(count: int = 25, start_ns: int = EPOCH_NS) -> list[can.Message]:

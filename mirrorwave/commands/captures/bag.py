@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from mirrorwave.commands.captures.bag_copy import filter_topics, merge, report_copy, trim
+from mirrorwave.commands.captures.bag_copy import filter_topics, merge, report_copy
 from mirrorwave.commands.captures.bag_info import print_info
 from mirrorwave.commands.captures.bag_options import (
     File,
@@ -35,6 +35,7 @@ from mirrorwave.console import (
     ExitCode,
     print_json,
     print_line,
+    print_result,
     print_table,
     progress_bar,
     require_new_file,
@@ -45,11 +46,11 @@ from mirrorwave.diagnose.running_graph import is_running, know_topics, no_graph,
 from msgs.values.wording import counted
 
 app = typer.Typer(
-    help="Record, inspect, replay, recover, trim, filter, merge and convert recordings (MCAP).", no_args_is_help=True
+    help="Record, inspect, replay, recover, filter, merge and convert recordings (MCAP).", no_args_is_help=True
 )
 app.command()(play)
-app.command()(trim)
 app.command("filter")(filter_topics)
+app.command("trim", hidden=True)(filter_topics)
 app.command()(merge)
 
 
@@ -90,18 +91,21 @@ def record(
     bus = ZmqBus(name, meeting_place)
     try:
         bus.want_all()
-        recorder = _recorder(params)
+        # the node; on its own it has nothing to stay for once the disk has refused
+        from nodes.recorder import Recorder, create
+
+        recorder = create(params) if params.snapshot_s is not None else Recorder(params, ends_when_refused=True)
         run_loop(recorder, bus, stop_by_signal(Stop(), duration), Heartbeat(bus, name))
     finally:
         bus.close()
-    _report_recorded(recorder)
-
-
-def _recorder(params: Any) -> Any:
-    """The node; on its own it has nothing to stay for once the disk has refused."""
-    from nodes.recorder import Recorder, create
-
-    return create(params) if params.snapshot_s is not None else Recorder(params, ends_when_refused=True)
+    missing = recorder.lost + getattr(recorder, "missed", 0)
+    for path in recorder.paths:
+        print_line(str(path))
+    print_line(f"{counted(recorder.messages, 'message')}, {missing} missing")
+    if recorder.refused:
+        print_line(recorder.refused)
+    if missing or recorder.refused:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
 
 def _launch_of(run_dir: Path) -> dict[str, str]:
@@ -113,20 +117,9 @@ def _launch_of(run_dir: Path) -> dict[str, str]:
     return {} if launch is None else {"launch": dump_launch(without_metadata(launch))}
 
 
-def _report_recorded(recorder: Any) -> None:
-    missing = recorder.lost + getattr(recorder, "missed", 0)
-    for path in recorder.paths:
-        print_line(str(path))
-    print_line(f"{counted(recorder.messages, 'message')}, {missing} missing")
-    if recorder.refused:
-        print_line(recorder.refused)
-    if missing or recorder.refused:
-        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
-
-
 @app.command()
 def snapshot(
-    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="Wait S s for the answer.")] = 60.0,
+    timeout: Annotated[float, typer.Option(min=0.1, hidden=True)] = 60.0,
     as_json: AsJson = False,
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
@@ -198,10 +191,7 @@ def convert(
     """
     require_new_file(out)
     conversion = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
-    if as_json:
-        print_json(conversion)
-    else:
-        _print_conversion(conversion)
+    print_result(as_json, conversion, lambda: _print_conversion(conversion))
     if conversion.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 

@@ -1,4 +1,4 @@
-"""`mirrorwave bag trim`, `filter` and `merge`: recordings made of recordings."""
+"""`mirrorwave bag filter` and `merge`: recordings made of recordings."""
 
 from __future__ import annotations
 
@@ -9,32 +9,9 @@ from typing import Annotated
 
 import typer
 
-from mirrorwave.commands.captures.bag_options import EndS, File, Out, StartS, Topics, span_ns, split_topics
+from mirrorwave.commands.captures.bag_options import EndS, File, Out, StartS, span_ns, split_topics
 from mirrorwave.console import ExitCode, print_line, progress_bar, require_new_file
 from msgs.values.wording import counted
-
-
-def trim(
-    file: File,
-    out: Out,
-    start: StartS = 0.0,
-    end: EndS = None,
-    topics: Topics = None,
-) -> None:
-    """Copy a span of time, or some topics, into a new recording."""
-    from msgs.recording.mcap import RecordingReader
-    from msgs.recording.mcap_copy import copy_recording
-
-    require_new_file(out)
-    wanted = split_topics(topics)
-    with RecordingReader(file) as reader:
-        start_ns, end_ns = span_ns(reader.start_ns, start, end)
-        for topic in wanted or ():
-            if topic not in reader.types:
-                raise ValueError(f"{file}: holds no topic {topic!r}; it holds {', '.join(reader.types) or 'none'}")
-    with progress_bar("messages") as advance:
-        copied = copy_recording(file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, on_message=advance)
-    report_copy(out, *copied)
 
 
 def filter_topics(
@@ -51,15 +28,18 @@ def filter_topics(
     ] = 1,
     start: StartS = 0.0,
     end: EndS = None,
+    topics: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Copy the topics that patterns name, or every Nth message, into a new recording."""
+    """Copy a span of time, the topics that patterns name, or every Nth message, into a new recording."""
     from msgs.recording.mcap import RecordingReader
     from msgs.recording.mcap_copy import copy_recording
 
     require_new_file(out)
     with RecordingReader(file) as reader:
         start_ns, end_ns = span_ns(reader.start_ns, start, end)
-        wanted = _selected(reader.types, topic or ["*"], not_topic or [], file)
+        wanted = _selected(
+            reader.types, [*(topic or ()), *(split_topics(topics) or ())] or ["*"], not_topic or [], file
+        )
         total = sum(info.messages for info in reader.info().topics if info.topic in wanted)
     with progress_bar(out.name, total) as advance:
         copied = copy_recording(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.commands.captures.bag_options import EndS, File, StartS, Topics, span_ns, split_topics, stop_by_signal
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_line, print_result
 from msgs.bus.topics import ABOUT_NODES, TOPICS
 from msgs.values.wording import counted, did_you_mean
 
@@ -35,7 +35,7 @@ def play(
     ] = None,
     start: StartS = 0.0,
     end: EndS = None,
-    duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Play S seconds.")] = None,
+    duration: Annotated[float | None, typer.Option(hidden=True)] = None,
     clock: Annotated[bool, typer.Option("--clock", help="Move stamps onto the clock of now.")] = False,
     start_paused: Annotated[bool, typer.Option("--start-paused", help="Wait for the space key.")] = False,
     domain: Domain = DEFAULT_DOMAIN,
@@ -74,10 +74,7 @@ def play(
             start_ns=start_ns, end_ns=end_ns, on_clock=clock, paused=start_paused,
         )  # fmt: skip
         summary = _played(reader, bus, params, keyboard, meeting, stop)
-    if as_json:
-        print_json(summary)
-    else:
-        _print_summary(summary)
+    print_result(as_json, summary, lambda: _print_summary(summary))
     if not summary.is_whole:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_rows, print_table, progress_bar
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_result,
+    print_rows,
+    print_table,
+    progress_bar,
+)
 from mirrorwave.terminal import ends_with_reader
 from msgs.values.wording import counted
 
@@ -21,10 +30,16 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Look at the vehicle's CAN bus and at logs of it.", no_args_is_help=True)
 
-_DBC = Path("launch/can/mirrorwave.dbc")
-_MAPPING = Path("launch/can/mirrorwave.yaml")
+DBC = Path("launch/can/mirrorwave.dbc")
+MAPPING = Path("launch/can/mirrorwave.yaml")
 Dbc = Annotated[Path, typer.Option("--dbc", help="The car's DBC.")]
 Mapping = Annotated[Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")]
+Channel = Annotated[
+    str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
+]
+Signals = Annotated[
+    bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
+]
 #: Longer lists are cut on the terminal; --json keeps them whole.
 _SHOWN_EVENTS = 40
 #: How often a live bus is read, and how many gaps between frames of a message its period is taken from.
@@ -34,15 +49,11 @@ _POLL_S, _KEPT_GAPS = 0.005, 1000
 @app.command()
 def decode(
     log: Annotated[Path, typer.Argument(help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
-    dbc: Dbc = _DBC,
-    mapping: Mapping = _MAPPING,
-    channel: Annotated[
-        str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
-    ] = None,
+    dbc: Dbc = DBC,
+    mapping: Mapping = MAPPING,
+    channel: Channel = None,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.0, help="Show a state each S seconds.")] = 1.0,
-    signals: Annotated[
-        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
-    ] = False,
+    signals: Signals = False,
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
@@ -59,10 +70,7 @@ def decode(
         report.read(_each(on_one_clock(read_log(log, channel)), advance))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames")
-    if as_json:
-        print_json({"log": str(log), **report.as_dict()})
-    else:
-        _print_report(report)
+    print_result(as_json, {"log": str(log), **report.as_dict()}, lambda: _print_report(report))
     if report.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
     if not report.valid_states:
@@ -113,21 +121,17 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     if as_json:
         print_json({"log": str(log), **report.as_dict()})
     else:
-        _print_signals(report)
+        columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
+        rows = [_signals_row(row) for row in report.messages()]
+        print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS", "PERIOD_MS"))
+        print_line("")
+        print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
+        if report.loss:
+            print_line(f"the log breaks off: {report.loss}")
     if report.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
     if not report.known:
         raise typer.Exit(ExitCode.FAILED)
-
-
-def _print_signals(report: SignalReport) -> None:
-    columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
-    rows = [_signals_row(row) for row in report.messages()]
-    print_table([name.upper() for name in columns], rows, ("LONGEST_GAP_MS", "PERIOD_MS"))
-    print_line("")
-    print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
-    if report.loss:
-        print_line(f"the log breaks off: {report.loss}")
 
 
 def _signals_row(row: dict[str, Any]) -> list[Any]:
@@ -152,13 +156,11 @@ def monitor(
         list[str] | None,
         typer.Option("--option", "-o", metavar="KEY=VALUE", help="For the interface; may be repeated."),
     ] = None,
-    dbc: Dbc = _DBC,
-    mapping: Mapping = _MAPPING,
+    dbc: Dbc = DBC,
+    mapping: Mapping = MAPPING,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.01, help="A line each S seconds.")] = 0.5,
     duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Stop after S seconds.")] = None,
-    signals: Annotated[
-        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
-    ] = False,
+    signals: Signals = False,
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state of a live bus, line by line; exit code 1 if it was never valid."""
@@ -178,10 +180,7 @@ def monitor(
         with ends_with_reader():
             for state in _live_states(node, every, duration):
                 was_valid = was_valid or state.valid
-                if as_json:
-                    print_json(state_row(state))
-                else:
-                    print_line(_state_line(state))
+                print_result(as_json, state_row(state), _state_line(state))
     finally:
         node.close()
     if not was_valid:

@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from mirrorwave.commands.captures.can import DBC, MAPPING, Channel, Dbc, Mapping
 from mirrorwave.commands.verbs import loaded
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_result,
+    print_table,
+    progress_bar,
+    require_new_file,
+)
 from msgs.values.wording import counted
 
 app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")
 app.command()(loaded("contrib.imports.verb:sensors"))
-
-
-class KindOption(StrEnum):
-    """Content of the folder."""
-
-    SIM = "sim"
-    REAL = "real"
-
-
-class DeviceOption(StrEnum):
-    """Device whose lanes the file was written from."""
-
-    XWR14XX = "xwr14xx"
-    XWR16XX = "xwr16xx"
-    XWR18XX = "xwr18xx"
-
-
-class FalloffOption(StrEnum):
-    """Law of a hidden surface: r^-2 of retroreflectors, r^-4 of matt ones."""
-
-    RETROREFLECTIVE = "retroreflective"
-    MATT = "matt"
 
 
 @app.callback()
@@ -47,12 +34,10 @@ def _group() -> None:
 def xradarnlos(
     folder: Annotated[Path, typer.Argument(metavar="SOURCE", help="Folder in the published layout.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Data set to write; must be empty or new.")],
-    kind: Annotated[KindOption, typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")] = (
-        KindOption.SIM
-    ),
-    keys: Annotated[
-        str, typer.Option(metavar="LOS,IMAGE,TRUE", help="Arrays of a simulated points file, by what they are.")
-    ] = "L,G,T",
+    kind: Annotated[
+        Literal["sim", "real"], typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")
+    ] = "sim",
+    keys: Annotated[str, typer.Option(hidden=True)] = "L,G,T",
     skip_broken: Annotated[bool, typer.Option(help="Count captures that cannot be read; exit code 3.")] = False,
     as_json: AsJson = False,
 ) -> int:
@@ -68,21 +53,19 @@ def xradarnlos(
         summary = import_folder(
             folder,
             out,
-            kind.value,
+            kind,
             SimKeys(direct=wanted_keys[0], image=wanted_keys[1], true_place=wanted_keys[2]),
             skip_broken,
             progress.update,
         )
     for reason in summary.broken:
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
-    if as_json:
-        print_json({"folder": str(out), "kind": kind.value, **vars(summary)})
-    else:
-        print_line(
-            f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
-            f"{counted(summary.mirrored_points, 'mirrored point')}, "
-            f"{counted(summary.negative_cells, 'cell')} below zero, {counted(len(summary.broken), 'capture')} left out"
-        )
+    line = (
+        f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
+        f"{counted(summary.mirrored_points, 'mirrored point')}, "
+        f"{counted(summary.negative_cells, 'cell')} below zero, {counted(len(summary.broken), 'capture')} left out"
+    )
+    print_result(as_json, {"folder": str(out), "kind": kind, **vars(summary)}, line)
     return ExitCode.DONE_WITH_LOSS if summary.broken else ExitCode.DONE
 
 
@@ -97,7 +80,8 @@ def dca1000(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
     device: Annotated[
-        DeviceOption | None, typer.Option(help='Device, where FILE does not name it ("% Platform:").')
+        Literal["xwr14xx", "xwr16xx", "xwr18xx"] | None,
+        typer.Option(help='Device, where FILE does not name it ("% Platform:").'),
     ] = None,
     remove_static: Annotated[bool, typer.Option(help="Take off what stands still.")] = False,
     mirrored: Annotated[bool, typer.Option(help="Receivers run to the right as the radar looks.")] = False,
@@ -114,7 +98,7 @@ def dca1000(
     from contrib.boards.import_dca1000 import ImportParams, capture_files, import_capture, write_recording
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
-    chirps = read_config(config, device.value if device else None)
+    chirps = read_config(config, device)
     files = capture_files(capture, chirps)
     for file in files[len(capture) :]:
         typer.echo(f"mirrorwave: {capture[0]}: goes on in {file}", err=True)
@@ -147,13 +131,9 @@ def dca1000(
 def can(
     log: Annotated[Path, typer.Argument(metavar="SOURCE", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of vehicle/state.")],
-    dbc: Annotated[Path, typer.Option("--dbc", help="The car's DBC.")] = Path("launch/can/mirrorwave.dbc"),
-    mapping: Annotated[
-        Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")
-    ] = Path("launch/can/mirrorwave.yaml"),
-    channel: Annotated[
-        str | None, typer.Option("--channel", help="Only frames of this channel; ASC and BLF count from 1.")
-    ] = None,
+    dbc: Dbc = DBC,
+    mapping: Mapping = MAPPING,
+    channel: Channel = None,
     start_ns: Annotated[
         int | None, typer.Option("--start-ns", metavar="N", help="Stamp of the first frame, to fit another recording.")
     ] = None,
@@ -165,11 +145,7 @@ def can(
 
     require_new_file(out)
     source = CanSource(
-        log=log,
-        dbc=shipped_path(dbc),
-        mapping=shipped_path(mapping),
-        channel=channel,
-        start_ns=start_ns,
+        log=log, dbc=shipped_path(dbc), mapping=shipped_path(mapping), channel=channel, start_ns=start_ns
     )
     with progress_bar(f"reading {log.name}"):
         counts = import_can(source, out)
@@ -206,10 +182,8 @@ def detections(
         typer.echo(f"mirrorwave: {source}: left out: {count}: {reason}", err=True)
     if counts["loss"]:
         typer.echo(f"mirrorwave: {counts['loss']}", err=True)
-    if as_json:
-        print_json({"recording": str(out), **counts})
-    else:
-        print_line(f"{out}: {counted(counts['detections'], 'detection')} in {counted(counts['scans'], 'scan')}")
+    line = f"{out}: {counted(counts['detections'], 'detection')} in {counted(counts['scans'], 'scan')}"
+    print_result(as_json, {"recording": str(out), **counts}, line)
     return ExitCode.DONE_WITH_LOSS if counts["left_out"] or counts["loss"] else ExitCode.DONE
 
 
@@ -226,10 +200,8 @@ def sigmf(
     require_new_file(out)
     with progress_bar("beams", len(SigmfCapture.open(capture, verify=False))) as advance:
         counts = import_sigmf(capture, out, advance)
-    if as_json:
-        print_json({"recording": str(out), **counts})
-    else:
-        print_line(f"{out}: {counted(counts['beams'], 'beam')}, {counted(counts['truth'], 'truth')}")
+    line = f"{out}: {counted(counts['beams'], 'beam')}, {counted(counts['truth'], 'truth')}"
+    print_result(as_json, {"recording": str(out), **counts}, line)
     return ExitCode.DONE
 
 
@@ -244,8 +216,9 @@ def transients(
         4.0
     ),
     falloff: Annotated[
-        FalloffOption, typer.Option(help="Loss over distance of the hidden surface.")
-    ] = FalloffOption.RETROREFLECTIVE,
+        Literal["retroreflective", "matt"],
+        typer.Option(help="Loss over distance of a hidden surface: r^-2 of retroreflectors, r^-4 of matt ones."),
+    ] = "retroreflective",
     snr: Annotated[float, typer.Option(metavar="RATIO", help="Power of signal over noise; higher is sharper.")] = 1.0,
     as_json: AsJson = False,
 ) -> int:
@@ -253,12 +226,10 @@ def transients(
     from lab.transients.import_transients import import_transients
 
     with progress_bar(f"reading {capture.name}"):
-        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff.value, snr)
-    if as_json:
-        print_json({"folder": str(out), **summary})
-    else:
-        print_line(
-            f"{out}: hidden surface {summary['distance_m']:.3f} m from the wall, tilted by {summary['tilt_deg']:.1f} "
-            f"deg; {summary['hidden_photons']} of {summary['photons']} photons; hidden.png, hidden.npz, summary.json"
-        )
+        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff, snr)
+    line = (
+        f"{out}: hidden surface {summary['distance_m']:.3f} m from the wall, tilted by {summary['tilt_deg']:.1f} "
+        f"deg; {summary['hidden_photons']} of {summary['photons']} photons; hidden.png, hidden.npz, summary.json"
+    )
+    print_result(as_json, {"folder": str(out), **summary}, line)
     return ExitCode.DONE

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.commands.captures.view import DEFAULT_PORT, NoBrowser, Port, Sample
-from mirrorwave.completion import complete_profiles
+from mirrorwave.completion import Overrides, Profile
 from mirrorwave.console import AsJson, ExitCode, compile_line, file_or_sample, print_json, print_line, progress_bar
 from msgs.values.wording import counted
 
@@ -25,15 +25,8 @@ def process(
     out: Annotated[
         Path | None, typer.Option(help="Folder for objects.jsonl, tracks.jsonl, timing.jsonl and bev.png.")
     ] = None,
-    profile: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME|FILE", help="Parameters: fast, balanced, ..., or a file.", autocompletion=complete_profiles
-        ),
-    ] = "default",
-    param: Annotated[
-        list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
-    ] = None,
+    profile: Profile = "default",
+    param: Overrides = None,
     view: Annotated[
         bool, typer.Option("--view", help="Write view.mcap too and show it in the browser; Ctrl-C ends it.")
     ] = False,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave import early_start
-from mirrorwave.completion import complete_profiles
+from mirrorwave.completion import Profile
 from mirrorwave.console import ExitCode, print_line
 from msgs.files.shipped import LAUNCH
 
@@ -29,12 +29,7 @@ def demo(
     duration: Annotated[
         float | None, typer.Option(metavar="S", min=1.0, help="Seconds to run [120, headless 12].")
     ] = None,
-    profile: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME|FILE", help="Parameters: fast, balanced, ..., or a file.", autocompletion=complete_profiles
-        ),
-    ] = "default",
+    profile: Profile = "default",
     out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path("out/demo"),
 ) -> None:
     """Run the demo scene live in the browser, print what it sees beside the truth, and draw the last view."""

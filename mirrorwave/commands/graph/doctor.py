@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_result, print_table
 
 
 def doctor(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
@@ -13,9 +13,7 @@ def doctor(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     from mirrorwave.diagnose.findings import Status
 
     findings = all_findings(domain)
-    if as_json:
-        print_json([finding._asdict() for finding in findings])
-    else:
-        print_table(("CHECK", "STATUS", "DETAIL"), findings)
+    rows = [finding._asdict() for finding in findings]
+    print_result(as_json, rows, lambda: print_table(("CHECK", "STATUS", "DETAIL"), findings))
     if any(finding.status is Status.FAILED for finding in findings):
         raise typer.Exit(ExitCode.FAILED)

@@ -13,18 +13,8 @@ from typing import Annotated, Any
 import typer
 
 from mirrorwave import early_start
-from mirrorwave.commands.captures.bag_options import (
-    MaxParts,
-    MinFree,
-    Raw,
-    SnapshotS,
-    SplitDuration,
-    SplitSize,
-    command_line,
-    recorder_params,
-    require_new_recording,
-)
-from mirrorwave.completion import complete_launch_files, complete_profiles
+from mirrorwave.commands.captures.bag_options import Raw, command_line, recorder_params, require_new_recording
+from mirrorwave.completion import Overrides, complete_launch_files, complete_profiles
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
 from mirrorwave.exit_signals import stopped_by_signal
 from msgs.values.wording import counted
@@ -37,9 +27,7 @@ def launch(
     file: Annotated[
         Path, typer.Argument(metavar="LAUNCH_FILE", help="Launch file (YAML).", autocompletion=complete_launch_files)
     ],
-    param: Annotated[
-        list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
-    ] = None,
+    param: Overrides = None,
     params_file: Annotated[Path | None, typer.Option(help="YAML mapping of node to parameters.")] = None,
     profile: Annotated[
         str | None,
@@ -57,19 +45,21 @@ def launch(
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Stop S seconds after all nodes are ready.")
     ] = None,
-    record: Annotated[Path | None, typer.Option("--record", metavar="OUT", help="Record to this MCAP file.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="OUT", help="Record to this MCAP file, with the options of `bag record`.")
+    ] = None,
     raw: Raw = False,
-    split_size: SplitSize = None,
-    split_duration: SplitDuration = None,
-    max_parts: MaxParts = None,
-    snapshot: SnapshotS = None,
-    min_free: MinFree = None,
+    split_size: Annotated[float | None, typer.Option(hidden=True)] = None,
+    split_duration: Annotated[float | None, typer.Option(hidden=True)] = None,
+    max_parts: Annotated[int | None, typer.Option(hidden=True)] = None,
+    snapshot: Annotated[float | None, typer.Option(hidden=True)] = None,
+    min_free: Annotated[float | None, typer.Option(hidden=True)] = None,
     headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
     group: Annotated[
         list[str] | None,
         typer.Option("--group", metavar="PROCESS=NODE,NODE", help="Host these nodes in one process, a thread each."),
     ] = None,
-    runs_dir: Annotated[Path, typer.Option(help="Where each run gets a folder for its log.")] = Path("runs"),
+    runs_dir: Annotated[Path, typer.Option(hidden=True)] = Path("runs"),
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
     """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages.
@@ -84,7 +74,12 @@ def launch(
     if profile is not None and latency_budget_ms is not None:
         raise ValueError("--profile and --latency-budget-ms must not be given together: a budget picks the profile")
     if latency_budget_ms is not None:
-        profile = _profile_within(latency_budget_ms, remeasure)
+        # the profile that a budget picks here; says which and why
+        from lab.tradeoff.latency_budget import pick, reason
+
+        timed = pick(latency_budget_ms, remeasure, print_line)
+        print_line(reason(latency_budget_ms, timed))
+        profile = timed[-1].profile
     graph = over_default(graph) if profile is None else with_profile(graph, profile)
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
@@ -103,15 +98,6 @@ def launch(
     raise typer.Exit(
         run_graph(graph, domain, duration, record, options, headless=headless, runs_dir=runs_dir, server=server)
     )
-
-
-def _profile_within(budget_ms: float, remeasure: bool) -> str:
-    """The profile that a budget picks here; says which and why."""
-    from lab.tradeoff.latency_budget import pick, reason
-
-    timed = pick(budget_ms, remeasure, print_line)
-    print_line(reason(budget_ms, timed))
-    return timed[-1].profile
 
 
 def run_graph(

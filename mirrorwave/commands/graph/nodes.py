@@ -14,7 +14,17 @@ import msgspec
 import typer
 
 from mirrorwave.completion import NodeName
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_rows, print_table
+from mirrorwave.console import (
+    DEFAULT_DOMAIN,
+    AsJson,
+    Domain,
+    ExitCode,
+    print_json,
+    print_line,
+    print_result,
+    print_rows,
+    print_table,
+)
 from mirrorwave.diagnose.running_graph import no_heartbeat
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.topics import ABOUT_NODES
@@ -135,12 +145,7 @@ def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_j
 
 
 @app.command()
-def info(
-    name: NodeName,
-    window: WindowS = WINDOW_S,
-    domain: Domain = DEFAULT_DOMAIN,
-    as_json: AsJson = False,
-) -> None:
+def info(name: NodeName, window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """One node: parameters, rates and losses of its topics, the time its stages take."""
     heard = _heartbeats(domain, window)
     if name not in heard:
@@ -156,7 +161,10 @@ def info(
         return
     for key, value in {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}.items():
         print_line(f"{key}: {value}")
-    _print_details(topics, status)
+    columns = ("way", "topic", "hz", "bytes_per_s", "messages", "bytes", "lost", "rejected", "outdated")
+    print_rows(columns, topics, ("bytes", "messages", "bytes_per_s", "outdated", "rejected"))
+    stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
+    print_table(("STAGE", "COUNT", "LAST MS", "MEAN MS", "MAX MS"), stages)
 
 
 @app.command()
@@ -188,13 +196,6 @@ def _type_row(row: dict[str, Any]) -> dict[str, Any]:
 
 
 _DIRECTIONS = {"received": "in", "published": "out"}
-
-
-def _print_details(topics: list[dict[str, Any]], status: NodeStatus) -> None:
-    columns = ("way", "topic", "hz", "bytes_per_s", "messages", "bytes", "lost", "rejected", "outdated")
-    print_rows(columns, topics, ("bytes", "messages", "bytes_per_s", "outdated", "rejected"))
-    stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
-    print_table(("STAGE", "COUNT", "LAST MS", "MEAN MS", "MAX MS"), stages)
 
 
 def _heartbeats(domain: str, window_s: float) -> Heartbeats:
@@ -237,10 +238,7 @@ def restart(
     answer = restart_node(domain, node, parse_changes(node, params or []))
     if answer.error:
         raise ValueError(f"{node} was not restarted with these parameters: {answer.error}" if params else answer.error)
-    if as_json:
-        print_json(json.loads(answer.params))
-    else:
-        print_line(f"{node} is ready again")
+    print_result(as_json, json.loads(answer.params), f"{node} is ready again")
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from mirrorwave.completion import NodeName, complete_nodes
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_result, print_table
 from msgs.values.wording import did_you_mean
 
 app = typer.Typer(help="Read and change parameters of running nodes.", no_args_is_help=True)
@@ -73,10 +73,8 @@ def set_params(
     answer = change_params(domain, node, wanted)
     if answer.error:
         raise ValueError(f"{node} refuses: {answer.error}")
-    if as_json:
-        print_json(json.loads(answer.params))
-    else:
-        print_line(f"{node}: {', '.join(f'{key} = {_text(value)}' for key, value in _leaves(wanted))}")
+    changed = ", ".join(f"{key} = {_text(value)}" for key, value in _leaves(wanted))
+    print_result(as_json, json.loads(answer.params), f"{node}: {changed}")
 
 
 def _leaves(value: dict[str, Any], path: str = "") -> list[tuple[str, Any]]:

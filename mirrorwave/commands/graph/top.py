@@ -19,8 +19,8 @@ from mirrorwave.console import (
     AsJson,
     Domain,
     console_table,
-    print_json,
     print_picture,
+    print_result,
     stdout_console,
 )
 from mirrorwave.diagnose.running_graph import no_heartbeat, require_graph
@@ -123,10 +123,7 @@ def top(
         report = {"domain": domain, **watch.report(bus.now_ns())}
     if not report["nodes"]:
         raise no_heartbeat(domain, window)
-    if as_json:
-        print_json(report)
-    else:
-        print_picture(_picture(report))
+    print_result(as_json, report, lambda: print_picture(_picture(report)))
 
 
 @contextlib.contextmanager

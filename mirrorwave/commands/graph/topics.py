@@ -35,7 +35,7 @@ Topics = Annotated[
 TopicName = Annotated[
     str, typer.Argument(metavar="TOPIC", help="Topic, as `topic list` names it.", autocompletion=complete_topics)
 ]
-WindowS = Annotated[float, typer.Option("--duration", metavar="S", min=0.1, help="Measure this long.")]
+WindowS = Annotated[float, typer.Option("--window", "--duration", metavar="S", min=0.1, help="Measure this long.")]
 
 
 @app.command("list")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mirrorwave.console import AsJson, Progress, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, Progress, print_json, print_line, print_result, print_table, progress_bar
 from msgs.values.wording import counted, duration_text
 
 if TYPE_CHECKING:
@@ -17,50 +16,20 @@ if TYPE_CHECKING:
     from sim_player.dataset.statistics import Statistics
 
 
-class PlacesOption(StrEnum):
-    """Series of scenes."""
-
-    ANY = "any"
-    STREET = "street"
-    PARKING_LOT = "parking_lot"
-    RESIDENTIAL_BLOCK = "residential_block"
-    MIXED_INTERSECTION = "mixed_intersection"
-
-
-class PresetOption(StrEnum):
-    """Radars."""
-
-    XBAND = "xband"
-    MILLIMETRE = "77ghz"
-
-
-class ShiftOption(StrEnum):
-    """Difference of a series from the one that networks are trained on."""
-
-    NONE = "none"
-    HARD = "hard"
-
-
-class ExecutorOption(StrEnum):
-    """Place where shards are made."""
-
-    LOCAL = "local"
-    RAY = "ray"
-    SLURM = "slurm"
+Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection"]
+Executor = Literal["local", "ray", "slurm"]
 
 
 def dataset(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shards.")],
-    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate; with --motion drives.")],
+    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate; with --scans drives.")],
     seed: int = 0,
-    motion: Annotated[
-        bool, typer.Option("--motion", help="Drives: radar and road users move, with odometry; needs --scans.")
-    ] = False,
+    motion: Annotated[bool, typer.Option("--motion", hidden=True)] = False,
     scans: Annotated[
-        int | None, typer.Option(metavar="N", help="Scans of a drive, 1 to 100.", show_default=False)
+        int | None, typer.Option(metavar="N", help="Drives of N scans (1 to 100): radar and road users move.")
     ] = None,
-    places: Annotated[PlacesOption, typer.Option(help="Type of place.")] = PlacesOption.ANY,
-    preset: Annotated[PresetOption, typer.Option(help="Radar.")] = PresetOption.XBAND,
+    places: Annotated[Places, typer.Option(help="Type of place.")] = "any",
+    preset: Annotated[Literal["xband", "77ghz"], typer.Option(help="Radar.")] = "xband",
     effects: Annotated[
         str | None,
         typer.Option(metavar="auto|all|basic|LIST", help="Default auto.", show_default=False),
@@ -73,14 +42,14 @@ def dataset(
         ),
     ] = None,
     shift: Annotated[
-        ShiftOption, typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
-    ] = ShiftOption.NONE,
+        Literal["none", "hard"], typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
+    ] = "none",
     truth: Annotated[
         bool, typer.Option("--truth", help="All objects with their boxes in the facts; drives always have them.")
     ] = False,
     executor: Annotated[
-        ExecutorOption, typer.Option(help="Processes here, a Ray cluster (RAY_ADDRESS), a Slurm job array.")
-    ] = ExecutorOption.LOCAL,
+        Executor, typer.Option(help="Processes here, a Ray cluster (RAY_ADDRESS), a Slurm job array.")
+    ] = "local",
     workers: Annotated[int, typer.Option(min=1, help="Shards made at a time.")] = 1,
     slurm: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="Slurm parameter (partition, timeout_min, ...).")
@@ -91,14 +60,16 @@ def dataset(
     from sim_player.dataset.shards import Recipe
     from sim_player.dataset.writer import write_dataset
 
+    if motion and scans is None:
+        raise ValueError("--motion must come with --scans N, the scans of a drive, got none")
     recipe = Recipe(
-        places=places.value,
-        preset=preset.value,
+        places=places,
+        preset=preset,
         effects=parse_effects(effects),
         budget_db=budget_db,
         purpose=purpose,
-        shift=shift.value,
-        scans=scans_of_a_drive(motion, scans),
+        shift=shift,
+        scans=scans,
         truth=truth,
     )
     with progress_bar("scenes", count * (scans or 1)) as progress:
@@ -110,13 +81,10 @@ def dataset(
             recipe,
             workers=workers,
             on_shard=report.hear,
-            executor=executor.value,
+            executor=executor,
             slurm=parse_slurm(slurm or []),
         )
-    if as_json:
-        print_json(report.summary() | {"series": recipe.described(seed)})
-    else:
-        print_line(report.line())
+    print_result(as_json, report.summary() | {"series": recipe.described(seed)}, report.line())
 
 
 def statistics(
@@ -143,15 +111,6 @@ def statistics(
     _print_statistics(counted_statistics)
     if out is not None:
         print_line(f"{out} and {out.with_suffix('.png').name}: page and contact sheet")
-
-
-def scans_of_a_drive(motion: bool, scans: int | None) -> int | None:
-    """Return the scans of a drive, None for places at rest; both options or none must be given."""
-    if motion and scans is None:
-        raise ValueError("--motion must come with --scans N, the scans of a drive, got none")
-    if scans is not None and not motion:
-        raise ValueError(f"--scans must come with --motion, got {scans} scans of places at rest")
-    return scans
 
 
 def parse_effects(text: str | None) -> str | tuple[str, ...] | None:

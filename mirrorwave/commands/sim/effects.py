@@ -114,7 +114,7 @@ def _print_plan(plan: Plan, name: str) -> None:
         (
             effect.name,
             "used" if effect.used else "skipped",
-            _db(effect.bound_db),
+            ("-" if effect.bound_db is None else f"{effect.bound_db:.0f}"),
             f"{1e3 * effect.cost_s:.1f}",
             f"{plan.share_of(effect):.0f}",
             effect.reason,
@@ -139,10 +139,6 @@ def _print_plan(plan: Plan, name: str) -> None:
     spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
     budget = f"for {plan.purpose}, budget {plan.budget_db:g} dB"
     print_line(f"{name}: {used}; what was left out changes {spent} at most ({budget})")
-
-
-def _db(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"
 
 
 def paths(

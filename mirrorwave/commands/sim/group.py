@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -34,14 +33,6 @@ for verb in _VERBS:
 app.add_typer(import_app, name="import")
 
 
-class Walls(StrEnum):
-    """What the recording tells of the scene's walls."""
-
-    NONE = "none"
-    TRUE = "true"
-    NOISY = "noisy"
-
-
 @app.command()
 def run(
     scene: SceneFile,
@@ -53,8 +44,9 @@ def run(
     budget_db: Budget = -20.0,
     purpose: For = "samples",
     walls: Annotated[
-        Walls, typer.Option(help="Record the scene's walls too, as a map knows them: exact, or with errors and gaps.")
-    ] = Walls.NONE,
+        Literal["none", "true", "noisy"],
+        typer.Option(help="Record the scene's walls too, as a map knows them: exact, or with errors and gaps."),
+    ] = "none",
 ) -> None:
     """Record what the radar or the LiDAR of a scene would measure, with the truth."""
     from msgs.files.whole_files import require_room
@@ -62,8 +54,8 @@ def run(
     from sim_player.player import ScenePlayer
 
     require_new_file(out)
-    if walls is not Walls.NONE and out.suffix != ".mcap":
-        raise ValueError(f"--out {out}: SigMF has no place for --walls {walls.value}, they are recorded as NAME.mcap")
+    if walls != "none" and out.suffix != ".mcap":
+        raise ValueError(f"--out {out}: SigMF has no place for --walls {walls}, they are recorded as NAME.mcap")
     if out.suffix not in ("", *_CAPTURES):
         raise ValueError(f"--out {out}: a capture's name must end in {' or '.join(_CAPTURES)}, got {out.suffix!r}")
     params = player.Params(
@@ -74,15 +66,11 @@ def run(
         effects=choice,
         budget_db=budget_db,
         purpose=purpose,
-        walls=walls.value,
+        walls=walls,
     )
     with compile_line():
         source = player.scene_player(params)
-    total = (
-        scans * (2 * len(source.setup.beams) + 1 + (walls is not Walls.NONE))
-        if isinstance(source, ScenePlayer)
-        else None
-    )
+    total = scans * (2 * len(source.setup.beams) + 1 + (walls != "none")) if isinstance(source, ScenePlayer) else None
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
     if isinstance(source, ScenePlayer):
@@ -112,12 +100,9 @@ def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, 
     """MCAP recording of messages at the times their stamps say, as if `player` had sent them."""
     from msgs.recording.mcap import whole_recording
 
-    sequences: dict[str, int] = {}
     with whole_recording(path, metadata) as writer:
         for topic, message in events:
-            sequence = sequences.get(topic, 0)
-            sequences[topic] = sequence + 1
-            writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=_sent_ns(message))
+            writer.write(topic, message, publisher="player", sent_ns=_sent_ns(message))
 
 
 def _sent_ns(message: Any) -> int:

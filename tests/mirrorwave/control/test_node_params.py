@@ -6,6 +6,7 @@ import json
 import tempfile
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -139,8 +140,6 @@ def test_changes_of_one_mapping_are_merged() -> None:
     assert parse_changes("a", ["x.y=1", "x.z=[1, 2]", "w=null"]) == {"x": {"y": 1, "z": [1, 2]}, "w": None}
 
 
-def test_without_a_graph_one_line_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        assert main(["param", "set", "ra_former", "mode=welch"]) == 1
+def test_without_a_graph_one_line_says_so(quiet_domain: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["param", "set", "ra_former", "mode=welch"]) == 1
     assert "no graph runs" in capsys.readouterr().err

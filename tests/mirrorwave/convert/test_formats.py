@@ -232,12 +232,7 @@ def test_ros2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
     out = tmp_path / "drive.ros2"
     found = said(capsys, 0, record(tmp_path / "a.mcap"), out)
-    assert found["not_converted"] == {
-        "log": 1,
-        "radar/beam": 9,
-        "radar/setup": 1,
-        "sim/truth": 3,
-    }
+    assert found["not_converted"] == {"log": 1, "radar/beam": 9, "radar/setup": 1, "sim/truth": 3}
     seen: dict[str, list[tuple[int, Any]]] = {}
     with AnyReader([out]) as reader:
         for connection, time_ns, raw in reader.messages():

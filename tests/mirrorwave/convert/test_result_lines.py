@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
-
 from mirrorwave.convert.result_lines import bev_to_json
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject, HiddenPoint, Wall
+from msgs.values.perception import HiddenObject, HiddenPoint, Wall
+from tests.builders import example_view
 
 WALL = Wall(normal=(0.0, -1.0), offset_m=5.0, ends_m=((4.0, 5.0), (24.0, 5.0)), inliers=9)
 OBJECT = HiddenObject(
@@ -16,13 +15,8 @@ OBJECT = HiddenObject(
 
 
 def test_json_line_has_the_fields_of_the_contract() -> None:
-    grid = BevGrid(rows=2, columns=3)
-    frame = BevFrame(
-        stamp_ns=12, scan_id=3, walls=(WALL,), grid=grid,
-        points=(HiddenPoint(x_m=0.1, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0),),
-        objects=(OBJECT,), los_points_m=np.zeros((0, 2), np.float32),
-        visibility=np.zeros((2, 3), np.uint8),
-    )  # fmt: skip
+    point = HiddenPoint(x_m=0.1, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0)
+    frame = example_view(stamp_ns=12, scan_id=3, walls=(WALL,), points=(point,), objects=(OBJECT,))
     line = bev_to_json(frame)
     assert json.loads(json.dumps(line, allow_nan=False)) == line
     assert set(line) == {"scan_id", "stamp_ns", "frame", "walls", "points", "objects"}

@@ -30,7 +30,7 @@ from mirrorwave.diagnose.doctor_graph import (
     check_room,
     graph_findings,
 )
-from mirrorwave.diagnose.doctor_machine import check_graph, check_weights
+from mirrorwave.diagnose.doctor_machine import check_weights
 from mirrorwave.diagnose.findings import Finding, Status
 from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS
 from msgs.bus.zmq import socket_path
@@ -170,7 +170,7 @@ def test_a_graph_that_ended_for_want_of_a_model(tmp_path: Path, monkeypatch: pyt
         done = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False)
         assert done.returncode == 2
         monkeypatch.chdir(tmp_path)
-        findings = {finding.check: finding for finding in check_graph(Path(root) / "default")}
+        findings = {finding.check: finding for finding in graph_findings(Path(root) / "default")}
     assert findings["graph"].detail == "none runs in this domain; `mirrorwave launch FILE` starts one"
     assert findings["last run"].status is Status.WARNING
     assert "runs/x-1: a FAILED" in findings["last run"].detail

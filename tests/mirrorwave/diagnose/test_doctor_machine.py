@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from mirrorwave.diagnose.doctor_machine import check_graph, check_packages, check_run_dir, check_weights
+from mirrorwave.diagnose.doctor_graph import graph_findings
+from mirrorwave.diagnose.doctor_machine import check_packages, check_run_dir, check_weights
 from mirrorwave.diagnose.findings import Status
 
 
 def test_packages_load_and_a_quiet_domain_is_well(tmp_path: Path) -> None:
     assert {finding.status for finding in check_packages()} == {Status.OK}
-    assert {finding.status for finding in [*check_run_dir(tmp_path), *check_graph(tmp_path)]} == {Status.OK}
+    assert {finding.status for finding in [*check_run_dir(tmp_path), *graph_findings(tmp_path)]} == {Status.OK}
 
 
 @pytest.mark.parametrize(

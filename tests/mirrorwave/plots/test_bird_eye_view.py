@@ -24,7 +24,7 @@ from msgs.values.perception import (
     Wall,
 )
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
-from tests.builders import example_map
+from tests.builders import example_map, example_truth
 from tests.figures import assert_readable_at_page_width, legends_of
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -49,11 +49,9 @@ def frame(filled: bool = True) -> BevFrame:
 
 
 def truth() -> SceneTruth:
-    empty = np.zeros((0, 3), np.float32)
     car = {"object_class": "car", "length_m": 4.4, "width_m": 1.8, "yaw_rad": 0.4}
-    return SceneTruth(
-        stamp_ns=0, scan_id=5, los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty,
-        hidden_object=np.zeros(0, np.int32),
+    return example_truth(
+        scan_id=5,
         objects=(TruthObject(id=0, x_m=12.0, y_m=8.0, hidden=True, **car), TruthObject(id=1, x_m=9.0, y_m=-3.0, **car)),
         surfaces=(TruthSurface(role="relay", material="brick", polyline_m=((20.0, -9.0), (20.0, 9.0))),),
     )  # fmt: skip

@@ -8,6 +8,7 @@ import pytest
 
 from mirrorwave.plots.scoreboard import KEPT_SCANS, Scoreboard
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
+from tests.builders import example_truth, example_view
 
 GRID = BevGrid(rows=1, columns=1)
 
@@ -19,20 +20,13 @@ def frame(scan_id: int, *places: tuple[float, float]) -> BevFrame:
         )
         for index, (x, y) in enumerate(places)
     )
-    return BevFrame(
-        stamp_ns=0, scan_id=scan_id, objects=objects, los_points_m=np.zeros((0, 2), np.float32), grid=GRID,
-        visibility=np.zeros((1, 1), np.uint8),
-    )  # fmt: skip
+    return example_view(scan_id=scan_id, objects=objects)
 
 
 def truth(scan_id: int) -> SceneTruth:
     """One hidden car at (10, 5), 4.5 m by 1.8 m along x."""
-    none = np.zeros((0, 3), np.float32)
     car = TruthObject(id=7, object_class="car", x_m=10.0, y_m=5.0, length_m=4.5, width_m=1.8, yaw_rad=0.0, hidden=True)
-    return SceneTruth(
-        stamp_ns=0, scan_id=scan_id, los_points_m=none, mirrored_points_m=none, hidden_points_m=none,
-        hidden_object=np.zeros(0, np.int32), objects=(car,),
-    )  # fmt: skip
+    return example_truth(scan_id=scan_id, objects=(car,))
 
 
 @pytest.mark.parametrize("truth_first", [True, False])

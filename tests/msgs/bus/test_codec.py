@@ -407,10 +407,7 @@ def test_every_permitted_array_survives(dtype: str, shape: tuple[int, ...], orde
 
 
 @settings(max_examples=150, deadline=None)
-@given(
-    topic=st.sampled_from(sorted(TOPICS)),
-    garbage=st.lists(st.binary(max_size=80), max_size=4),
-)
+@given(topic=st.sampled_from(sorted(TOPICS)), garbage=st.lists(st.binary(max_size=80), max_size=4))
 def test_garbage_is_refused_and_nothing_else(topic: str, garbage: list[bytes]) -> None:
     with pytest.raises(CodecError):
         decode([topic.encode() + b"\0", *garbage])

@@ -25,16 +25,7 @@ from msgs.bus.codec import encode_inline
 from msgs.bus.topics import TOPICS
 from msgs.recording import mcap as recording
 from msgs.recording import mcap_writer as mcap_file
-from msgs.recording.mcap import (
-    RAW_TOPIC,
-    Encoded,
-    Losses,
-    Recorded,
-    RecordingReader,
-    RecordingWriter,
-    TopicLoss,
-    info,
-)
+from msgs.recording.mcap import RAW_TOPIC, Encoded, Losses, Recorded, RecordingReader, RecordingWriter, TopicLoss, info
 from msgs.recording.mcap_copy import copy_recording
 from msgs.values.diagnostics import LogRecord
 from msgs.values.radar import RadarBeam, RadarSetup

@@ -211,10 +211,7 @@ FAULTS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "index past the scan": (lambda m: m["captures"][1].update({"mirrorwave:beam_index": 3}), "beam_index is 3: must"),
     "same beam twice": (lambda m: m["captures"][1].update({"mirrorwave:beam_index": 0}), "azimuth_deg|past that beam"),
     "scans in disorder": (lambda m: m["captures"][6].update({"mirrorwave:scan_id": 1}), "past that beam already"),
-    "weights short": (
-        lambda m: m["captures"][0].update({"mirrorwave:steering_weights": [[1, 0]]}),
-        "must be 8 pairs",
-    ),
+    "weights short": (lambda m: m["captures"][0].update({"mirrorwave:steering_weights": [[1, 0]]}), "must be 8 pairs"),
     "weights of some": (
         lambda m: m["captures"][0].update({"mirrorwave:steering_weights": [[1, 0]] * 8}),
         r"captures\[1\]: mirrorwave:steering_weights is None",

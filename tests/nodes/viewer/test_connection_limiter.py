@@ -154,21 +154,27 @@ def test_every_answer_has_every_header(server: ViewerServer, target: str) -> Non
 
 REFUSED = (
     "*", "foo", "TOKEN/", "//TOKEN/", "http://127.0.0.1/TOKEN/", "http://evil/TOKEN/", "/?token=TOKEN", "/TOKENx/",
-    "/%00/", "/%ff%fe/", "/..%2fTOKEN/", "\\TOKEN\\", "/TOKEN%00/",
+    "/%00/", "/%ff%fe/", "/..%2fTOKEN/", "\\TOKEN\\", "/TOKEN%00/", "/", "//", "/wrong/viewer.js", "/x" * 100,
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("method", ["GET", "OPTIONS", "CONNECT"])
 def test_only_the_path_brings_the_token(server: ViewerServer, method: str, caplog: pytest.LogCaptureFixture) -> None:
     for target in REFUSED:
-        assert status(answer(server, target, method)) == 403, target
+        said = answer(server, target, method)
+        assert status(said) == 403, target
+        assert token(server) not in said
     assert status(answer(server, f"/{token(server)[:-1]}/", method)) == 403
     assert caplog.text == ""
 
 
 @pytest.mark.parametrize(
-    "target", ["/TOKEN/../../etc/passwd", "/TOKEN/%2e%2e/server.py", "/TOKEN/..\\server.py", "/TOKEN/%00", "/TOKEN"]
-)
+    "target",
+    [
+        "/TOKEN/../../etc/passwd", "/TOKEN/%2e%2e/server.py", "/TOKEN/..\\server.py", "/TOKEN/%00", "/TOKEN",
+        "/TOKEN/index.html", "/TOKEN/viewer.js/", "/TOKEN/static/viewer.js",
+    ],
+)  # fmt: skip
 def test_nothing_but_the_page_is_found(server: ViewerServer, target: str) -> None:
     assert status(answer(server, target)) in (307, 404)
 
@@ -180,7 +186,10 @@ def test_a_page_is_only_read(server: ViewerServer, method: str) -> None:
 
 @pytest.mark.parametrize(
     "host",
-    ["127.0.0.1.nip.io", "LOCALHOST", "localhost.", "127.1", "0x7f.1", "[::1]:1", "127.0.0.1:1:1", "localhost,x"],
+    [
+        "evil.example:8765", "127.0.0.1.nip.io", "LOCALHOST", "localhost.", "127.1", "0x7f.1", "[::1]:1",
+        "127.0.0.1:1:1", "localhost,x",
+    ],
 )  # fmt: skip
 def test_hosts_that_only_look_like_this_one_are_refused(server: ViewerServer, host: str) -> None:
     assert status(answer(server, "/TOKEN/", host=host)) == 403
@@ -223,7 +232,9 @@ def test_another_page_may_link_here_and_no_more(server: ViewerServer, said: str,
 def test_a_second_origin_does_not_pass_behind_the_first(server: ViewerServer) -> None:
     more = f"Origin: http://127.0.0.1:{server.port}\r\n"
     assert status(answer(server, "/TOKEN/", more=more)) == 200
-    assert status(answer(server, "/TOKEN/", more=f"{more}Origin: http://evil.example\r\n")) == 403
+    for origin in ("http://evil.example", "null"):
+        assert status(answer(server, "/TOKEN/", more=f"Origin: {origin}\r\n")) == 403
+        assert status(answer(server, "/TOKEN/", more=f"{more}Origin: {origin}\r\n")) == 403
 
 
 # strangers

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -16,34 +14,15 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
 from tests.nodes.viewer import test_page
+from tests.nodes.viewer.conftest import Open, until
 
-pytestmark = test_page.pytestmark
+pytestmark = pytest.mark.graph
 PHONE, TABLET, DESK = 400, 800, 1440
-Open = Callable[[ViewerServer, str, int], Any]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with test_page.sync_api.sync_playwright() as playwright:
-        one = playwright.chromium.launch(executable_path=shutil.which("chromium") or "", args=test_page.FLAGS)
-        yield one
-        one.close()
 
 
 @pytest.fixture
-def open_page(browser: Any) -> Iterator[Open]:
-    contexts = []
-
-    def open_it(server: ViewerServer, scheme: str, width: int) -> Any:
-        contexts.append(browser.new_context(viewport={"width": width, "height": 860}, color_scheme=scheme))
-        page = contexts[-1].new_page()
-        page.goto(server.url)
-        test_page.until(page, "mirrorwave.state.connection === 'live'")
-        return page
-
-    yield open_it
-    for context in contexts:
-        context.close()
+def open_page(open_page: Open) -> Open:
+    return partial(open_page, height=860)
 
 
 def busy_board(urgent: int = 2) -> Board:
@@ -87,9 +66,9 @@ CUT = """() => [...document.querySelectorAll('header *, .warnings *, main *, foo
 def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, width: int) -> None:
     with ViewerServer(busy_board(), title="a title of some length") as server:
         page = open_page(server, scheme, width)
-        test_page.until(page, "mirrorwave.plots.shown.every((one) => one.data)")
-        test_page.until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
-        test_page.until(page, "mirrorwave.state.warnings.length >= 2")
+        until(page, "mirrorwave.plots.shown.every((one) => one.data)")
+        until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
+        until(page, "mirrorwave.state.warnings.length >= 2")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.evaluate("document.body.scrollWidth") <= width
         assert page.evaluate(CUT) == []
@@ -121,7 +100,7 @@ BROKEN = """() => [...document.querySelectorAll('#nodes, #tracks, #objects')].fl
 def test_no_word_of_a_table_is_broken(open_page: Open, width: int) -> None:
     with ViewerServer(busy_board(), title="words") as server:
         page = open_page(server, "light", width)
-        test_page.until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
+        until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
         assert page.evaluate(BROKEN) == []
         # the measure itself
         narrow = "max-width: 40px; word-break: break-all; white-space: normal"
@@ -135,9 +114,9 @@ def test_what_stays_in_place_leaves_a_phone_its_picture(tmp_path: Path, open_pag
 
     with test_page.played(write_drive(tmp_path / "drive.mcap")) as server:
         page = open_page(server, "light", PHONE)
-        test_page.until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
+        until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
         page.keyboard.press("End")
-        test_page.until(page, "mirrorwave.state.warnings.some((one) => one.level === 'urgent')")
+        until(page, "mirrorwave.state.warnings.some((one) => one.level === 'urgent')")
         page.evaluate("window.scrollTo(0, 400)")
         height = page.viewport_size["height"]
         warnings, timeline = (page.locator(one).bounding_box() for one in ("#warnings", "#timeline"))
@@ -155,7 +134,7 @@ def test_what_stays_in_place_leaves_a_phone_its_picture(tmp_path: Path, open_pag
 def test_nodes_stand_above_the_fold_of_a_desk(open_page: Open) -> None:
     with ViewerServer(busy_board(), title="desk") as server:
         page = open_page(server, "light", 1400)
-        test_page.until(page, "mirrorwave.state.nodes.length === 3")
+        until(page, "mirrorwave.state.nodes.length === 3")
         box = page.locator("#nodes tbody tr:not(.reason)").last.bounding_box()
         assert box["y"] + box["height"] <= page.viewport_size["height"]
 
@@ -168,7 +147,7 @@ def test_labels_stand_at_their_boxes_and_cover_none(open_page: Open) -> None:
     Assembly(board).take(msgspec.structs.replace(view, tracks=(track,)), 0)
     with ViewerServer(board, title="labels") as server:
         page = open_page(server, "light", DESK)
-        test_page.until(page, "mirrorwave.state.labels.length === 3")
+        until(page, "mirrorwave.state.labels.length === 3")
         labels = page.evaluate("mirrorwave.state.labels")
         boxes = [label["box"] for label in labels[:2]]
         assert [label["text"].split()[0] for label in labels] == ["#0", "#1", "T3"]
@@ -200,7 +179,7 @@ def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, sc
 
     with test_page.played(write_drive(tmp_path / "drive.mcap")) as server:
         page = open_page(server, scheme, width)
-        test_page.until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
+        until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
         footer, strip, seek = (page.locator(one).bounding_box() for one in ("#timeline", "#strip", "#seek"))
         padding = page.evaluate("parseFloat(getComputedStyle(document.getElementById('timeline')).paddingLeft)")
         assert footer["width"] == pytest.approx(width, abs=0.5)
@@ -211,7 +190,7 @@ def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, sc
         page.evaluate("mirrorwave.state.overview = {times_s: [0, 5, 10], seen: [3, 3, 3], marks: []}")
         page.evaluate("window.dispatchEvent(new Event('resize'))")
         page.locator("#seek").fill("0")
-        test_page.until(page, "mirrorwave.state.timeline.index === 0")
+        until(page, "mirrorwave.state.timeline.index === 0")
         assert page.evaluate(ORANGE_LEFT) == 0
         assert page.evaluate(ORANGE_LEFT.replace("65", "200")) > 0
         # buttons stand beneath, none beside it
@@ -226,7 +205,7 @@ def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, sc
 def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open, scheme: str) -> None:
     with ViewerServer(busy_board(urgent=1), title="desk") as server:
         page = open_page(server, scheme, DESK)
-        test_page.until(page, "mirrorwave.state.warnings.length >= 2")
+        until(page, "mirrorwave.state.warnings.length >= 2")
         # where several are urgent, these share the banner by their titles and times alone
         cut = """() => [...document.querySelectorAll('.warnings li:not([data-level=urgent]) .words *')]
           .filter((one) => {
@@ -257,6 +236,6 @@ def test_the_longest_title_is_whole(open_page: Open, width: int) -> None:
         test_page.board_tracks(board, scan, standing)
     with ViewerServer(board, title="desk") as server:
         page = open_page(server, "light", width)
-        test_page.until(page, "mirrorwave.state.warnings.some((one) => one.title.endsWith('about to appear'))")
+        until(page, "mirrorwave.state.warnings.some((one) => one.title.endsWith('about to appear'))")
         assert page.locator(".warnings .title", has_text="Slow or standing").count() == 1
         assert page.evaluate(CUT_WORDS) == []

@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
+from msgs.values.perception import HiddenObject, Track
 from msgs.values.vehicle import VehicleState
 from nodes.viewer.numeric_fields import MAX_KEY_LENGTH, numeric_fields
+from tests.builders import example_view
 
 
 class Inner(msgspec.Struct):
@@ -57,9 +58,8 @@ def test_a_long_key_is_cut() -> None:
 
 def test_a_view_has_its_objects_and_tracks_by_number() -> None:
     covariance = ((0.04, 0.0), (0.0, 0.04))
-    frame = BevFrame(
-        stamp_ns=0, scan_id=1, grid=BevGrid(rows=2, columns=2), visibility=np.zeros((2, 2), np.uint8),
-        los_points_m=np.zeros((3, 2), np.float32), ego=VehicleState(stamp_ns=0, speed_mps=4.0),
+    frame = example_view(
+        ego=VehicleState(stamp_ns=0, speed_mps=4.0),
         objects=(
             HiddenObject(
                 id=7, x_m=1.0, y_m=2.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.9, cov_m2=covariance

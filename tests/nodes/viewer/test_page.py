@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,73 +27,12 @@ from nodes.inputs.view_latency import last_beam_ns
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
-from tests.builders import example_map
+from tests.builders import example_map, example_view
+from tests.nodes.viewer.conftest import Open, until
 from tests.side_sensors import cloud
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
-sync_api = pytest.importorskip("playwright.sync_api", reason="the page's tests need playwright")
-pytestmark = [
-    pytest.mark.graph,
-    pytest.mark.skipif(CHROMIUM is None, reason="the page's tests need Chromium: apt-get install chromium"),
-]
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
-PATIENCE_S = 60.0
+pytestmark = pytest.mark.graph
 SCENE = "launch/scenes/parallel_street_wall.yaml"
-
-Open = Callable[..., Any]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser
-        browser.close()
-
-
-def is_trouble(server: ViewerServer, message: Any) -> bool:
-    """Whether a line of the page's console is an error: looking for a server that has gone is none."""
-    is_search = not server.alive and "ERR_CONNECTION_REFUSED" in message.text
-    return message.type == "error" and not is_search
-
-
-@pytest.fixture
-def open_page(browser: Any) -> Iterator[Open]:
-    """Opens the page of a server; any error or refused request on it fails the test."""
-    contexts, trouble = [], []
-
-    def open_it(server: ViewerServer, scheme: str = "light", motion: str = "no-preference") -> Any:
-        size = {"width": 1440, "height": 900}
-        context = browser.new_context(viewport=size, color_scheme=scheme, reduced_motion=motion)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda message: trouble.append(message.text) if is_trouble(server, message) else None)
-        page.on("pageerror", lambda error: trouble.append(str(error)))
-        page.on(
-            "request",
-            lambda one: None if f":{server.port}/" in one.url or one.url == "data:," else trouble.append(one.url),
-        )
-        page.goto(server.url)
-        until(page, "mirrorwave.state.connection === 'live'")
-        return page
-
-    yield open_it
-    for context in contexts:
-        context.close()
-    assert trouble == []
-
-
-def until(page: Any, condition: str) -> None:
-    """Poll from outside: the page's policy forbids evaluated text, as it should."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end_s, f"never came true: {condition}"
-        page.wait_for_timeout(20)
-    # what is drawn follows with the next frame
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
 def frame(scan_id: int, *places: tuple[float, float], visibility: int = 0) -> BevFrame:
@@ -104,11 +42,8 @@ def frame(scan_id: int, *places: tuple[float, float], visibility: int = 0) -> Be
         )
         for index, (x, y) in enumerate(places)
     )
-    grid = BevGrid(rows=80, columns=60, cell_m=1.0)
-    return BevFrame(
-        stamp_ns=scan_id * 300_000_000, scan_id=scan_id, objects=objects, los_points_m=np.zeros((0, 2), np.float32),
-        grid=grid, visibility=np.full((80, 60), visibility, np.uint8),
-    )  # fmt: skip
+    grid, mask = BevGrid(rows=80, columns=60, cell_m=1.0), np.full((80, 60), visibility, np.uint8)
+    return example_view(stamp_ns=scan_id * 300_000_000, scan_id=scan_id, objects=objects, grid=grid, visibility=mask)
 
 
 def one_echo(range_m: float, azimuth_rad: float) -> RangeAzimuthMap:
@@ -121,17 +56,6 @@ def one_echo(range_m: float, azimuth_rad: float) -> RangeAzimuthMap:
     values = np.ones(grid.shape, np.complex64)
     values[row - 2 : row + 3, column - 7 : column + 8] = 1000.0
     return example_map(values)
-
-
-@pytest.fixture
-def board() -> Board:
-    return Board()
-
-
-@pytest.fixture
-def server(board: Board) -> Iterator[ViewerServer]:
-    with ViewerServer(board, title="test") as server:
-        yield server
 
 
 @pytest.fixture(scope="module")

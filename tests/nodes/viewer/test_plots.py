@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,11 @@ from nodes.viewer.numeric_fields import numeric_fields
 from nodes.viewer.series import SeriesStore
 from nodes.viewer.server import ViewerServer
 from tests.mirrorwave.commands.captures.test_view import SCANS, write_recording
-from tests.nodes.viewer import test_page
-from tests.nodes.viewer.test_page import frame, until
+from tests.nodes.viewer.conftest import Open, until
+from tests.nodes.viewer.test_page import frame
 
-pytestmark = test_page.pytestmark
+pytestmark = pytest.mark.graph
 PERIOD_NS = 300_000_000
-Open = Callable[..., Any]
 
 #: Pixels of a plot's own canvas that have the colour of its line.
 INK = """(index) => {
@@ -41,38 +40,10 @@ INK = """(index) => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with test_page.sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=test_page.CHROMIUM, args=test_page.FLAGS)
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
-def open_page(browser: Any) -> Iterator[Open]:
-    """Opens the page of a server; any error on it, also one of its policy, fails the test."""
-    contexts, trouble = [], []
-
-    def open_it(
-        server: ViewerServer, context: Any = None, width: int = 1440, scheme: str = "light", kept: str = "[]"
-    ) -> Any:
-        if context is None:
-            context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-            contexts.append(context)
-            keep = f"localStorage.getItem('mirrorwave.plots') || localStorage.setItem('mirrorwave.plots', '{kept}')"
-            context.add_init_script(keep)
-        page = context.new_page()
-        page.on("console", lambda message: trouble.append(message.text) if message.type == "error" else None)
-        page.on("pageerror", lambda error: trouble.append(str(error)))
-        page.goto(server.url)
-        until(page, "mirrorwave.state.connection === 'live'")
-        return page
-
-    yield open_it
-    for context in contexts:
-        context.close()
-    assert trouble == []
+def open_page(open_page: Open) -> Open:
+    """Pages that plot nothing at first."""
+    return partial(open_page, kept="[]")
 
 
 def status(scan: int, mean_ms: float) -> NodeStatus:
@@ -106,17 +77,6 @@ def plot(page: Any, group: str, field: str) -> None:
 
 def values_of(page: Any, index: int = 0) -> list[float | None]:
     return page.evaluate(f"(mirrorwave.plots.shown[{index}].data || {{ v: [] }}).v")
-
-
-@pytest.fixture
-def board() -> Board:
-    return Board()
-
-
-@pytest.fixture
-def server(board: Board) -> Iterator[ViewerServer]:
-    with ViewerServer(board, title="test") as server:
-        yield server
 
 
 def test_numbers_of_vehicle_views_and_nodes_are_plotted_as_they_come(

@@ -11,7 +11,6 @@ import http.server
 import json
 import os
 import re
-import shutil
 import signal
 import stat
 import tempfile
@@ -29,32 +28,17 @@ from nodes.viewer import page_token as kept_token
 from nodes.viewer.newest import Board
 from nodes.viewer.page_token import TokenFile
 from nodes.viewer.server import ViewerServer
+from tests.nodes.viewer.conftest import until
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
 PATIENCE_S = 60.0
 OWNER = {"pid": os.getpid(), "started": 7, "run": "/runs/toy-1"}
 
 
 @pytest.fixture
-def page() -> Iterator[Any]:
-    sync_api = pytest.importorskip("playwright.sync_api", reason="the page's tests need playwright")
-    if CHROMIUM is None:
-        pytest.skip("the page's tests need Chromium: apt-get install chromium")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser.new_page(viewport={"width": 1440, "height": 900})
-        browser.close()
-
-
-def until(page: Any, condition: str) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end_s, f"never came true: {condition}"
-        page.wait_for_timeout(20)
+def page(browser: Any) -> Iterator[Any]:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    yield page
+    page.close()
 
 
 class Graph:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, BevGrid, Track
+from msgs.values.perception import BevFrame, Track
 from msgs.values.vehicle import VehicleState
 from nodes.viewer.trails import MAX_PAST, TRAIL_NS, Trails, trail_m
+from tests.builders import example_view
 
 S = 1_000_000_000
 NO_MOUNT = Pose2()
@@ -23,10 +24,7 @@ def view(stamp_s: float, *places: tuple[float, float]) -> BevFrame:
         )
         for index, (x, y) in enumerate(places)
     )
-    return BevFrame(
-        stamp_ns=round(stamp_s * S), scan_id=0, tracks=tracks, los_points_m=np.zeros((0, 2), np.float32),
-        grid=BevGrid(rows=1, columns=1), visibility=np.zeros((1, 1), np.uint8),
-    )  # fmt: skip
+    return example_view(stamp_ns=round(stamp_s * S), tracks=tracks)
 
 
 def driven(trails: Trails, until_s: float, yaw_rate_rps: float = 0.0, start_s: float = 0.0) -> None:

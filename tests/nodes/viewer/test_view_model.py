@@ -36,7 +36,7 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.node_table import MAX_ENTRIES, MAX_HEARTBEATS, MAX_NODES, SILENT_NS, NodeTable
 from nodes.viewer.view_model import MAX_TRACKS, STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
-from tests.builders import example_map
+from tests.builders import example_map, example_truth
 
 HEADER = struct.Struct("<2sBBIHHhH")
 S = 1_000_000_000
@@ -72,16 +72,12 @@ def frame(objects: tuple[HiddenObject, ...] = (), visibility: np.ndarray | None 
 
 
 def truth(scan_id: int = 7, stamp_ns: int = 0) -> SceneTruth:
-    empty = np.zeros((0, 3), np.float32)
     car = TruthObject(
         id=0, object_class="car", x_m=11.0, y_m=9.3, length_m=4.5, width_m=1.8, yaw_rad=-1.5, velocity_x_mps=2.0,
         hidden=True,
     )  # fmt: skip
-    return SceneTruth(
-        stamp_ns=stamp_ns, scan_id=scan_id, los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty,
-        hidden_object=np.zeros(0, np.int32), objects=(car,),
-        surfaces=(TruthSurface(role="relay", material="brick", polyline_m=((20.0, -9.0), (20.0, 9.0))),),
-    )  # fmt: skip
+    wall = TruthSurface(role="relay", material="brick", polyline_m=((20.0, -9.0), (20.0, 9.0)))
+    return example_truth(stamp_ns=stamp_ns, scan_id=scan_id, objects=(car,), surfaces=(wall,))
 
 
 def ra_map(values: np.ndarray, noise_power_mw: float = 1.0, scan_id: int = 7) -> RangeAzimuthMap:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import msgspec
-import numpy as np
 
 from msgs.bus.interface import Outgoing, Received
-from msgs.values.perception import BevFrame, BevGrid
 from nodes.node import Node
+from tests.builders import example_view
 
 PERIOD_NS = 100_000_000
 
@@ -31,15 +30,7 @@ class Views(Node):
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         self._due_ns = now_ns + PERIOD_NS
         self._scan += 1
-        grid = BevGrid(rows=8, columns=8)
-        view = BevFrame(
-            stamp_ns=now_ns,
-            scan_id=self._scan,
-            grid=grid,
-            visibility=np.zeros((8, 8), np.uint8),
-            los_points_m=np.zeros((0, 2), np.float32),
-        )
-        return [Outgoing("perception/hidden_objects", view)]
+        return [Outgoing("perception/hidden_objects", example_view(stamp_ns=now_ns, scan_id=self._scan))]
 
 
 def create(params: Params) -> Views:

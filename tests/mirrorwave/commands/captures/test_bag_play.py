@@ -6,9 +6,7 @@ import json
 import os
 import pty
 import sys
-import tempfile
 import termios
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -31,12 +29,12 @@ from msgs.bus.sequencing import Tally
 from msgs.bus.zmq import ZmqBus
 from msgs.recording.mcap import Recorded, RecordingReader, RecordingWriter
 from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
-from msgs.values.perception import BevFrame, BevGrid
+from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.beam_queue import MAX_SCANS_WAITING, BeamQueue
 from nodes.node import Stop
-from tests.builders import example_beam
+from tests.builders import example_beam, example_view
 
 ANSWER = "perception/hidden_objects"
 BEAMS = 4
@@ -55,14 +53,7 @@ def beam(scan: int, index: int) -> RadarBeam:
 
 
 def view(scan: int) -> BevFrame:
-    grid = BevGrid(rows=1, columns=1)
-    return BevFrame(
-        stamp_ns=0,
-        scan_id=scan,
-        grid=grid,
-        los_points_m=np.zeros((0, 2), np.float32),
-        visibility=np.zeros((1, 1), np.uint8),
-    )
+    return example_view(scan_id=scan)
 
 
 def received(topic: str, message: msgspec.Struct, paced: bool = False, sequence: int = 0) -> Received:
@@ -129,13 +120,6 @@ class FakeKeys(Keyboard):
     def pressed(self) -> list[Key]:
         self._turn += 1
         return [self._presses[self._turn]] if self._turn in self._presses else []
-
-
-@pytest.fixture
-def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        yield Path(folder)
 
 
 def record(path: Path, scans: int = 4, first_beam: int = 0, set_ns: int = 0) -> Path:
@@ -448,19 +432,22 @@ def test_what_is_made_of_paced_messages_is_paced_and_kept() -> None:
 
 @pytest.mark.graph
 def test_who_keeps_time_still_waits_until_readers_are_there(
-    drive: Path, run_dir: Path, capsys: pytest.CaptureFixture[str]
+    drive: Path, quiet_domain: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with closing(ZmqBus("reader", run_dir / "default")) as reader:
+    with closing(ZmqBus("reader", quiet_domain / "default")) as reader:
         reader.subscribe("vehicle/state")
         assert main(["bag", "play", str(drive), "--rate", "10", "--realtime", "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["messages"]["vehicle/state"] == 16
 
 
 @pytest.mark.graph
-def test_a_paced_bus_waits_for_a_reader_that_is_behind(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_paced_bus_waits_for_a_reader_that_is_behind(quiet_domain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zmq_bus, "_HELD_UP_NS", 300 * MS)
     large = msgspec.structs.replace(beam(0, 0), samples=np.zeros((128, 8192, 2), np.int16))
-    with closing(ZmqBus("player", run_dir, paced=True)) as player, closing(ZmqBus("reader", run_dir)) as reader:
+    with (
+        closing(ZmqBus("player", quiet_domain, paced=True)) as player,
+        closing(ZmqBus("reader", quiet_domain)) as reader,
+    ):
         player.advertise("radar/beam")
         reader.subscribe("radar/beam")
         while not player.subscribers("radar/beam"):
@@ -501,7 +488,7 @@ def foreign(tmp_path: Path) -> Path:
 
 
 def test_a_foreign_topic_is_played_under_a_known_name(
-    foreign: Path, run_dir: Path, capsys: pytest.CaptureFixture[str]
+    foreign: Path, quiet_domain: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bag", "play", str(foreign), "--remap", "car/motion:=vehicle/state", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -532,7 +519,7 @@ def test_a_foreign_topic_is_played_under_a_known_name(
     ],
 )
 def test_wrong_options_are_one_line(
-    drive: Path, run_dir: Path, options: list[str], text: str, capsys: pytest.CaptureFixture[str]
+    drive: Path, quiet_domain: Path, options: list[str], text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bag", "play", str(drive), *options]) == 2
     error = capsys.readouterr().err
@@ -541,7 +528,7 @@ def test_wrong_options_are_one_line(
 
 
 def test_a_cut_recording_is_played_as_far_as_it_goes(
-    foreign: Path, drive: Path, run_dir: Path, capsys: pytest.CaptureFixture[str]
+    foreign: Path, drive: Path, quiet_domain: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = drive.read_bytes()
     drive.write_bytes(whole[:-60])
@@ -556,13 +543,13 @@ def test_a_cut_recording_is_played_as_far_as_it_goes(
 
 
 def test_what_a_node_makes_itself_is_left_out(
-    tmp_path: Path, run_dir: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, quiet_domain: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "both.mcap"
     with RecordingWriter(path, {}) as writer:
         writer.write("vehicle/state", VehicleState(stamp_ns=0), publisher="can", sequence=0, sent_ns=0)
         writer.write(ANSWER, view(0), publisher="geometry", sequence=0, sent_ns=1)
-    with closing(ZmqBus("geometry", run_dir / "default")) as bus:
+    with closing(ZmqBus("geometry", quiet_domain / "default")) as bus:
         bus.advertise(ANSWER)
         assert main(["bag", "play", str(path), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["messages"] == {"vehicle/state": 1}

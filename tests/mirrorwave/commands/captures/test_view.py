@@ -19,13 +19,13 @@ from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.camera import CameraImage
 from msgs.values.diagnostics import NodeState, NodeStatus
-from msgs.values.perception import BevFrame, BevGrid, SceneTruth, Track
+from msgs.values.perception import BevFrame, BevGrid, Track
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.viewer.driver_warnings import DriverWarning, Level
 from nodes.viewer.newest import SERIES, Board
 from nodes.viewer.server import Play, Seek, Step
-from tests.builders import example_map
+from tests.builders import example_map, example_truth, example_view
 from tests.side_sensors import cloud, jpeg
 
 SCANS = 20
@@ -38,7 +38,7 @@ def write_recording(path: Path, views: bool = True, set_ns: int = 0) -> Path:
 
     From the eighth scan on with a clock that was set.
     """
-    empty, grid = np.zeros((0, 3), np.float32), RangeAzimuthGrid(range_bins=8, azimuth_bins=4)
+    grid = RangeAzimuthGrid(range_bins=8, azimuth_bins=4)
     with RecordingWriter(path, {}) as writer:
         for scan in range(SCANS):
             at_ns = START_NS + scan * PERIOD_NS + set_ns * (scan >= 8)
@@ -52,18 +52,12 @@ def write_recording(path: Path, views: bool = True, set_ns: int = 0) -> Path:
                 ),
                 (
                     "perception/hidden_objects",
-                    BevFrame(
-                        stamp_ns=at_ns, scan_id=100 + scan, grid=BevGrid(rows=2, columns=2),
-                        visibility=np.zeros((2, 2), np.uint8), los_points_m=np.zeros((0, 2), np.float32),
-                    ),
+                    example_view(stamp_ns=at_ns, scan_id=100 + scan),
                     3_000_000,
                 ),
                 (
                     "sim/truth",
-                    SceneTruth(
-                        stamp_ns=at_ns, scan_id=100 + scan, los_points_m=empty, mirrored_points_m=empty,
-                        hidden_points_m=empty, hidden_object=np.zeros(0, np.int32),
-                    ),
+                    example_truth(stamp_ns=at_ns, scan_id=100 + scan),
                     2_000_000 + (scan % 2) * 2_000_000,
                 ),
             ]  # fmt: skip
@@ -106,10 +100,7 @@ def test_a_scan_shows_what_the_other_sensors_saw_at_its_time(tmp_path: Path) -> 
             image = CameraImage.of(jpeg(), at_ns)
             writer.write("camera/image", image, publisher="rig", sequence=at, sent_ns=at_ns)
             if at % 3 == 0:
-                grid, none = BevGrid(rows=2, columns=2), np.zeros((0, 2), np.float32)
-                view = BevFrame(
-                    stamp_ns=at_ns + 10, scan_id=at, grid=grid, visibility=np.zeros((2, 2), np.uint8), los_points_m=none
-                )
+                view = example_view(stamp_ns=at_ns + 10, scan_id=at)
                 topic, late_ns = "perception/hidden_objects", 500_000_000
                 writer.write(topic, view, publisher="geometry", sequence=at, sent_ns=at_ns + late_ns)
     with RecordingReader(path) as reader:
@@ -251,11 +242,8 @@ def write_drive(path: Path, tracks: bool = True) -> Path:
                 age_s=0.3 * scan, cov_m2=covariance, velocity_cov_m2ps2=covariance,
                 time_to_appear_s=max(2.0 - 0.1 * (scan - 40), 0.0) if scan >= 40 else None,
             )  # fmt: skip
-            view = BevFrame(
-                stamp_ns=at_ns, scan_id=scan, tracks=(one,) if tracks else (), grid=BevGrid(rows=2, columns=2),
-                visibility=np.zeros((2, 2), np.uint8), los_points_m=np.zeros((0, 2), np.float32),
-                flags=("saturated",) if 10 <= scan < 20 else (),
-            )  # fmt: skip
+            flags = ("saturated",) if 10 <= scan < 20 else ()
+            view = example_view(stamp_ns=at_ns, scan_id=scan, tracks=(one,) if tracks else (), flags=flags)
             sent_ns = at_ns + PERIOD_NS + 50_000_000
             writer.write("perception/hidden_objects", view, publisher="geometry", sequence=scan, sent_ns=sent_ns)
             # a graph under load: the map of a scan comes before the view of the scan before

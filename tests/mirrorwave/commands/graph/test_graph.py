@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,11 +16,7 @@ from mirrorwave.diagnose.graph_picture import GraphNode, GraphPicture, Link, lau
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-@pytest.fixture(autouse=True)
-def quiet_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        yield
+pytestmark = pytest.mark.usefixtures("quiet_domain")
 
 
 def node(name: str, inputs: str = "", outputs: str = "", state: str = "ready", lost: int = 0) -> GraphNode:

@@ -32,13 +32,7 @@ def test_a_held_terminal_holds_nothing_up_and_says_what_it_missed() -> None:
         while len(shown) < 3:
             time.sleep(0.001)
         printer(entry(10))
-    assert shown == [
-        "line 0",
-        "line 1",
-        "line 2",
-        "7 lines left out: the terminal did not take them",
-        "line 10",
-    ]
+    assert shown == ["line 0", "line 1", "line 2", "7 lines left out: the terminal did not take them", "line 10"]
 
 
 def test_a_terminal_that_has_gone_is_not_asked_again() -> None:

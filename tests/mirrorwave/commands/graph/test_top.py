@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -114,15 +113,6 @@ def test_the_table_shows_it_all() -> None:
 
 def test_before_the_first_heartbeat_the_table_says_so() -> None:
     assert "no heartbeat yet" in str(_picture({"domain": "x", **GraphWatch(0).report(1)}))
-
-
-@pytest.fixture
-def quiet_domain(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    import tempfile
-
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        yield Path(folder)
 
 
 @pytest.mark.parametrize("option", ["--json", "--once"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import csv
 import json
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -41,11 +40,7 @@ BODY = {
 BEAM = example_beam(scan_id=4, samples=np.arange(2 * 8 * 2, dtype=np.int16).reshape(2, 8, 2))
 
 
-@pytest.fixture(autouse=True)
-def quiet_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with tempfile.TemporaryDirectory(prefix="mw") as folder:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
-        yield
+pytestmark = pytest.mark.usefixtures("quiet_domain")
 
 
 @pytest.fixture

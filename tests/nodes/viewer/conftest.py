@@ -1,0 +1,88 @@
+"""A real browser for the tests of the page; its pages fail a test by any error, or by a request to another address."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from nodes.viewer.newest import Board
+from nodes.viewer.server import ViewerServer
+
+CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
+FLAGS = [
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+PATIENCE_S = 60.0
+#: Opens the page of a server.
+Open = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api", reason="the page's tests need playwright")
+    if CHROMIUM is None:
+        pytest.skip("the page's tests need Chromium: apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def until(page: Any, condition: str) -> None:
+    """Poll from outside: the page's policy forbids evaluated text, as it should."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not page.evaluate(f"Boolean({condition})"):
+        assert time.monotonic() < end_s, f"never came true: {condition}"
+        page.wait_for_timeout(20)
+    # what is drawn follows with the next frame
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Open]:
+    contexts, trouble = [], []
+
+    def is_trouble(server: ViewerServer, message: Any) -> bool:
+        # looking for a server that has gone is none
+        is_search = not server.alive and "ERR_CONNECTION_REFUSED" in message.text
+        return bool(message.type == "error") and not is_search
+
+    def open_it(
+        server: ViewerServer, scheme: str = "light", width: int = 1440, height: int = 900, *,
+        motion: str = "no-preference", context: Any = None, kept: str = "",
+    ) -> Any:  # fmt: skip
+        if context is None:
+            size = {"width": width, "height": height}
+            context = browser.new_context(viewport=size, color_scheme=scheme, reduced_motion=motion)
+            contexts.append(context)
+            keep = f"localStorage.getItem('mirrorwave.plots') || localStorage.setItem('mirrorwave.plots', '{kept}')"
+            if kept:
+                context.add_init_script(keep)
+        page, own = context.new_page(), (f":{server.port}/", "data:,")
+        page.on("console", lambda message: trouble.append(message.text) if is_trouble(server, message) else None)
+        page.on("pageerror", lambda error: trouble.append(str(error)))
+        page.on("request", lambda one: None if any(part in one.url for part in own) else trouble.append(one.url))
+        page.goto(server.url)
+        until(page, "mirrorwave.state.connection === 'live'")
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+    assert trouble == []
+
+
+@pytest.fixture
+def board() -> Board:
+    return Board()
+
+
+@pytest.fixture
+def server(board: Board) -> Iterator[ViewerServer]:
+    with ViewerServer(board, title="test") as server:
+        yield server
