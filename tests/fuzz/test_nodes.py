@@ -276,9 +276,8 @@ def made_or_line(module: str, params: dict[str, Any]) -> Node | str:
 
 
 def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stand-ins for a browser, a page, a kit, a CAN interface and the process's signals."""
+    """Stand-ins for a page, a kit, a CAN interface and the process's signals."""
     monkeypatch.setattr(bev_viewer, "ViewerServer", PageStandIn)
-    monkeypatch.setattr(bev_viewer.webbrowser, "open", lambda url: True)
     monkeypatch.setattr(can_link, "open_bus", lambda params: WhimsicalBus(1))
     monkeypatch.setattr(can_link.CanLink.__init__, "__defaults__", (can_link.open_bus,))
     monkeypatch.setattr(dca1000_radar.dca1000, "Card", lambda params, lanes: WhimsicalCard(0))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lab.evaluate.method_runs import checked_frames, run_methods, truth_of_labels
+from lab.evaluate.method_runs import checked_frames, run_methods
 from lab.evaluate.methods import build_method, parse_method
 from lab.measures.frame_scores import FrameScores, bootstrap_weights, estimates
 from lab.training.data.frames import DataSet
@@ -57,9 +57,9 @@ def test_frames_without_signal_or_truth_are_scored(tmp_path: Path) -> None:
     data = DataSet(write_maps(tmp_path / "data"))
     texts = ("cfar", "cfar-nlos,geometry=published", f"net={DEFAULT_MODEL},refine")
     methods = [build_method(parse_method(text)) for text in texts]
-    run = run_methods(methods, checked_frames(data, range(6), methods), {"thinned": truth_of_labels}, sweeping=True)
+    run = run_methods(methods, checked_frames(data, range(6), methods), sweeping=True)
     for one in run.runs:
-        scores = run.scores(one, "thinned")
+        scores = run.scores(one)
         assert len(scores) == 6
         got = estimates(scores, bootstrap_weights(6, 20, 0))
         assert got["recovered_1m_recall"].value == 0.0
@@ -97,12 +97,6 @@ def test_split_that_leaks_a_scene_is_refused(tmp_path: Path, capsys: pytest.Capt
     splits["train"].append(splits["test"][0])
     (folder / "splits.json").write_text(json.dumps(splits))
     assert "must share no scene" in refused(capsys, *words)
-
-
-def test_truth_before_thinning_needs_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_maps(tmp_path / "data")
-    error = refused(capsys, "eval", "--data", str(folder), "--method", "cfar", "--truth", "all", "--limit", "1")
-    assert "scene_yaml and gain_db must be known" in error
 
 
 def test_weights_that_are_not_the_cards_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

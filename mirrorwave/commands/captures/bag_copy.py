@@ -41,9 +41,10 @@ def filter_topics(
             reader.types, [*(topic or ()), *(split_topics(topics) or ())] or ["*"], not_topic or [], file
         )
         total = sum(info.messages for info in reader.info().topics if info.topic in wanted)
+        is_whole = len(wanted) == len(reader.types)
     with progress_bar(out.name, total) as advance:
         copied = copy_recording(
-            file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, every=every,
+            file, out, topics=None if is_whole else wanted, start_ns=start_ns, end_ns=end_ns, every=every,
             on_message=advance,
         )  # fmt: skip
     report_copy(out, *copied)

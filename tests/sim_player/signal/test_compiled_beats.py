@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup
-from sim_player.planner.weakest import SINGLE
+from sim_player.planner.plan import SINGLE
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.signal.compiled_beats import decimation
 from sim_player.signal.levels import Terms, echo_terms, group_beats, group_terms, hann_profiles

@@ -68,7 +68,7 @@ def test_node_types_lists_shipped_and_plugged_in_nodes(
 def test_node_types_shows_a_node_with_all_its_parameters(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["node", "types", "nodes.dense_predictor"]) == 0
     shown = capsys.readouterr().out
-    assert "cfar.ridges.min_snr_db" in shown
+    assert "cfar.ridges.azimuth_lobe_db" in shown
     assert "str | None" in shown
     assert main(["node", "types", "nodes.nothing"]) == 2
     assert capsys.readouterr().err == "mirrorwave: nodes.nothing.module: no module named 'nodes.nothing'\n"
