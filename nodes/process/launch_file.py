@@ -12,6 +12,7 @@ import msgspec
 import yaml
 
 from msgs.bus.topics import TOPICS, Declaration, require_facts, require_topic_name
+from msgs.files.former_modules import present_name
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
 from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
@@ -27,16 +28,6 @@ MAX_BYTES = 1 << 20
 #: The supervisor's own name on the bus.
 SUPERVISOR = "supervisor"
 RECORDER = "recorder"
-#: Nodes of plug-ins by the name that launch files gave them before they were plug-ins.
-FORMER_MODULES = {
-    "nodes.bridges.foxglove": "contrib.foxglove.foxglove_bridge",
-    "nodes.bridges.ros2": "contrib.ros2.ros2_bridge",
-    "nodes.dca1000_radar": "contrib.boards.dca1000_radar",
-    "nodes.drivers.detections_radar": "contrib.boards.detections_radar",
-    "nodes.drivers.recorded_sensors": "contrib.imports.recorded_sensors",
-    "nodes.link": "contrib.two_machines.link",
-    "nodes.radar_driver": "contrib.boards.radar_driver",
-}
 RECORDER_MODULE = "nodes.recorder"
 VIEWER_MODULE = "nodes.bev_viewer"
 #: Hosts a group of nodes; its parameters are their modules and parameters by name.
@@ -106,7 +97,7 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     process: str = ""
 
     def __post_init__(self) -> None:
-        msgspec.structs.force_setattr(self, "module", FORMER_MODULES.get(self.module, self.module))
+        msgspec.structs.force_setattr(self, "module", present_name(self.module))
         if not MODULE_NAME.fullmatch(self.module):
             raise ValueError(f"module must be a dotted module name, got {self.module!r}")
         for name in ("hang_timeout_s", "start_timeout_s"):
