@@ -98,7 +98,7 @@ def pytest_collection(session: pytest.Session) -> object:
     what the others have rewritten meanwhile. `in_order` orders their tests alike.
     """
     worker, config = getattr(session.config, "workerinput", None), session.config
-    if worker and config.args == ["tests"]:
+    if worker and config.args == ["tests"] and not config.getoption("ignore"):
         rooms = sorted(f"tests/{path.name}" for path in Path(__file__).parent.iterdir() if is_room(path))
         at = len(rooms) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
         config.args[:] = rooms[at:] + rooms[:at]
