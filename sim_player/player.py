@@ -20,7 +20,7 @@ from sim_player.paths.reach import reachable_snapshot
 from sim_player.paths.truth import scene_truth
 from sim_player.planner.plan import BUDGET_DB, resolve_plan
 from sim_player.planner.purposes import purpose_of
-from sim_player.scene.clear_path import ego_meeting, meeting_text
+from sim_player.scene.clear_path import ego_meeting, require_unmet
 from sim_player.scene.description import Ego, Scene
 from sim_player.scene.world import RadarState, prepare, scene_radar, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, profile_power_mw, with_clutter
@@ -77,8 +77,9 @@ class ScenePlayer:
             raise ValueError(f"phase_jitter_rad must be finite and not negative, got {phase_jitter_rad!r}")
         self.scene, self.drive = scene, drive
         self.setup = msgspec.structs.replace(setup, stamp_ns=start_ns)
-        meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
-        self._meeting = meeting if walls_stop else None
+        self._meeting = None
+        if walls_stop:
+            self._meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
         self._moves = drive is not None or scene.moves
         self._seed = seed
         self._phase_jitter_rad = phase_jitter_rad
@@ -170,8 +171,7 @@ class ScenePlayer:
     def _elapsed_s(self, stamp_ns: int) -> float:
         """Return the time since the start; ValueError once the radar has met a wall."""
         time_s = s_from_ns(stamp_ns - self.setup.stamp_ns)
-        if self._meeting is not None and time_s > self._meeting[0]:
-            raise ValueError(f"scene {self.scene.name!r}: {meeting_text(self._meeting)}, asked for {time_s:.2f} s")
+        require_unmet(self.scene, self._meeting, time_s)
         return time_s
 
     def _all_beats(self) -> np.ndarray:

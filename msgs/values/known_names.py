@@ -43,10 +43,6 @@ def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
     `where` names the value; keys of mappings are named as they are written. Values of a wrong type are passed over:
     what converts them says what is wrong with them.
     """
-    _refuse(value, wanted, where)
-
-
-def _refuse(value: Any, wanted: Any, where: str) -> None:
     for kind in alternatives(wanted):
         if _is_struct(kind) and isinstance(value, Mapping):
             valid = fields_of(kind)

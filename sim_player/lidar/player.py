@@ -14,7 +14,7 @@ from msgs.values.vehicle import VehicleState
 from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, optical_paths, spad_histograms
 from sim_player.paths.ray_tracing import trace
 from sim_player.paths.truth import scene_truth
-from sim_player.scene.clear_path import ego_meeting, meeting_text
+from sim_player.scene.clear_path import ego_meeting, require_unmet
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
 
@@ -93,6 +93,5 @@ class LidarPlayer:
     def _elapsed_s(self, stamp_ns: int) -> float:
         """Return the time since the start; ValueError once the sensor has met a wall."""
         time_s = s_from_ns(stamp_ns - self.setup.stamp_ns)
-        if self._meeting is not None and time_s > self._meeting[0]:
-            raise ValueError(f"scene {self.scene.name!r}: {meeting_text(self._meeting)}, asked for {time_s:.2f} s")
+        require_unmet(self.scene, self._meeting, time_s)
         return time_s

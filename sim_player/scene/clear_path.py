@@ -52,6 +52,12 @@ def meeting_text(meeting: tuple[float, int]) -> str:
     return f"the radar drives into the wall surfaces[{meeting[1]}] after {meeting[0]:.2f} s"
 
 
+def require_unmet(scene: Scene, meeting: tuple[float, int] | None, time_s: float) -> None:
+    """Raise `ValueError` for a time after the meeting of the radar with a wall, if there is one."""
+    if meeting is not None and time_s > meeting[0]:
+        raise ValueError(f"scene {scene.name!r}: {meeting_text(meeting)}, asked for {time_s:.2f} s")
+
+
 def require_clear_path(scene: Scene, duration_s: float) -> None:
     """Raise `ValueError`, field first, where the radar of a scene meets a wall within a duration."""
     meeting = ego_meeting(scene)
