@@ -2,8 +2,8 @@
 
 One GPU, many cores, no network, some minutes: places are drawn by as many processes as there are cores, their maps
 formed as they come, and trained on while more are drawn. Our detector ends with the drawing and is exported at once;
-Table 3's Swin-UNet trains all the time, the compact networks after the drawing, and last the runs of the curve against
-the number of training maps. The clock starts when the simulator is compiled. Whatever `--work` holds is kept: the same
+UNet and both sizes of Swin-UNet train all the time, the other networks after the drawing, and last the runs of the
+curve against the number of training maps. The clock starts when the simulator is compiled. Whatever `--work` holds is kept: the same
 command goes on where it was stopped.
 Usage: python -m benchmarks.accuracy.full_size --work DIR --out DIR [--minutes 6.5] [--places 20000] [--workers 16]
        python -m benchmarks.accuracy.full_size --unpack DIR --out runs/full_size
@@ -80,10 +80,10 @@ class Job:
 JOBS = (
     Job(name=DETECTOR, network="compact_unet:compact", batch_size=32, learning_rate=3e-3, starts=0, ends=0,
         bits="fp32"),
-    Job(name="swin_unet_full", network="swin_unet:full", batch_size=8, learning_rate=3e-4, starts=0, ends=2,
+    Job(name="swin_unet_full", network="swin_unet:full", batch_size=32, learning_rate=4e-4, starts=0, ends=2,
         bits="int8"),
-    Job(name="swin_unet", network="swin_unet:compact", batch_size=32, learning_rate=1.5e-3, starts=1, ends=1),
-    Job(name="unet", network="unet:compact", batch_size=32, learning_rate=3e-3, starts=1, ends=1),
+    Job(name="swin_unet", network="swin_unet:compact", batch_size=64, learning_rate=2e-3, starts=0, ends=2),
+    Job(name="unet", network="unet:compact", batch_size=64, learning_rate=4e-3, starts=0, ends=2),
     Job(name="further_than_cfar", network="further_than_cfar:compact", batch_size=32, learning_rate=3e-3, starts=1,
         ends=1),
     Job(name="rtn", network="radar_tensor_network:compact", batch_size=32, learning_rate=3e-3, starts=1, ends=1),
