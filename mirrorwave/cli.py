@@ -15,6 +15,7 @@ import typer.core
 # BLAS threads cost more than they bring on matrices of this size; must be said before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from mirrorwave.commands.former_options import present_words
 from mirrorwave.commands.verbs import loaded, plugged_in
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 from mirrorwave.exit_signals import INTERRUPTED, ended_by_signal, was_interrupted
@@ -238,7 +239,7 @@ def main(argv: list[str] | None = None) -> int:
 def _run(argv: list[str] | None) -> int:
     try:
         use_fallback()
-        words = _understood(sys.argv[1:] if argv is None else argv)
+        words = present_words(_understood(sys.argv[1:] if argv is None else argv), _say)
         code = command_line(
             words[0] if words and (words[0] in _VERBS | _GROUPS or words[0] in plugins(VERBS).usable) else ""
         )(args=words, prog_name="mirrorwave", standalone_mode=False)
@@ -268,6 +269,10 @@ def _run(argv: list[str] | None) -> int:
         # the border of the program: whatever went wrong leaves it as one line and a code
         logging.getLogger(__name__).debug("traceback", exc_info=error)
         return _fail(error_line(error), exit_code_of(error))
+
+
+def _say(line: str) -> None:
+    _fail(line, ExitCode.DONE)
 
 
 def _without_output(code: int) -> int:

@@ -38,11 +38,6 @@ Domain = Annotated[str, typer.Option("--domain", envvar="MIRRORWAVE_DOMAIN", hel
 DEFAULT_DOMAIN = "default"
 
 
-def former_name(name: str) -> Any:
-    """Return an option that takes a whole number by a name that another option had before."""
-    return typer.Option(f"--{name}", hidden=True, min=1)
-
-
 #: Tables: space between columns; a line of a text that wraps has at least so many cells, and a longer word is broken.
 _GAP, _LINE, _LONG_WORD = 2, 20, 32
 _UNLIMITED = 100_000

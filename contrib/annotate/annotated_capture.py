@@ -17,10 +17,10 @@ from lab.training.data.xradarnlos import (
     POINTS_FOLDER,
     REAL_RANGE_M,
     SHAPE,
+    SIM_KEYS,
     SPECTRUM,
     SPECTRUM_KEY,
     Kind,
-    SimKeys,
     grid_of,
 )
 from msgs.values.frames import polar_from_xy
@@ -84,9 +84,8 @@ def write_frame(folder: Path, name: str, kind: Kind, values: np.ndarray, points:
     """Write one frame below a folder: `real` into folder/name/, `sim` as folder/name.npy and folder/name.npz."""
     if kind == "sim":
         folder.mkdir(parents=True, exist_ok=True)
-        keys = SimKeys()
-        columns = {keys.direct: points.los_m, keys.image: points.image_m, keys.true_place: points.place_m}
-        arrays = {key: _in_source(rows, 3).T for key, rows in columns.items()}
+        columns = zip(SIM_KEYS.values(), (points.los_m, points.image_m, points.place_m), strict=True)
+        arrays = {key: _in_source(rows, 3).T for key, rows in columns}
         np.save(folder / f"{name}.npy", values)
         np.savez(folder / f"{name}.npz", **arrays)  # type: ignore[arg-type]
         return

@@ -24,17 +24,13 @@ def lidar(
     ] = None,
     channels: Annotated[int, typer.Option(min=2, max=1024)] = 128,
     azimuths: Annotated[int, typer.Option(min=16, max=8192, help="Rays a turn.")] = 1024,
-    guess_m: Annotated[
-        float, typer.Option(min=0.0, max=100.0, help="Standard deviation of first poses in the manifest.")
-    ] = 0.3,
-    guess_deg: Annotated[float, typer.Option(min=0.0, max=180.0, help="The same of their headings.")] = 3.0,
     seed: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:
     """LiDAR clouds of a scene (PLY), `scene.yaml` for `mirrorwave annotate`, and the true poses in `truth.json`.
 
     The first viewpoint's pose counts as calibrated; give the radar's own place first.
     """
-    from contrib.annotate.simulated import FirstGuess, write_views
+    from contrib.annotate.simulated import write_views
     from contrib.annotate.simulated_clouds import LidarParams, choose_viewpoints
     from sim_player.scene.description import load_scene
 
@@ -43,9 +39,8 @@ def lidar(
     world = load_scene(scene)
     viewpoints = tuple(_viewpoint(text) for text in viewpoint) if viewpoint else choose_viewpoints(world)
     params = LidarParams(channels=channels, azimuths=azimuths)
-    guess = FirstGuess(position_m=guess_m, heading_deg=guess_deg)
     with progress_bar("viewpoints", len(viewpoints)) as advance:
-        write_views(world, viewpoints, params, guess, seed, out, advance)
+        write_views(world, viewpoints, params, seed, out, advance)
     print_line(f"{out}: {counted(len(viewpoints), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -19,20 +18,14 @@ from msgs.files.whole_files import write_whole
 from msgs.files.yaml_loader import PlainDumper
 from sim_player.scene.description import Scene
 
-
-@dataclass(frozen=True, kw_only=True)
-class FirstGuess:
-    """Standard deviations by which first poses in the manifest are off."""
-
-    position_m: float
-    heading_deg: float
+#: Standard deviations by which first poses in the manifest are off.
+GUESS_M, GUESS_RAD = 0.3, math.radians(3.0)
 
 
 def write_views(
     scene: Scene,
     viewpoints: Sequence[Viewpoint],
     params: LidarParams,
-    guess: FirstGuess,
     seed: int,
     out: Path,
     tick: Callable[[], None] = lambda: None,
@@ -48,8 +41,8 @@ def write_views(
         made = lidar_cloud(scene, viewpoint, params, seed + index)
         name = f"view_{index}.ply"
         _write_cloud(out / name, made.points_m)
-        slip_m = rng.normal(0.0, guess.position_m, 3) * (1.0, 1.0, 0.3)
-        slip = rigid(tuple(slip_m.tolist()), 0.0, 0.0, math.radians(rng.normal(0.0, guess.heading_deg)))
+        slip_m = rng.normal(0.0, GUESS_M, 3) * (1.0, 1.0, 0.3)
+        slip = rigid(tuple(slip_m.tolist()), 0.0, 0.0, rng.normal(0.0, GUESS_RAD))
         true = Pose.of(made.radar_from_lidar)
         first = true if index == 0 else Pose.of(made.radar_from_lidar @ slip)
         clouds.append(Cloud(file=name, radar_from_lidar=first, calibrated=index == 0))

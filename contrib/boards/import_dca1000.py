@@ -34,6 +34,10 @@ LEAST_SNR_DB = 15.0
 DYNAMIC_RANGE_DB = 45.0
 
 
+#: Strongest returns that are listed of a frame.
+RETURNS = 5
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImportParams:
     """Parameters of an import; `min_range_m` leaves the transmitters' own leakage out of the list of returns."""
@@ -41,13 +45,10 @@ class ImportParams:
     remove_static: bool = False
     mirrored: bool = False
     min_range_m: float = 0.0
-    returns: int = 5
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.min_range_m) and self.min_range_m >= 0.0):
             raise ValueError(f"min_range_m must be finite and not negative, got {self.min_range_m!r}")
-        if not 1 <= self.returns <= 1000:
-            raise ValueError(f"returns must be 1..1000, got {self.returns!r}")
 
 
 @dataclass(frozen=True)
@@ -224,7 +225,7 @@ def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dic
     # a silent frame has neither noise nor returns
     threshold = max(noise_mw * ratio_from_db(LEAST_SNR_DB), 1e-30)
     maxima = local_maxima(power, threshold, SPACING_CELLS[0])
-    cells = maxima[keep_apart(maxima, SPACING_CELLS)[: params.returns]]
+    cells = maxima[keep_apart(maxima, SPACING_CELLS)[:RETURNS]]
     return [
         {
             "range_m": float(grid.range_m[row]),

@@ -36,7 +36,8 @@ DriveFile = Annotated[
 ]
 Out = Annotated[Path, typer.Option(metavar="FILE", help="Result; must not exist.")]
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Picture of the result.")]
-Scans = Annotated[int, typer.Option(min=1, help="Scans to read at most.")]
+#: Scans that are read at most; a noise floor needs fewer.
+SCANS, NOISE_SCANS = 100, 20
 Pose = Annotated[
     tuple[float, float, float] | None,
     typer.Option(metavar="X_M Y_M YAW_DEG", help="Pose of the radar on the vehicle as far as it is known."),
@@ -44,7 +45,7 @@ Pose = Annotated[
 
 
 @app.command()
-def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = None, as_json: AsJson = False) -> None:
+def background(capture: CaptureFile, out: Out, plot: Plot = None, as_json: AsJson = False) -> None:
     """Open-field background of every beam, for `ra_former.background`."""
     from contrib.calibrate.capture import Capture
     from contrib.calibrate.radar_alone import draw_background, measure_background, save_background
@@ -52,8 +53,8 @@ def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = 
     _require_suffix(out, ".npy")
     _require_new(out, plot)
     source = Capture(capture)
-    with progress_bar("scans", min(scans, source.scan_count())) as advance:
-        values, quality = measure_background(source, scans, advance)
+    with progress_bar("scans", min(SCANS, source.scan_count())) as advance:
+        values, quality = measure_background(source, SCANS, advance)
     save_background(values, out)
     if plot is not None:
         draw_background(values, source, plot)
@@ -87,7 +88,6 @@ def noise(
         float | None,
         typer.Option(help="Measure the imbalance of I and Q: where the receiver mirrors (0; beats shifted by -f: -f)."),
     ] = None,
-    scans: Scans = 20,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -101,8 +101,8 @@ def noise(
     image_about_hz = None if image_about_khz is None else 1e3 * image_about_khz
     faults = FaultParams(leakage_to_m=leakage_to_m, image_about_hz=image_about_hz)
     source = Capture(capture)
-    with progress_bar("scans", min(scans, source.scan_count())) as advance:
-        floor = measure_noise(source, scans, faults, advance)
+    with progress_bar("scans", min(NOISE_SCANS, source.scan_count())) as advance:
+        floor = measure_noise(source, NOISE_SCANS, faults, advance)
     write_whole(out, receiver_text(floor, scene).encode())
     if plot is not None:
         draw_noise(floor, plot)
@@ -128,7 +128,6 @@ def array(
         tuple[float, float], typer.Option(metavar="LOW_M HIGH_M", help="Where the reflector is the strongest return.")
     ],
     azimuth_deg: Annotated[float, typer.Option(help="Azimuth of the reflector, left positive.")] = 0.0,
-    scans: Scans = 100,
     as_json: AsJson = False,
 ) -> None:
     """Gain and phase of each element of a Phaser board, from a reflector heard element by element."""
@@ -137,8 +136,8 @@ def array(
 
     _require_new(out, None)
     source = Capture(capture)
-    with progress_bar("scans", min(scans, source.scan_count())) as advance:
-        calibration, responses = measure_array(source, range_m, azimuth_deg, scans, advance)
+    with progress_bar("scans", min(SCANS, source.scan_count())) as advance:
+        calibration, responses = measure_array(source, range_m, azimuth_deg, SCANS, advance)
     write_calibration(out, calibration, responses)
     if as_json:
         print_json({"out": str(out), "calibration": calibration, "range_m": responses.range_m, "loss": source.loss})

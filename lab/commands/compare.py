@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 
 if TYPE_CHECKING:
     from lab.compare.comparison_report import Report
@@ -43,7 +43,6 @@ def compare(
     ] = "power",
     seed: Annotated[int, typer.Option(help="Of the viewpoints, the places and the noise.")] = 11,
     workers: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
-    jobs: Annotated[int | None, former_name("jobs")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Equal power, one grid, one evaluation: reach, roughness, material, incidence; JSON, Markdown, a figure."""
@@ -69,7 +68,7 @@ def compare(
         values={name: _values(name, quick) for name in names},
     )
     with progress_bar("scenes", len(plan.jobs)) as tick:
-        results = run_plan(plan, out, jobs or workers, tick)
+        results = run_plan(plan, out, workers, tick)
     report = make_report(plan, results, _command(plan, names, quick))
     write_report(out, "compare", report, markdown(report))
     draw_comparison(report, out / "compare.png")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lab.commands.complete_sets import complete_object_sets
 from mirrorwave.completion import complete_profiles
-from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from lab.evaluate.methods import Method
     from lab.training.data.frames import DataSet, Splits
     from msgs.values.radar import RadarSetup
+
+
+#: Thresholds of the precision-recall curves, and bootstrap draws of the intervals.
+SWEEP, DRAWS = 8, 1000
 
 
 class SplitOption(StrEnum):
@@ -80,7 +84,6 @@ def evaluate(
     count: Annotated[
         int | None, typer.Option(min=1, help="With --table, or --objects and no --set: places of --seed [100].")
     ] = None,
-    places: Annotated[int | None, former_name("places")] = None,
     moving: Annotated[
         bool, typer.Option("--moving", help="With --objects and no --set: radar and road users move.")
     ] = False,
@@ -88,32 +91,17 @@ def evaluate(
         str, typer.Option(metavar="all|auto|basic|LIST", help="With --table, or --objects and no --set: effects.")
     ] = "all",
     workers: Annotated[int, typer.Option(min=1, help="With --objects, --table: places measured at a time.")] = 1,
-    false_cost: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            help="With --objects: missed objects that a false report costs [that of the sets].",
-            show_default=False,
-        ),
-    ] = None,
     method: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[NAME=]SPEC",
             help="cfar, cfar-nlos, truth or FILE.onnx, then with commas: refine[=WAY], residual=FILE, "
-            "geometry=ours|specification, threshold=T, GROUP.KEY=VALUE. May be given again.",
+            "geometry=ours|specification, threshold=T, GROUP.KEY=VALUE. "
+            "May be given again; the others are compared with the last.",
             show_default=False,
         ),
     ] = None,
     split: Annotated[SplitOption, typer.Option(help="Scenes to evaluate.")] = SplitOption.TEST,
-    truth: Annotated[Literal["thinned"], typer.Option(hidden=True)] = "thinned",
-    threshold: Annotated[
-        float | None,
-        typer.Option(min=0.001, max=0.999, help="For networks whose method names none; else their card's."),
-    ] = None,
-    reference: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Method the others are compared with; default the last.")
-    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -122,8 +110,6 @@ def evaluate(
             "[runs/table5-SEED] also a file a place: the same command goes on where it stopped.",
         ),
     ] = None,
-    sweep: Annotated[int, typer.Option(min=0, help="Thresholds of the precision-recall curves; 0: none.")] = 8,
-    draws: Annotated[int, typer.Option(min=1, help="Bootstrap draws of the intervals.")] = 1000,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first N frames of the split.")] = None,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of each network.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap, and of the places drawn for --objects.")] = 0,
@@ -131,45 +117,44 @@ def evaluate(
 ) -> None:
     """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
     given: dict[str, object] = {"--data": data, "--profile": profile, "--set": sets, "--moving": moving or None}
-    given |= {"--method": method, "--limit": limit, "--reference": reference}
+    given |= {"--method": method, "--limit": limit}
     if against or truth_file:
         _refuse("--against", given | {"--objects": objects or None, "--table": published_table, "--count": count})
         from lab.commands.evaluate_objects import evaluate_lists
 
-        evaluate_lists(against or [], truth_file or [], draws, seed, false_cost, out, as_json)
+        evaluate_lists(against or [], truth_file or [], DRAWS, seed, out, as_json)
         return
     if published_table is not None:
         _refuse("--table", given | {"--objects": objects or None})
         from lab.commands.evaluate_table import evaluate_table
 
-        evaluate_table(count or places or 100, seed, effects, workers, out, as_json)
+        evaluate_table(count or 100, seed, effects, workers, out, as_json)
         return
     if objects:
-        _refuse("--objects", {"--data": data, "--method": method, "--limit": limit, "--reference": reference})
+        _refuse("--objects", {"--data": data, "--method": method, "--limit": limit})
         from lab.commands.evaluate_objects import evaluate_objects
         from lab.evaluate.place_report import ObjectRequest
 
         evaluate_objects(
             ObjectRequest(
-                sets=sets or [], profiles=profile or ["default"], places=count or places, moving=moving,
-                effects=effects, seed=seed, draws=draws, workers=workers, false_cost=false_cost, out=out,
+                sets=sets or [], profiles=profile or ["default"], places=count, moving=moving,
+                effects=effects, seed=seed, draws=DRAWS, workers=workers, out=out,
             ),
             as_json,
         )  # fmt: skip
         return
-    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count or places, "--moving": moving or None})
+    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count, "--moving": moving or None})
     if data is None:
         raise ValueError("--data must name a data set, or --objects ask for random places")
     from lab.evaluate.method_report import Context, make_report, write_report
     from lab.training.data.frames import DataSet, fixed_splits
 
     dataset, splits = DataSet(data), fixed_splits(data)
-    methods = _methods(method or _default_methods(), threshold, threads, dataset.setup)
-    reference_method = _reference(reference, methods)
-    run, sweeps = _run(dataset, splits, methods, split, sweep if out is not None else 0, limit)
+    methods = _methods(method or _default_methods(), threads, dataset.setup)
+    run, sweeps = _run(dataset, splits, methods, split, SWEEP if out is not None else 0, limit)
     context = Context(
-        data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=draws, threads=threads,
-        reference=reference_method,
+        data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=DRAWS, threads=threads,
+        reference=methods[-1].name,
     )  # fmt: skip
     report = make_report(run, sweeps, context)
     if out is not None:
@@ -192,7 +177,7 @@ def _default_methods() -> list[str]:
     return ["cfar", "cfar-nlos", f"ours={DEFAULT_MODEL},refine"]
 
 
-def _methods(texts: list[str], threshold: float | None, threads: int, setup: RadarSetup) -> list[Method]:
+def _methods(texts: list[str], threads: int, setup: RadarSetup) -> list[Method]:
     from lab.evaluate.methods import build_method, parse_method
 
     specs = [parse_method(text) for text in texts]
@@ -200,14 +185,7 @@ def _methods(texts: list[str], threshold: float | None, threads: int, setup: Rad
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"--method names must differ, got {name!r} twice: put NAME= before one")
-    return [build_method(spec, threshold, threads, setup) for spec in specs]
-
-
-def _reference(name: str | None, methods: list[Method]) -> str:
-    names = [method.name for method in methods]
-    if name is not None and name not in names:
-        raise ValueError(f"--reference must be one of {', '.join(names)}, got {name!r}")
-    return name or names[-1]
+    return [build_method(spec, threads, setup) for spec in specs]
 
 
 def _run(

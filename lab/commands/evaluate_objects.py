@@ -26,13 +26,11 @@ def evaluate_lists(
     truths: list[Path],
     draws: int,
     seed: int,
-    false_cost: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Score the lists, write the same files, and print the tables."""
-    cost = 1.0 if false_cost is None else false_cost
-    results = compared(ListRequest(lists=lists, truths=truths, draws=draws, seed=seed, false_cost=cost, out=out))
+    results = compared(ListRequest(lists=lists, truths=truths, draws=draws, seed=seed, out=out))
     _show(results, list(list_tables(results)), out, as_json)
 
 

@@ -20,10 +20,6 @@ def export(
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file; its card is written beside it.")],
     data: Annotated[Path | None, typer.Option(metavar="DIR", help="Data set of the run, if it moved.")] = None,
-    test: Annotated[Path | None, typer.Option(metavar="DIR", help="Data set whose scenes all score the card.")] = None,
-    split: Annotated[
-        Literal["train", "validation", "test", "all"], typer.Option(help="Without --test: split that scores the card.")
-    ] = "test",
     precision: Annotated[
         Literal["fp32", "fp16", "int8"], typer.Option(help="Numbers inside the network; input and output stay fp32.")
     ] = "fp32",
@@ -38,7 +34,7 @@ def export(
     if run.suffix == ".onnx":
         _export_evidence(run, out, data, precision, as_json)
         return
-    config = ExportConfig(data_dir=data, test_dir=test, split=split, precision=precision, range_bins=range_bins)
+    config = ExportConfig(data_dir=data, precision=precision, range_bins=range_bins)
     with progress_bar("export") as progress:
         card = export_run(run, out, config, report=progress.print)
     if as_json:

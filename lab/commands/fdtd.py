@@ -31,7 +31,7 @@ def reflectance(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Table to write (.npz) or to read; none is the shipped one.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes of a rebuild.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Processes of a rebuild.")] = 1,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:

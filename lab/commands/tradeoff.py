@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.completion import complete_profiles
-from mirrorwave.console import AsJson, former_name, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 
 if TYPE_CHECKING:
     from lab.tradeoff.row_report import Report
     from lab.tradeoff.row_runs import Plan
     from lab.tradeoff.rows import Setting
 
-#: Frames and repetitions for a coffee, and for the record.
-QUICK, FULL = (24, 2), (240, 2)
+#: Places for a coffee, and for the record; times each is timed.
+QUICK, FULL, REPEATS = 24, 240, 2
 
 
 def tradeoff(
@@ -40,8 +40,6 @@ def tradeoff(
         ),
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
-    places: Annotated[int | None, former_name("frames")] = None,
-    repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the places, and of the order of the stages.")] = 11,
     simulator: Annotated[bool, typer.Option("--simulator", help="The simulator's own choices instead.")] = False,
     memory: Annotated[bool, typer.Option(help="Measure peak memory, a process a row.")] = True,
@@ -61,8 +59,7 @@ def tradeoff(
     asked = [*(row or []), *(profile or [])]
     by_file = [name for name in dict.fromkeys(profile or []) if name not in profile_names()]
     rows = _selected_rows(read_settings(DEFAULT_SETTINGS, by_file), asked)
-    usual, often = FULL if full else QUICK
-    plan = Plan(rows=rows, frames=count or places or usual, repeats=repeats or often, seed=seed)
+    plan = Plan(rows=rows, frames=count or (FULL if full else QUICK), repeats=REPEATS, seed=seed)
     with progress_bar("places", plan.frames) as tick:
         if busy := busy_reason(load_per_core()):
             tick.print(f"mirrorwave: the machine is busy, times will not count: {busy}")
@@ -110,8 +107,7 @@ def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
 
 def _command(plan: Plan, names: list[str], profiles: list[str]) -> str:
     """Return the command that repeats the run."""
-    words = ["mirrorwave", "tradeoff", "--count", str(plan.frames), "--repeats", str(plan.repeats)]
-    words += ["--seed", str(plan.seed)]
+    words = ["mirrorwave", "tradeoff", "--count", str(plan.frames), "--seed", str(plan.seed)]
     words += [word for name in profiles for word in ("--profile", name)]
     return shlex.join([*words, *(word for name in names for word in ("--row", name))])
 

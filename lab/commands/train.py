@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -39,18 +39,12 @@ def dense(
     inputs: Annotated[
         str | None, typer.Option("--input", metavar="NAME", help="complex, log, both, levels, levels+phase, ...")
     ] = None,
-    objective: Annotated[
-        str | None, typer.Option(metavar="KIND", help="heatmap, binary, binary_focal, anchors; default the network's.")
-    ] = None,
     schedule: Annotated[str, typer.Option(help="one_cycle; published (section 3.3); fine_tuning.")] = "one_cycle",
     epochs: Annotated[int | None, typer.Option(min=1, help="Default: the schedule's.")] = None,
     batch_size: Annotated[int | None, typer.Option(min=1, help="Default: the schedule's.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="Default: the schedule's.")] = None,
     more: Annotated[list[Path] | None, typer.Option(metavar="DIR", help="A further data set, to train on.")] = None,
     limit: Annotated[int, typer.Option(min=0, help="At most this many training scenes; 0: all.")] = 0,
-    without: Annotated[
-        list[str] | None, typer.Option(metavar="relay=KIND|object=CLASS", help="Leave scenes with it out.")
-    ] = None,
     init: Annotated[Path | None, typer.Option(metavar="FILE", help="Checkpoint or ONNX file to start from.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Augmentation and first weights.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
@@ -60,7 +54,6 @@ def dense(
     import msgspec
 
     from lab.training.data.samples import DataConfig, load_training_data
-    from lab.training.data.selection import parse_selection
     from lab.training.families import FAMILIES, preset_network
     from lab.training.schedules import SCHEDULES
     from lab.training.train_dense import DenseTraining, TrainDenseConfig
@@ -73,7 +66,7 @@ def dense(
     given: dict[str, Any] = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
     config = TrainDenseConfig(
         network=choice,
-        objective=_objective(FAMILIES[family].objective, objective, schedule),
+        objective=_objective(FAMILIES[family].objective, schedule),
         schedule=replace(SCHEDULES[schedule], **{name: value for name, value in given.items() if value is not None}),
         seed=seed,
         threads=threads,
@@ -81,7 +74,7 @@ def dense(
     )
     folders = tuple(str(folder) for folder in more or ())
     data_config = DataConfig(
-        directory=str(data), more=folders, limit=limit, selection=parse_selection(without or []), seed=seed,
+        directory=str(data), more=folders, limit=limit, seed=seed,
         encoding=encoding, grid=_grid(data),
     )  # fmt: skip
     training = DenseTraining(config, load_training_data(data_config), out)
@@ -112,17 +105,9 @@ def _run(training: DenseTraining) -> None:
         training.run(show, lambda done, of: progress())
 
 
-def _objective(default: ObjectiveConfig, kind: str | None, schedule: str) -> ObjectiveConfig:
-    """The network's objective unless another is asked for; fine-tuning has the released class weights."""
-    import msgspec
-
-    from lab.training.objectives.objectives import ObjectiveKind
-
-    weights = (1.5, 1.0) if schedule == "fine_tuning" else default.class_weights
-    fields = msgspec.to_builtins(default) | {"class_weights": weights} | ({"kind": kind} if kind else {})
-    if kind is not None and kind not in get_args(ObjectiveKind):
-        raise ValueError(f"--objective must be one of {', '.join(get_args(ObjectiveKind))}, got {kind!r}")
-    return msgspec.convert(fields, type(default))
+def _objective(default: ObjectiveConfig, schedule: str) -> ObjectiveConfig:
+    """The network's objective; fine-tuning has the released class weights."""
+    return replace(default, class_weights=(1.5, 1.0)) if schedule == "fine_tuning" else default
 
 
 def _grid(data: Path) -> RangeAzimuthGrid:

@@ -28,8 +28,7 @@ def objects(
     fields: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Field network (ONNX), in place of training one.")
     ] = None,
-    field_epochs: Annotated[int, typer.Option(min=1)] = 8,
-    epochs: Annotated[int, typer.Option(min=1)] = 8,
+    epochs: Annotated[int, typer.Option(min=1, help="Of each network.")] = 8,
     minutes: Annotated[
         float | None, typer.Option(min=0.1, help="Most minutes for samples and for epochs, of each network.")
     ] = None,
@@ -74,7 +73,7 @@ def objects(
             mixed_precision=not full_precision,
         )
 
-    with progress_bar("epochs", epochs + field_epochs * (fields is None)) as progress:
+    with progress_bar("epochs", epochs * (2 if fields is None else 1)) as progress:
 
         def show(network: str, epoch: GridEpoch) -> None:
             scores = ", ".join(f"{name} {value:.3f}" for name, value in epoch.scores.items())
@@ -82,7 +81,7 @@ def objects(
             progress()
 
         if fields is None:
-            run.train_fields(schedule(field_epochs, FIELD_RATE, FIELD_DECAY), show)
+            run.train_fields(schedule(epochs, FIELD_RATE, FIELD_DECAY), show)
         else:
             run.take_fields(fields)
         card = run.train_evidence(schedule(epochs, EVIDENCE_RATE, EVIDENCE_DECAY), show)

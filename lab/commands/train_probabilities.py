@@ -32,9 +32,6 @@ def probabilities(
     flip_test: Annotated[
         bool, typer.Option("--flip-test", help="Both networks look at a scan and at its mirror image.")
     ] = False,
-    false_cost: Annotated[
-        float, typer.Option(min=0.0, help="Missed objects that a false report costs, for the threshold.")
-    ] = 1.0,
     workers: Annotated[int, typer.Option(min=1, help="Files of samples made at a time.")] = 1,
     json: AsJson = False,
 ) -> None:
@@ -45,9 +42,9 @@ def probabilities(
     from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
 
     detector = model or DEFAULT_MODEL
-    card = _fitted(network, validation, detector, out / VALIDATION_SAMPLES, flip_test, false_cost, workers)
+    card = _fitted(network, validation, detector, out / VALIDATION_SAMPLES, flip_test, workers)
     command = f"mirrorwave train probabilities {network}{''.join(f' --validation {path}' for path in validation)}"
-    command += f" --out {out} --model {detector.name}{' --flip-test' if flip_test else ''} --false-cost {false_cost:g}"
+    command += f" --out {out} --model {detector.name}{' --flip-test' if flip_test else ''}"
     fitted = {"command": command, "detector_sha256": load_card(detector).sha256}
     card = msgspec.structs.replace(card, training={**card.training, "probabilities": fitted})
     write_card(card, network)
@@ -67,7 +64,6 @@ def _fitted(
     detector: Path,
     samples: Path,
     flip_test: bool,
-    false_cost: float,
     workers: int,
 ) -> EvidenceCard:
     from lab.training.data.evidence_store import EvidenceTask, make_files
@@ -78,4 +74,4 @@ def _fitted(
     task = EvidenceTask(predictor.card.encoding, detector, predictor.fields_path, flip_test)
     with progress_bar("samples and answers"):
         files = sorted(make_files(validation, task, samples, None, workers))
-        return with_probabilities(predictor.card, predictor, files, false_cost)
+        return with_probabilities(predictor.card, predictor, files)

@@ -20,10 +20,6 @@ MODEL_FILE, CURVES_PICTURE, SAMPLES = "residual.onnx", "curves.png", "samples-{}
 def residual(
     data: Annotated[Path, typer.Option(metavar="DIR", help="Data set; its fixed splits are used.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
-    source: Annotated[Literal["truth", "peaks", "both"], typer.Option(help="Labels, detected peaks, both.")] = "peaks",
-    frame: Annotated[
-        Literal["radar", "wall", "published"], typer.Option(help="Coordinates the network sees an image in.")
-    ] = "wall",
     geometry: Annotated[
         Literal["ours", "published"], typer.Option(help="Walls and association that peaks are folded by.")
     ] = "ours",
@@ -50,10 +46,8 @@ def residual(
 
     detector = model or DEFAULT_MODEL
     config = ResidualRunConfig(
-        training=TrainResidualConfig(
-            epochs=epochs, seed=seed, frame=frame, reach_m=reach_m, threads=threads, init=str(init or "")
-        ),
-        samples=SampleConfig(source=source, geometry=geometry),
+        training=TrainResidualConfig(epochs=epochs, seed=seed, reach_m=reach_m, threads=threads, init=str(init or "")),
+        samples=SampleConfig(geometry=geometry),
         data={
             "directory": str(data),
             "test_sha256": fixed_splits(data).test_sha256,
@@ -65,7 +59,7 @@ def residual(
     training = ResidualTraining(config, folded["train"], folded["validation"], out)
     _run(training)
     draw_residual_curves(training.reports, out / CURVES_PICTURE)
-    command = f"mirrorwave train residual --data {data} --out {out} --source {source} --frame {frame}"
+    command = f"mirrorwave train residual --data {data} --out {out}"
     command += f" --geometry {geometry} --model {detector} --reach-m {reach_m:g} --epochs {epochs} --seed {seed}"
     command += f" --init {init}" if init else ""
     scores = export_residual_run(out, folded["test"], out / MODEL_FILE, command).metrics
@@ -76,7 +70,7 @@ def residual(
 
 
 def _folded(data: Path, model: Path, config: SampleConfig, out: Path) -> dict[str, FoldedImages]:
-    """Folded images of each split, kept in the run folder; validation and test are always of detected peaks."""
+    """Folded images of each split, kept in the run folder."""
     from lab.training.data.frames import DataSet, fixed_splits
     from lab.training.data.residual_samples import fold_scenes, load_folded, save_folded
     from models.perception.find.detectors import NetworkDetector
@@ -85,11 +79,11 @@ def _folded(data: Path, model: Path, config: SampleConfig, out: Path) -> dict[st
     for split in ("train", "validation", "test"):
         path = out / SAMPLES.format(split)
         if not path.exists():
-            indices, source = splits.of(split), config.source if split == "train" else "peaks"
+            indices = splits.of(split)
             # the published chain takes the heatmap's maxima
             detector = NetworkDetector(scenes.setup, model, refine=config.geometry == "ours")
             with progress_bar(f"{split} scenes", len(indices)) as on_scene:
-                save_folded(path, fold_scenes(scenes, indices, source, detector, config, on_scene))
+                save_folded(path, fold_scenes(scenes, indices, detector, config, on_scene))
         folded[split] = load_folded(path)
     return folded
 

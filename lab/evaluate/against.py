@@ -21,6 +21,8 @@ from msgs.values.wording import counted
 
 #: A list and a truth that share scan ids and differ by more are not of one drive.
 MAX_APART_S = 1.0
+#: Missed objects that a false report costs.
+FALSE_COST = 1.0
 _WORDS = ("found", "error", "false", "loss", "MOTA, IDF1, HOTA", "interval")
 
 
@@ -32,7 +34,6 @@ class ListRequest:
     truths: Sequence[Path]
     draws: int
     seed: int
-    false_cost: float
     out: Path | None
 
 
@@ -59,7 +60,7 @@ def compared(request: ListRequest) -> dict[str, Any]:
         "lists": [str(path) for path in lists],
         "truths": [str(path) for path in truths],
         "draws": request.draws,
-        "objects": object_report(scores, weights, request.false_cost),
+        "objects": object_report(scores, weights, FALSE_COST),
         "tracks": drive_report(scores, weights) if tracked else None,
     }
 

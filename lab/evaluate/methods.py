@@ -165,26 +165,24 @@ def _check(spec: MethodSpec) -> None:
         raise ValueError(f"--method {spec.text!r}: confidence must go with geometry=ours, got {spec.geometry}")
 
 
-def build_method(
-    spec: MethodSpec, threshold: float | None = None, threads: int = 1, setup: RadarSetup | None = None
-) -> Method:
-    """Load what a method needs; `threshold` is for networks that name none, `setup` None the default radar.
+def build_method(spec: MethodSpec, threads: int = 1, setup: RadarSetup | None = None) -> Method:
+    """Load what a method needs; `setup` None is the default radar.
 
     Raises `ValueError` naming the method.
     """
     try:
-        return _built(spec, threshold, threads, setup or RadarSetup())
+        return _built(spec, threads, setup or RadarSetup())
     except (ValueError, msgspec.MsgspecError) as error:
         raise ValueError(f"--method {spec.name}: {error}") from None
 
 
-def _built(spec: MethodSpec, threshold: float | None, threads: int, setup: RadarSetup) -> Method:
+def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
     residual, weights = _residual(spec, threads)
     grid, detect_all = None, None
     if spec.kind == ".onnx":
         card = load_card(Path(spec.source))
         grid, weights = card.grid, weights + card.parameters
-        at = spec.threshold or threshold or card.threshold_for(Refine.of(spec.refine))
+        at = spec.threshold or card.threshold_for(Refine.of(spec.refine))
         detect, detect_all = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0

@@ -63,7 +63,6 @@ class ObjectRequest:
     seed: int
     draws: int
     workers: int
-    false_cost: float | None
     out: Path | None
 
 
@@ -110,7 +109,7 @@ def _plans(request: ObjectRequest) -> tuple[dict[str, ObjectPlan], float]:
         sets = {DRAWN: drawn}
     settings = [profile_setting(name) for name in request.profiles]
     plans = {name: ObjectPlan(set=object_set, profiles=settings) for name, object_set in sets.items()}
-    return plans, committed.false_cost if request.false_cost is None else request.false_cost
+    return plans, committed.false_cost
 
 
 @contextmanager

@@ -19,7 +19,6 @@ from lab.training.data.frames import Frame
 from models.perception.find.detectors import Detector
 from models.perception.mirrors.confidence import FEATURES, PositionConfidence, position_features, standardised
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
-from models.perception.mirrors.recovery import Residual
 from msgs.values.arrays import require_positive
 from msgs.values.perception import PathClass
 
@@ -59,12 +58,10 @@ class ScenePositions:
         return np.asarray(cKDTree(self.truth_m).query(self.points_m)[0] < REACH_M)
 
 
-def scene_positions(
-    frame: Frame, detector: Detector, params: GeometryParams, residual: Residual | None = None
-) -> ScenePositions:
+def scene_positions(frame: Frame, detector: Detector, params: GeometryParams) -> ScenePositions:
     """Return the positions that the geometry stage derives from a detector's peaks in a frame."""
     peaks = detector.detect(frame.ra_map)
-    scan = fold_scan(peaks, params, residual)
+    scan = fold_scan(peaks, params)
     features = position_features(scan.recovered, scan.walls, scan.returns, params.recovery)
     return ScenePositions(scan.recovered.points_m, features, scan.recovered.score, _true_places(frame))
 
@@ -185,12 +182,11 @@ def collected(
     frames: Iterable[Frame],
     detector: Detector,
     params: GeometryParams,
-    residual: Residual | None = None,
     on_scene: Callable[[], None] = lambda: None,
 ) -> list[ScenePositions]:
     """Return the positions of many scenes; `on_scene` is called for each."""
     scenes = []
     for frame in frames:
-        scenes.append(scene_positions(frame, detector, params, residual))
+        scenes.append(scene_positions(frame, detector, params))
         on_scene()
     return scenes

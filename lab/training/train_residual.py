@@ -32,7 +32,7 @@ class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
     #: Images that the mirror law leaves further than this from their true position were mirrored elsewhere: they are
     #: excluded from training and from the selection of the checkpoint. The published training uses all (1000).
     reach_m: float = 2.0
-    frame: ResidualFrame = "radar"
+    frame: ResidualFrame = "wall"
     threads: int = 1
     #: File of initial weights.
     init: str = ""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lab.transients.confocal import read_confocal
-from lab.transients.light_cone import Falloff, reconstruct
+from lab.transients.light_cone import DEFAULT_SNR, Falloff, reconstruct
 from lab.transients.scan import ConfocalTransients
 from lab.transients.shape import HiddenShape, hidden_shape
 from msgs.files.checksums import file_sha256, json_lines
@@ -17,9 +17,7 @@ from msgs.files.whole_files import whole, write_whole
 from msgs.values.wording import as_utf8
 
 
-def import_transients(
-    capture: Path, out: Path, bin_s: float, min_range_m: float, falloff: Falloff, snr: float
-) -> dict[str, Any]:
+def import_transients(capture: Path, out: Path, bin_s: float, min_range_m: float, falloff: Falloff) -> dict[str, Any]:
     """Write `hidden.png`, `hidden.npz` (brightness, depth_m, wall_m) and, last, `summary.json`; returns the summary.
 
     Raises `ValueError` where `out` holds something, for a file that cannot be read, and for parameters out of range.
@@ -31,7 +29,7 @@ def import_transients(
     scan = read_confocal(capture, bin_s)
     first_bin = scan.bin_at(min_range_m)
     try:
-        shape = hidden_shape(reconstruct(scan, first_bin, falloff, snr), scan)
+        shape = hidden_shape(reconstruct(scan, first_bin, falloff), scan)
     except ValueError as error:
         raise ValueError(f"{capture}: {error}") from None
     out.mkdir(parents=True, exist_ok=True)
@@ -47,7 +45,7 @@ def import_transients(
         "hidden_photons": int(scan.counts[..., first_bin:].sum(dtype=np.uint64)),
         "min_range_m": min_range_m,
         "falloff": falloff,
-        "snr": snr,
+        "snr": DEFAULT_SNR,
         "distance_m": shape.distance_m,
         "tilt_deg": math.degrees(shape.tilt_rad),
         "plane": {"depth_m": shape.plane[0], "slopes": list(shape.plane[1:])},

@@ -104,9 +104,7 @@ def _overlaps(bins: int) -> sparse.csr_array:
     return sparse.csr_array((np.diff(cuts).astype(np.float32), at), shape=(bins, bins))
 
 
-def reconstruct(
-    scan: ConfocalTransients, first_bin: int, falloff: Falloff = "retroreflective", snr: float = DEFAULT_SNR
-) -> np.ndarray:
+def reconstruct(scan: ConfocalTransients, first_bin: int, falloff: Falloff = "retroreflective") -> np.ndarray:
     """Return the reflectance of the hidden volume over depth, float32 [points, points, bins], not below 0.
 
     Bins before `first_bin` hold the return of the wall itself and count as dark. Raises `ValueError` for a bin that
@@ -116,4 +114,4 @@ def reconstruct(
         raise ValueError(f"first_bin must lie in 0..{scan.bins - 1}, got {first_bin!r}")
     counts = scan.counts.astype(np.float32)
     counts[..., :first_bin] = 0.0
-    return np.maximum(LightCone(scan, falloff).invert(counts, snr), 0.0)
+    return np.maximum(LightCone(scan, falloff).invert(counts), 0.0)

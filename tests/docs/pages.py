@@ -95,7 +95,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
     # all rows, and those of the simulator: tests/lab/tradeoff
     (r"^mirrorwave tradeoff (--simulator|--full).*$", r"mirrorwave tradeoff \1 --help"),
-    (r"^mirrorwave tradeoff(?!.*--help)(.*)$", r"mirrorwave tradeoff\1 --count 1 --repeats 1 --no-memory"),
+    (r"^mirrorwave tradeoff(?!.*--help)(.*)$", r"mirrorwave tradeoff\1 --count 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here
     (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),
@@ -103,7 +103,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^scp vehicle:(\S+) \.$", r"test -f \1"),
     (r"/run/user/1000", "$XDG_RUNTIME_DIR"),
     (r"-i socketcan -c can0", "-i virtual -c docs --duration 1"),
-    (r"^(mirrorwave eval .*)$", r"\1 --draws 10 --limit 2"),
+    (r"^(mirrorwave eval .*)$", r"\1 --limit 2"),
 )
 
 

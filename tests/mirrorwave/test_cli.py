@@ -94,9 +94,9 @@ def test_the_whole_help_lists_each_verb_once_with_an_example_that_its_parser_tak
 
 def test_options_are_taken_by_their_former_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "--jobs", "0"]) == 2
-    assert "'--jobs'" in capsys.readouterr().err
+    assert "'--workers'" in capsys.readouterr().err
     assert main(["tradeoff", "--frames=0"]) == 2
-    assert "'--frames'" in capsys.readouterr().err
+    assert "'--count'" in capsys.readouterr().err
     assert main(["eval", "--places", "3", "--data", "d"]) == 2
     assert capsys.readouterr().err == "mirrorwave: --count must not be given with --data\n"
     assert main(["sim", "dataset", "--places", "nowhere", "--count", "1", "--out", "d"]) == 2
@@ -224,7 +224,6 @@ WITHOUT_JSON = {
     "train residual": "trains; the card of the network is the output",
     "bag record": "records until it is ended",
     "bag recover": "writes a recording, which `bag info --json` describes",
-    "bag trim": "writes a recording, which `bag info --json` describes",
     "bag filter": "writes a recording, which `bag info --json` describes",
     "bag merge": "writes a recording, which `bag info --json` describes",
     "topic pub": "publishes; `topic echo --json` shows it",

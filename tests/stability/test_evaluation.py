@@ -90,7 +90,7 @@ def test_another_grid_is_refused_before_any_frame(tmp_path: Path, capsys: pytest
 
 def test_split_that_leaks_a_scene_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_maps(tmp_path / "data")
-    words = ("eval", "--data", str(folder), "--method", "cfar", "--limit", "1", "--draws", "5", "--json")
+    words = ("eval", "--data", str(folder), "--method", "cfar", "--limit", "1", "--json")
     assert main(list(words)) == 0
     capsys.readouterr()
     splits = json.loads((folder / "splits.json").read_text())

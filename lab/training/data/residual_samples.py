@@ -1,13 +1,13 @@
 """Training samples of the residual network: images folded back by the mirror law, and their true positions.
 
-Two sources. `truth`: the labels of a scene with the wall fit of the released training. `peaks`: the real input of the
-geometry stage, the peaks a network detects, behind the walls found from them. Both run the stage's own code.
+They are the real input of the geometry stage, by its own code: the peaks a network detects, behind the walls found from
+them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from lab.measures.point_scores import Counts, chamfer, match_points, recovered_counts
-from lab.training.data.frames import DataSet, Frame, FrameLabels
+from lab.training.data.frames import DataSet, FrameLabels
 from models.perception.find.detectors import Detector
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
@@ -26,18 +26,12 @@ from msgs.files.whole_files import whole
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks
 
-Source = Literal["truth", "peaks", "both"]
 Geometry = Literal["ours", "published"]
-
-
-#: Walls of the released training, which fits them to truth with other settings than its inference.
-TRAINING_WALLS = PublishedParams(cluster_eps_m=10.0, cluster_min_points=3, rounds=100, inlier_m=0.5, nearest_share=0.0)
 
 
 class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Source of samples; part of a run's configuration."""
 
-    source: Source = "peaks"
     #: Walls and association behind which detected images are folded.
     geometry: Geometry = "ours"
     #: A detected image is assigned to the nearest truth image within this (one to one).
@@ -118,9 +112,9 @@ def fold_ours(peaks: Peaks) -> Folded:
     return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
 
 
-def fold_published(peaks: Peaks, params: PublishedParams | None = None) -> Folded:
+def fold_published(peaks: Peaks) -> Folded:
     """Return the images of a scene as folded by the published back end."""
-    returns, walls = published_structure(peaks, params or PublishedParams())
+    returns, walls = published_structure(peaks, PublishedParams())
     recovered = recover(peaks, walls, returns, BUDDY)
     return recovered, reflection_state(recovered, walls, returns)
 
@@ -168,20 +162,9 @@ def truth_peaks(labels: FrameLabels) -> Peaks:
     )
 
 
-def fold_frame(frame: Frame, source: Source, detector: Detector, config: SampleConfig) -> Iterator[FoldedImages]:
-    """Yield the images of one scene by one source, or by both."""
-    if source != "peaks":
-        folded = fold_published(truth_peaks(frame.labels), TRAINING_WALLS)
-        yield with_truth(folded, frame.labels, frame.index, config.gate_m)
-    if source != "truth":
-        folded = GEOMETRIES[config.geometry](detector.detect(frame.ra_map))
-        yield with_truth(folded, frame.labels, frame.index, config.gate_m)
-
-
 def fold_scenes(
     data: DataSet,
     indices: Iterable[int],
-    source: Source,
     detector: Detector,
     config: SampleConfig,
     on_scene: Callable[[], None] = lambda: None,
@@ -189,7 +172,8 @@ def fold_scenes(
     """Return the images of many scenes; `on_scene` is called for each."""
     parts: list[FoldedImages] = []
     for frame in data.frames(indices):
-        parts += fold_frame(frame, source, detector, config)
+        folded = GEOMETRIES[config.geometry](detector.detect(frame.ra_map))
+        parts.append(with_truth(folded, frame.labels, frame.index, config.gate_m))
         on_scene()
     return join(parts)
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from lab.training.data.frames import DataSet, FrameLabels, Scan, Splits, fixed_splits, scan_map, speed_unit_std_mps
-from lab.training.data.selection import Selection, select
 from models.perception.find.encoding import Encoding, encode_columns, sample_columns
 from models.perception.form.coarray import AzimuthInterpolator, beam_matrix
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -73,8 +72,6 @@ class DataConfig:
     more: tuple[str, ...] = ()
     #: At most this many training scenes (0: all), drawn once.
     limit: int = 0
-    #: Scenes with these relays or objects are left out of training and validation.
-    selection: Selection = field(default_factory=Selection)
     #: Of the perturbations.
     seed: int = 0
     #: Share of the training samples formed with a perfect radar.
@@ -111,20 +108,19 @@ def load_training_data(config: DataConfig) -> TrainingData:
     data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
     _check_grid(data, config.grid)
     config.encoding.check_array(data.setup, config.grid)
-    train = _selected(data, splits.of("train"), config.selection)
+    train = _scans(data, splits.of("train"))
     for directory in config.more:
         more = DataSet(Path(directory))
         _check_grid(more, config.grid)
         if more.setup is not data.setup:
             raise ValueError(f"{directory}: preset must be that of {config.directory}")
         _refuse_leaks(data, splits, more)
-        train += _selected(more, np.arange(len(more)), config.selection)
+        train += _scans(more, np.arange(len(more)))
     if 0 < config.limit < len(train):
         kept = np.sort(np.random.default_rng(config.seed).permutation(len(train))[: config.limit])
         train = [train[index] for index in kept]
     former = SampleFormer(config, data.setup)
-    validation = _selected(data, splits.of("validation"), config.selection)
-    formed = [former.sample(scan) for scan in validation]
+    formed = [former.sample(scan) for scan in _scans(data, splits.of("validation"))]
     return TrainingData(train=train, validation=formed, config=config, setup=data.setup)
 
 
@@ -133,9 +129,8 @@ def _check_grid(data: DataSet, grid: RangeAzimuthGrid) -> None:
         raise ValueError(f"{data.directory}: grid must be {grid}, got {data.grid}")
 
 
-def _selected(data: DataSet, indices: np.ndarray, selection: Selection) -> list[Scan]:
-    scans = [data.scan(int(index)) for index in indices]
-    return [scans[index] for index in select(scans, range(len(scans)), selection)]
+def _scans(data: DataSet, indices: np.ndarray) -> list[Scan]:
+    return [data.scan(int(index)) for index in indices]
 
 
 def _refuse_leaks(data: DataSet, splits: Splits, more: DataSet) -> None:

@@ -4,9 +4,9 @@ Axes of the source: x = r sin(-azimuth) to the right, y = r cos(azimuth) ahead; 
 that (x, y) = (y, -x) of the source and azimuths agree in sign. Points are given in the plane; heights are dropped.
 
 - `sim`: a complex map `NAME.npy` [512, 256] and its points `NAME.npz` with L, G and T of shape (3, N) [m]. By the order
-  of the release's description L is direct (LOS), G the mirror images and T their true positions; `SimKeys` can say
-  otherwise. The range axis is the supplement's 512 bins of c / 2B, printed as 0..109.4 m: maps stay unchanged on the
-  default grid, which differs by a tenth of a bin at its far end.
+  of the release's description L is direct (LOS), G the mirror images and T their true positions. The range axis is
+  the supplement's 512 bins of c / 2B, printed as 0..109.4 m: maps stay unchanged on the default grid, which differs by
+  a tenth of a bin at its far end.
 - `real`: a folder a capture with a Welch power spectrum [512, 256] and points of shape (N, 2). The range axis runs from
   4.521 to 43.994 m; our grids start at 0, so power is interpolated onto 512 bins of 43.994 / 511 m, and cells
   before the start are filled with the map's noise. Power below zero, left over by the background's subtraction,
@@ -44,17 +44,10 @@ SPECTRUM = "welch_interpolated_background_subtracted.npz"
 SPECTRUM_KEY = "Pxx"
 POINTS_FOLDER = "labeled_points"
 SCENES_PER_SHARD = 50
+#: Meaning of the arrays of a simulated points file.
+SIM_KEYS = {"direct": "L", "image": "G", "true_place": "T"}
 #: Share of a map's cells that count as quiet: of exponential noise, they lie below -log(1 - share) of its mean.
 QUIET_SHARE = 0.2
-
-
-@dataclass(frozen=True, kw_only=True)
-class SimKeys:
-    """Meaning of the arrays of a simulated points file."""
-
-    direct: str = "L"
-    image: str = "G"
-    true_place: str = "T"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +144,7 @@ def _name(path: Path, directory: Path) -> str:
     return path.relative_to(directory).as_posix() if path != directory else directory.resolve().name
 
 
-def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | None = None) -> ImportedFrame:
+def read_capture(capture: Capture, kind: Kind, directory: Path) -> ImportedFrame:
     """Return one capture in our units and frames.
 
     Raises `ValueError` that names file, field, value and rule: an array missing, of another shape or type, not finite,
@@ -159,7 +152,7 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
     """
     if kind == "sim":
         values, negative = _sim_map(capture.map_path), 0
-        direct, image, true_place = _sim_points(capture.point_paths[0], keys or SimKeys())
+        direct, image, true_place = _sim_points(capture.point_paths[0])
         noise = noise_of(np.square(np.abs(values.astype(np.complex128))))
     else:
         power, negative = _real_map(capture.map_path)
@@ -232,12 +225,10 @@ def _real_map(path: Path) -> tuple[np.ndarray, int]:
     return np.maximum(power.astype(np.float64), 0.0), int(np.count_nonzero(power < 0.0))
 
 
-def _sim_points(path: Path, keys: SimKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sim_points(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return direct points, images and true positions [N, 2] in the radar's frame."""
     arrays = _load(path)
-    direct, image, true_place = (
-        _points(path, key, _field(path, arrays, key), 1) for key in (keys.direct, keys.image, keys.true_place)
-    )
+    direct, image, true_place = (_points(path, key, _field(path, arrays, key), 1) for key in SIM_KEYS.values())
     return direct, image, true_place
 
 
@@ -289,7 +280,6 @@ def import_folder(
     directory: Path,
     out: Path,
     kind: Kind = "sim",
-    keys: SimKeys | None = None,
     skip_broken: bool = False,
     on_capture: Callable[[int, int], None] = lambda done, total: None,
 ) -> ImportSummary:
@@ -308,7 +298,7 @@ def import_folder(
     out.mkdir(parents=True, exist_ok=True)
     summary, sources = ImportSummary(broken=faults), []
     shard: list[ImportedFrame] = []
-    for frame in _read_all(captures, kind, directory, keys, skip_broken, summary, on_capture):
+    for frame in _read_all(captures, kind, directory, skip_broken, summary, on_capture):
         sources.append({"sequence": frame.sequence} | frame.source)
         shard.append(frame)
         if len(shard) == SCENES_PER_SHARD:
@@ -318,7 +308,7 @@ def import_folder(
         _write_shard(out, summary, shard)
     if not sources:
         raise ValueError(f"{directory}: captures must be readable, none is: {summary.broken[0]}")
-    write_whole(out / "series.json", json_lines(_series(kind, keys, sources, summary)))
+    write_whole(out / "series.json", json_lines(_series(kind, sources, summary)))
     return summary
 
 
@@ -326,14 +316,13 @@ def _read_all(
     captures: list[Capture],
     kind: Kind,
     directory: Path,
-    keys: SimKeys | None,
     skip_broken: bool,
     summary: ImportSummary,
     on_capture: Callable[[int, int], None],
 ) -> Iterator[ImportedFrame]:
     for done, capture in enumerate(captures, start=1):
         try:
-            yield read_capture(capture, kind, directory, keys)
+            yield read_capture(capture, kind, directory)
         except ValueError as error:
             if not skip_broken:
                 raise
@@ -341,7 +330,7 @@ def _read_all(
         on_capture(done, len(captures))
 
 
-def _series(kind: Kind, keys: SimKeys | None, sources: list[dict[str, Any]], summary: ImportSummary) -> dict[str, Any]:
+def _series(kind: Kind, sources: list[dict[str, Any]], summary: ImportSummary) -> dict[str, Any]:
     """Return the metadata of the folder."""
     first_m, last_m = SIM_RANGE_M if kind == "sim" else REAL_RANGE_M
     return {
@@ -353,7 +342,7 @@ def _series(kind: Kind, keys: SimKeys | None, sources: list[dict[str, Any]], sum
             "kind": kind,
             "range_axis_m": [first_m, last_m],
             "resampled": kind == "real",
-            "keys": vars(keys or SimKeys()) if kind == "sim" else None,
+            "keys": SIM_KEYS if kind == "sim" else None,
             "noise": f"estimated from the quiet {100 * QUIET_SHARE:.0f} % of each map's cells; powers are relative",
             "broken": summary.broken,
             "frames": sources,

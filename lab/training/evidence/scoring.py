@@ -75,9 +75,7 @@ class CurvePoint:
     loss_per_scan: float
 
 
-def with_probabilities(
-    card: EvidenceCard, predictor: EvidencePredictor, files: Sequence[Path], false_cost: float
-) -> EvidenceCard:
+def with_probabilities(card: EvidenceCard, predictor: EvidencePredictor, files: Sequence[Path]) -> EvidenceCard:
     """Return a card with tables for a vehicle at rest and for one that moves, and with the threshold of the least loss
     and its scores by them, of a predictor's answers to files of validation samples.
     """
@@ -96,7 +94,7 @@ def with_probabilities(
     for stored, answer in answered:
         tally.add(stored, answer)
     points = tally.points()
-    best = min(points, key=lambda point: point.loss_per_scan + (false_cost - 1.0) * point.false_per_scan)
+    best = min(points, key=lambda point: point.loss_per_scan)
     scores = {name: round(getattr(best, name), 4) for name in CurvePoint.__dataclass_fields__ if name != "threshold"}
     scores |= {f"recall_at_{false}": round(recall_at(points, false), 4) for false in SHOWN_FALSE}
     return msgspec.structs.replace(card, threshold=best.threshold, scores={"scans": float(len(answered)), **scores})

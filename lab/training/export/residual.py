@@ -63,7 +63,7 @@ def _draft(
         parameters=sum(parameter.numel() for parameter in network.parameters()),
         frame=run.training.frame,
         neighbours=network.config.neighbours,
-        source=run.samples.source,
+        source="peaks",
         geometry=run.samples.geometry,
         seed=run.training.seed,
         command=command,

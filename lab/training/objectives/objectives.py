@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from scipy.special import expit
 from torch import Tensor
-from torch.nn import functional
 
 from lab.training.data.samples import PointLabels
 from lab.training.objectives.anchors import anchor_loss, anchor_targets
@@ -20,9 +19,8 @@ from lab.training.objectives.losses import heatmap_focal_loss
 from models.perception.find.anchors import anchor_points
 from models.perception.find.peaks import PeakParams, Points, heatmap_points
 
-#: Gaussian heatmaps and Eq. (23); plain segmentation as section 3.2 tried it; the focal segmentation of Further than
-#: CFAR; anchors with offsets.
-ObjectiveKind = Literal["heatmap", "binary", "binary_focal", "anchors"]
+#: Gaussian heatmaps and Eq. (23); the focal segmentation of Further than CFAR; anchors with offsets.
+ObjectiveKind = Literal["heatmap", "binary_focal", "anchors"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +79,6 @@ class Heatmaps:
             return heatmap_focal_loss(answer, torch.from_numpy(np.stack(heatmaps)).to(answer.device), weights=weights)
         masks = np.stack([class_masks(self.shape, p.row, p.column, p.path_class) for p in labels])
         mask = torch.from_numpy(masks).to(answer.device)
-        if config.kind == "binary":
-            return functional.binary_cross_entropy_with_logits(answer, mask)
         return binary_focal_loss(answer, mask, config.alpha)
 
     def points(self, answer: np.ndarray, floor: float) -> Points:

@@ -245,10 +245,7 @@ class TimedTraining(KeptRun[EpochReport]):
         if config.kind == "heatmap":
             weights = torch.tensor(config.class_weights, device=self.device).reshape(1, -1, 1, 1)
             return heatmap_focal_loss(answer, heatmaps(points, shape, config.sigma_px), weights=weights)
-        mask = masks(points, shape)
-        if config.kind == "binary":
-            return nn.functional.binary_cross_entropy_with_logits(answer, mask)
-        return binary_focal_loss(answer, mask, config.alpha)
+        return binary_focal_loss(answer, masks(points, shape), config.alpha)
 
     def _to_device(self, array: np.ndarray) -> Tensor:
         tensor = torch.from_numpy(array)

@@ -50,8 +50,9 @@ app = typer.Typer(
 )
 app.command()(play)
 app.command("filter")(filter_topics)
-app.command("trim", hidden=True)(filter_topics)
 app.command()(merge)
+#: How long a recorder may take to write its snapshot.
+_SNAPSHOT_S = 60.0
 
 
 @app.command()
@@ -118,11 +119,7 @@ def _launch_of(run_dir: Path) -> dict[str, str]:
 
 
 @app.command()
-def snapshot(
-    timeout: Annotated[float, typer.Option(min=0.1, hidden=True)] = 60.0,
-    as_json: AsJson = False,
-    domain: Domain = DEFAULT_DOMAIN,
-) -> None:
+def snapshot(as_json: AsJson = False, domain: Domain = DEFAULT_DOMAIN) -> None:
     """Have each recorder that was started with --snapshot write what it holds; done when it is written."""
     from msgs.bus.zmq import run_dir
     from nodes.recording.snapshot_trigger import ask, find_recorders
@@ -132,7 +129,7 @@ def snapshot(
         raise no_graph(domain)
     if not recorders:
         raise ValueError(f"domain {domain!r}: no recorder with --snapshot runs here")
-    answers = [ask(path, timeout) for path in recorders]
+    answers = [ask(path, _SNAPSHOT_S) for path in recorders]
     if as_json:
         print_json(answers)
     else:

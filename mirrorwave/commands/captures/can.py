@@ -151,10 +151,9 @@ def _signals_row(row: dict[str, Any]) -> list[Any]:
 def monitor(
     interface: Annotated[str, typer.Option("--interface", "-i", help="python-can's name of it.")] = "socketcan",
     channel: Annotated[str, typer.Option("--channel", "-c", help="Bus, as the interface names it.")] = "can0",
-    bitrate: Annotated[int | None, typer.Option("--bitrate", help="Bits per second, where it must be set.")] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option("--option", "-o", metavar="KEY=VALUE", help="For the interface; may be repeated."),
+        typer.Option("--option", "-o", metavar="KEY=VALUE", help="For the interface, as bitrate=500000; repeatable."),
     ] = None,
     dbc: Dbc = DBC,
     mapping: Mapping = MAPPING,
@@ -168,7 +167,7 @@ def monitor(
     from nodes.vehicle_can import Params, create
 
     params = Params(
-        interface=interface, channel=channel, bitrate=bitrate, options=_options(option or []),
+        interface=interface, channel=channel, options=_options(option or []),
         dbc=str(dbc), mapping=str(mapping),
     )  # fmt: skip
     if signals:

@@ -37,27 +37,16 @@ def xradarnlos(
     kind: Annotated[
         Literal["sim", "real"], typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")
     ] = "sim",
-    keys: Annotated[str, typer.Option(hidden=True)] = "L,G,T",
     skip_broken: Annotated[bool, typer.Option(help="Count captures that cannot be read; exit code 3.")] = False,
     as_json: AsJson = False,
 ) -> int:
     """The published simulated maps or real captures as a data set of maps, for `train` and `eval`."""
-    from lab.training.data.xradarnlos import SimKeys, import_folder
+    from lab.training.data.xradarnlos import import_folder
 
-    wanted_keys = [name.strip() for name in keys.split(",")]
-    if len(wanted_keys) != 3 or not all(wanted_keys) or len(set(wanted_keys)) != 3:
-        raise ValueError(f"--keys must be three different names with commas between them, got {keys!r}")
     if not folder.is_dir():
         raise NotADirectoryError(20, "must be a folder", str(folder))
     with progress_bar("captures") as progress:
-        summary = import_folder(
-            folder,
-            out,
-            kind,
-            SimKeys(direct=wanted_keys[0], image=wanted_keys[1], true_place=wanted_keys[2]),
-            skip_broken,
-            progress.update,
-        )
+        summary = import_folder(folder, out, kind, skip_broken, progress.update)
     for reason in summary.broken:
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
     line = (
@@ -86,7 +75,6 @@ def dca1000(
     remove_static: Annotated[bool, typer.Option(help="Take off what stands still.")] = False,
     mirrored: Annotated[bool, typer.Option(help="Receivers run to the right as the radar looks.")] = False,
     min_range_m: Annotated[float, typer.Option(metavar="M", help="List no return nearer than this.")] = 0.0,
-    returns: Annotated[int, typer.Option(metavar="N", help="Strongest returns to list a frame.")] = 5,
     recording: Annotated[
         Path | None, typer.Option(metavar="REC.mcap", help="New recording of beams, to process or replay.")
     ] = None,
@@ -97,7 +85,7 @@ def dca1000(
     from contrib.boards.dca1000_capture import frames_of
     from contrib.boards.import_dca1000 import ImportParams, capture_files, import_capture, write_recording
 
-    params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
+    params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m)
     chirps = read_config(config, device)
     files = capture_files(capture, chirps)
     for file in files[len(capture) :]:
@@ -219,14 +207,13 @@ def transients(
         Literal["retroreflective", "matt"],
         typer.Option(help="Loss over distance of a hidden surface: r^-2 of retroreflectors, r^-4 of matt ones."),
     ] = "retroreflective",
-    snr: Annotated[float, typer.Option(metavar="RATIO", help="Power of signal over noise; higher is sharper.")] = 1.0,
     as_json: AsJson = False,
 ) -> int:
     """Real photons of a hidden object as its shape, by the light-cone transform."""
     from lab.transients.import_transients import import_transients
 
     with progress_bar(f"reading {capture.name}"):
-        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff, snr)
+        summary = import_transients(capture, out, 1e-12 * bin_ps, min_range_m, falloff)
     line = (
         f"{out}: hidden surface {summary['distance_m']:.3f} m from the wall, tilted by {summary['tilt_deg']:.1f} "
         f"deg; {summary['hidden_photons']} of {summary['photons']} photons; hidden.png, hidden.npz, summary.json"

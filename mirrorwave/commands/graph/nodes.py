@@ -34,8 +34,6 @@ from nodes.viewer.node_table import is_of_peer
 
 app = typer.Typer(help="Look at the nodes of a running graph, and at those there are.", no_args_is_help=True)
 
-#: Signals for `kill`: KILL and TERM end a process, STOP and CONT let it hang and go on.
-_SIGNALS = ("KILL", "TERM", "INT", "STOP", "CONT")
 #: Long enough for two heartbeats of each node after it was found.
 WINDOW_S = 1.6
 WindowS = Annotated[float, typer.Option("--window", metavar="S", min=0.1, help="Listen this long.")]
@@ -244,16 +242,13 @@ def restart(
 @app.command()
 def kill(
     name: NodeName,
-    how: Annotated[str, typer.Option("--signal", metavar="NAME", help=f"One of {', '.join(_SIGNALS)}.")] = "KILL",
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Send a signal to the process of a node; the graph starts one that has ended again, as its `restart` says."""
-    if how not in _SIGNALS:
-        raise ValueError(f"--signal must be one of {', '.join(_SIGNALS)}, got {how!r}")
+    """Kill the process of a node; the graph starts it again, as its `restart` says."""
     heard = _heartbeats(domain, WINDOW_S)
     own = {key: beats for key, beats in heard.items() if not is_of_peer(key)}
     if name not in own:
         raise ValueError(f"unknown node {name!r}; heard of are {', '.join(own)}{did_you_mean(name, own)}")
     pid = own[name][-1].pid
-    os.kill(pid, signal.Signals[f"SIG{how}"])
-    print_line(f"{name}: SIG{how} to pid {pid}")
+    os.kill(pid, signal.SIGKILL)
+    print_line(f"{name}: SIGKILL to pid {pid}")

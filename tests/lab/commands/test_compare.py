@@ -256,7 +256,7 @@ def test_few_counts_ask_for_more_than_a_normal_law() -> None:
         (["--equal", "weight"], "--equal must be one of power, energy, got 'weight'"),
         (["--viewpoints", "0"], "viewpoints must lie in 1..1000, got 0"),
         (["--viewpoints", "100000000000"], "viewpoints must lie in 1..1000, got 100000000000"),
-        (["--jobs", "0"], "Invalid value for '--jobs'"),
+        (["--jobs", "0"], "Invalid value for '--workers'"),
         (["--seed", "-1"], "seed must not be negative, got -1"),
         (["--scene", "no-such.yaml"], "--sweep, --quick and --viewpoints do not go with --scene, got 'no-such.yaml'"),
     ],

@@ -27,7 +27,7 @@ WORDS = ("eval", "--objects", "--profile", "cfar", "--profile", "fast", "--seed"
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run of three places, of which the second holds three objects out of sight."""
     out = tmp_path_factory.mktemp("objects")
-    assert main([*WORDS, "--effects", "basic", "--draws", "20", "--out", str(out)]) == 0
+    assert main([*WORDS, "--effects", "basic", "--out", str(out)]) == 0
     return out
 
 
@@ -59,7 +59,7 @@ def test_report_counts_what_the_rows_hold(made: Path) -> None:
 
 
 def test_page_and_terminal_say_the_same(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*WORDS, "--effects", "basic", "--draws", "20", "--out", str(made)]) == 0
+    assert main([*WORDS, "--effects", "basic", "--out", str(made)]) == 0
     printed, page = capsys.readouterr().out, (made / "results.md").read_text()
     recall = json.loads((made / "results.json").read_text())["sets"]["drawn"]["profiles"]["fast"]["recall"]
     words = f"{recall['part']:g} of {recall['whole']:g}"
@@ -72,9 +72,9 @@ def test_page_and_terminal_say_the_same(made: Path, capsys: pytest.CaptureFixtur
 def test_two_workers_and_a_stopped_run_give_the_same_bytes(made: Path, tmp_path: Path) -> None:
     whole = files(made)
     (made / "drawn" / "places" / "place-00001.json").unlink()
-    assert main([*WORDS, "--effects", "basic", "--draws", "20", "--out", str(made)]) == 0
+    assert main([*WORDS, "--effects", "basic", "--out", str(made)]) == 0
     assert files(made) == whole
-    twice = [*WORDS, "--effects", "basic", "--draws", "20", "--workers", "2", "--out", str(tmp_path)]
+    twice = [*WORDS, "--effects", "basic", "--workers", "2", "--out", str(tmp_path)]
     assert main(twice) == 0
     assert files(tmp_path) == whole
 
@@ -149,7 +149,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
     )
     request = ObjectRequest(
         sets=["a", "b"], profiles=["cfar"], places=None, moving=False, effects="all", seed=0, draws=5, workers=1,
-        false_cost=None, out=tmp_path,
+        out=tmp_path,
     )  # fmt: skip
     results = measured(request)
     losses = [one["profiles"]["cfar"].loss.value for one in results["sets"].values()]

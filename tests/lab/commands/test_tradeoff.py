@@ -50,7 +50,7 @@ def size(name: str) -> int:
 
 
 def run(out: Path, *options: str) -> Report:
-    words = ["--out", str(out), "--frames", "2", "--seed", "12", "--repeats", "1", "--no-memory", "--json", *options]
+    words = ["--out", str(out), "--count", "2", "--seed", "12", "--no-memory", "--json", *options]
     result = CliRunner().invoke(app, words, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return msgspec.json.decode(result.stdout, type=Report)

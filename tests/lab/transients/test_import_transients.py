@@ -57,7 +57,6 @@ def test_same_bytes_twice(capture: Path, tmp_path: Path, capsys: pytest.CaptureF
         (("--min-range-m", "-1"), "min_range_m must be finite and not negative, got -1.0"),
         (("--min-range-m", "nan"), "min_range_m must be finite"),
         (("--min-range-m", "0.6"), "got a dark volume"),
-        (("--snr", "0"), "snr must be finite and positive"),
         (("--bin-ps", "0"), "bin_s must lie in"),
         (("--bin-ps", "inf"), "bin_s must lie in"),
     ],

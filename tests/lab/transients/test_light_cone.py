@@ -81,7 +81,7 @@ def test_forward_then_inverse_gives_a_plane_back() -> None:
 @pytest.mark.parametrize("snr", [0.0, -1.0, np.nan, np.inf])
 def test_an_snr_that_is_none_is_refused(snr: float) -> None:
     with pytest.raises(ValueError, match="snr must be finite and positive"):
-        reconstruct(point_scan((0.0, 0.0, 0.3)), 0, snr=snr)
+        LightCone(point_scan((0.0, 0.0, 0.3))).invert(np.zeros((4, 4, 4), np.float32), snr)
 
 
 def test_a_first_bin_beyond_the_last_is_refused() -> None:

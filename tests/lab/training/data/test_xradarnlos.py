@@ -17,7 +17,6 @@ from lab.training.data.xradarnlos import (
     POINTS_FOLDER,
     REAL_RANGE_M,
     SPECTRUM,
-    SimKeys,
     _check_on_grid,
     grid_of,
     import_folder,
@@ -134,13 +133,6 @@ def test_noise_is_that_of_the_quiet_cells() -> None:
     power[:51] *= 1e4
     assert noise_of(power) == pytest.approx(3.0, rel=0.2)
     assert noise_of(np.zeros((512, 256))) == 0.0
-
-
-def test_keys_can_say_otherwise(tmp_path: Path) -> None:
-    write_sim(tmp_path / "in", "a")
-    import_folder(tmp_path / "in", tmp_path / "out", keys=SimKeys(direct="L", image="G", true_place="L"))
-    labels = DataSet(tmp_path / "out").frame(0).labels
-    assert labels.hidden_xy_m[1] == pytest.approx(labels.hidden_xy_m[0])
 
 
 def test_same_input_same_bytes(tmp_path: Path) -> None:

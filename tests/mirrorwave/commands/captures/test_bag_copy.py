@@ -1,4 +1,4 @@
-"""`bag trim|filter|merge`: what they copy, what they refuse and their exit codes."""
+"""`bag filter|merge`: what they copy, what they refuse and their exit codes."""
 
 from __future__ import annotations
 
