@@ -39,16 +39,11 @@ NARROW = 1e-4
 
 @dataclass(frozen=True)
 class RoughLobe:
-    """Lobe of a wall of rms height and correlation length [m] at a wavelength; ValueError unless finite and positive.
-
-    In the plane (`in_plane`) heights vary along one axis, k^2 l^2 / m becomes k l sqrt(pi / m), and widths per length
-    take the place of areas per area: the two-dimensional form that a full-wave solution is compared with.
-    """
+    """Lobe of a wall of an rms height and a correlation length at a wavelength; ValueError unless all are positive."""
 
     roughness_m: float
     correlation_m: float
     wavelength_m: float
-    in_plane: bool = False
 
     def __post_init__(self) -> None:
         for name in ("roughness_m", "correlation_m", "wavelength_m"):
@@ -84,7 +79,7 @@ class RoughLobe:
     ) -> np.ndarray:
         """Return K; of `across`, the other component of u_i + u_s, the mean over 0..`across`."""
         wave = 2.0 * math.pi / self.wavelength_m
-        size = wave * self.roughness_m, wave * self.effective_correlation_m, self.in_plane
+        size = wave * self.roughness_m, wave * self.effective_correlation_m
         given = np.broadcast_arrays(cos_in, cos_out, along, across)
         flat = [np.ascontiguousarray(values, np.float64).ravel() for values in given]
         return np.asarray(_kernels(*flat, size)).reshape(given[0].shape)
@@ -127,12 +122,9 @@ class RoughLobe:
         reach = math.asinh(math.pi / lobe_rad)
         polar = lobe_rad * np.sinh(0.5 * (step + 1.0) * reach)
         share = 0.5 * share * reach * np.sqrt(polar**2 + lobe_rad**2)
-        if self.in_plane:
-            azimuth, turn = np.array([0.0, math.pi]), np.full(2, 1.0 / (2.0 * math.pi))
-        else:
-            azimuth = math.pi * (np.arange(AZIMUTH_NODES) + 0.5) / AZIMUTH_NODES
-            turn = np.full(AZIMUTH_NODES, 2.0 * math.pi / AZIMUTH_NODES / (4.0 * math.pi))
-            share = share * np.sin(polar)
+        azimuth = math.pi * (np.arange(AZIMUTH_NODES) + 0.5) / AZIMUTH_NODES
+        turn = np.full(AZIMUTH_NODES, 2.0 * math.pi / AZIMUTH_NODES / (4.0 * math.pi))
+        share = share * np.sin(polar)
         polar, azimuth = (grid.ravel() for grid in np.meshgrid(polar, azimuth, indexing="ij"))
         weight = (share[:, None] * turn).ravel()
         sine = np.sqrt(1.0 - cosine**2)[:, None]
@@ -153,20 +145,20 @@ def rough_lobe(roughness_m: float, correlation_m: float, wavelength_m: float) ->
 
 @compiled(error_model="numpy")
 def _kernels(cos_in, cos_out, along, across, size):  # type: ignore[no-untyped-def]
-    """Return K of each direction, [N]; `size`: k s, k l, and whether in the plane."""
-    height, width, in_plane = size
+    """Return K of each direction, [N]; `size`: k s and k l."""
+    height, width = size
     values = np.empty(len(cos_in))
     for n in range(len(cos_in)):
         both = cos_in[n] + cos_out[n]
         # |v_i + v_s|^2 = 2 + 2 v_i . v_s
         facet = 0.5 * (both * both + along[n] * along[n]) / both
         depth = height * height * both * both
-        values[n] = facet * facet * mean_over_orders(depth, width, along[n], across[n], in_plane)
+        values[n] = facet * facet * mean_over_orders(depth, width, along[n], across[n])
     return values
 
 
 @compiled(error_model="numpy")
-def mean_over_orders(depth, width, along, across, in_plane):  # type: ignore[no-untyped-def]
+def mean_over_orders(depth, width, along, across):  # type: ignore[no-untyped-def]
     """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`; the mean over 0..`across`.
 
     All whole orders that count where they are few; else as many in equal steps, which is as exact for smooth terms.
@@ -182,7 +174,7 @@ def mean_over_orders(depth, width, along, across, in_plane):  # type: ignore[no-
         if step > 1.0:
             share = math.exp(order * math.log(depth) - math.lgamma(order + 1.0) - most)
         scale = 0.5 * width / math.sqrt(order)
-        gain = width * math.sqrt(math.pi / order) if in_plane else width * width / order
+        gain = width * width / order
         beside = scale * across
         spread = 0.5 * math.sqrt(math.pi) * math.erf(beside) / beside if beside > NARROW else 1.0
         total += share

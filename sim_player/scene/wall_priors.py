@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -22,7 +22,6 @@ from sim_player.scene.description import Scene, Surface
 
 #: What a scene tells of its walls: nothing, all of them as they are, or as a poor map has them.
 WallKnowledge = Literal["none", "true", "noisy"]
-WALL_KNOWLEDGE: tuple[str, ...] = get_args(WallKnowledge)
 
 
 class MapErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,4 +1,4 @@
-"""Hard cases of optics: Eq. (14) as printed where its terms cancel, and smooth faces that scatter hardly anything."""
+"""Hard case of optics: smooth faces that scatter hardly anything."""
 
 from __future__ import annotations
 
@@ -6,38 +6,11 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from models.physics.fresnel import half_space_reflection
-from models.physics.photons.optics import diffuse_reflectance, fresnel_power
+from models.physics.photons.optics import diffuse_reflectance
 from tests.stability.catalogue import Errors
 
 EPS = 2.0**-52
 mp.dps = 60
-
-
-def printed_power(index: float, cosine: float) -> mpf:
-    """|(TE + TM) / 2|^2 of Eqs. (13)-(14) in 60 digits."""
-    c, n = mpf(cosine), mpf(index)
-    inner = mp.sqrt(1 - (1 - c**2) / n**2)
-    return (((c - n * inner) / (c + n * inner) + (n * c - inner) / (n * c + inner)) / 2) ** 2
-
-
-@pytest.mark.hard(
-    where="models.physics.photons.optics",
-    naive="TE and TM added",
-    bound=64 * EPS,
-    unit="",
-    source="a dozen roundings, twice by the square, and the digits of 1 + TE, a third of TE",
-)
-def test_printed_fresnel_power_near_normal_incidence(errors: Errors) -> None:
-    """At 1e-4 rad TE and TM cancel to 1e-9 of themselves. Relative error of the power."""
-    cosine = float(np.cos(1e-4))
-    exact = printed_power(1.51, cosine)
-    permittivity = np.complex128(1.51) ** 2
-    added = half_space_reflection(permittivity, cosine) + half_space_reflection(permittivity, cosine, "tm")
-    errors(
-        naive=float(abs(mpf(float(np.abs(0.5 * added) ** 2)) / exact - 1)),
-        ours=float(abs(mpf(float(fresnel_power(1.51, cosine, "printed"))) / exact - 1)),
-    )
 
 
 @pytest.mark.hard(

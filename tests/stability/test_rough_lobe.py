@@ -88,7 +88,7 @@ def test_orders_of_a_rough_wall(errors: Errors) -> None:
     with np.errstate(all="ignore"):
         terms = np.arange(1.0, 200.0)
         naive = float(np.sum(np.exp(-mean) * np.cumprod(mean / terms) / terms))
-    errors(naive=naive / exact - 1.0, ours=mean_over_orders(mean, 1.0, 0.0, 0.0, False) / exact - 1.0)
+    errors(naive=naive / exact - 1.0, ours=mean_over_orders(mean, 1.0, 0.0, 0.0) / exact - 1.0)
 
 
 @pytest.mark.parametrize("name", ["roughness_m", "correlation_m"])

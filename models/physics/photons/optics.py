@@ -26,7 +26,6 @@ so 8.98590 x 0.09084^2 = 0.07415. Via a matt wall of albedo 0.5 at 5 m, head-on,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,9 +34,6 @@ from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import CONSTRUCTIONS, wall_name
 from models.physics.roughness import diffuse_share
 from msgs.values.lidar import SpadParams
-
-#: Combination of TE and TM powers: the mean of both, or Eq. (14) as printed, which is 0 at normal incidence.
-FresnelMean = Literal["mean", "printed"]
 
 CHOICE = "engineering choice"
 
@@ -107,24 +103,16 @@ def matt_albedo(material: OpticalMaterial) -> float:
     return face + (1.0 - face) * material.albedo
 
 
-def fresnel_power(index: ArrayLike, cos_theta: ArrayLike, mean: FresnelMean = "mean") -> np.ndarray:
-    """Return the power share |Gamma|^2 that a smooth face in air reflects (broadcast), Eqs. (13)-(14).
+def fresnel_power(index: ArrayLike, cos_theta: ArrayLike) -> np.ndarray:
+    """Return the power share |Gamma|^2 that a smooth face in air reflects (broadcast), Eq. (13).
 
-    `index` is n + jk. "mean": (|TE|^2 + |TM|^2) / 2, unpolarised light. "printed": |(TE + TM) / 2|^2, in which the two
-    cancel at normal incidence. Raises ValueError unless n > 0, k >= 0, cosines lie in 0..1, and `mean` is known.
+    `index` is n + jk. The mean (|TE|^2 + |TM|^2) / 2, unpolarised light: of Eq. (14) as printed, |(TE + TM) / 2|^2, the
+    two cancel at normal incidence. Raises ValueError unless n > 0, k >= 0 and cosines lie in 0..1.
     """
     permittivity, cos_theta = _permittivity(index), np.asarray(cos_theta, np.float64)
     te = half_space_reflection(permittivity, cos_theta, "te")
-    if mean == "mean":
-        tm = half_space_reflection(permittivity, cos_theta, "tm")
-        return 0.5 * (np.square(np.abs(te)) + np.square(np.abs(tm)))
-    if mean != "printed":
-        raise ValueError(f"fresnel must be 'mean' or 'printed', got {mean!r}")
-    # TM = TE (TE - cos 2t) / (1 - TE cos 2t) turns the sum into this, which keeps its digits where the two cancel
-    passed = 1.0 + te
-    grazing = passed == 0.0
-    share = np.where(grazing, 0.0, np.square(cos_theta) / np.where(grazing, 1.0, passed))
-    return np.square(np.abs(te * (1.0 - cos_theta) * (1.0 + cos_theta) / (1.0 - 2.0 * te * share)))
+    tm = half_space_reflection(permittivity, cos_theta, "tm")
+    return 0.5 * (np.square(np.abs(te)) + np.square(np.abs(tm)))
 
 
 def optical_reflectance(
@@ -132,7 +120,6 @@ def optical_reflectance(
     cos_theta: ArrayLike,
     roughness_m: ArrayLike,
     wavelength_m: float,
-    mean: FresnelMean = "mean",
 ) -> np.ndarray:
     """Return the power share rho_opt that one bounce leaves in the mirror's direction (broadcast), Eqs. (15)-(16).
 
@@ -141,7 +128,7 @@ def optical_reflectance(
     roughness_m = np.asarray(roughness_m, np.float64)
     if not np.all(np.isfinite(roughness_m) & (roughness_m >= 0.0)):
         raise ValueError(f"roughness_m must be finite and not negative, got {roughness_m!r}")
-    return fresnel_power(index, cos_theta, mean) * coherent_power(roughness_m, np.asarray(cos_theta), wavelength_m)
+    return fresnel_power(index, cos_theta) * coherent_power(roughness_m, np.asarray(cos_theta), wavelength_m)
 
 
 def diffuse_reflectance(
@@ -150,14 +137,13 @@ def diffuse_reflectance(
     cos_theta: ArrayLike,
     roughness_m: ArrayLike,
     wavelength_m: float,
-    mean: FresnelMean = "mean",
 ) -> np.ndarray:
     """Return the power share that a surface scatters (broadcast): |Gamma|^2 (1 - rho_rough) + (1 - |Gamma|^2) albedo.
 
     With `optical_reflectance` it is never more than 1. Raises ValueError as there, and for an albedo outside 0..1.
     """
     albedo = _share("albedo", albedo)
-    face = fresnel_power(index, cos_theta, mean)
+    face = fresnel_power(index, cos_theta)
     scattered = diffuse_share(np.asarray(roughness_m), np.asarray(cos_theta), wavelength_m)
     return face * scattered + (1.0 - face) * albedo
 

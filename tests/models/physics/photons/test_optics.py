@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from models.physics.fresnel import half_space_reflection
 from models.physics.materials import wall_names
 from models.physics.photons.optics import (
     OBJECT_ALBEDO,
@@ -43,31 +42,16 @@ def test_every_wall_and_object_class_is_known() -> None:
         optical_material("cheese")
 
 
-def test_both_forms_of_the_fresnel_power() -> None:
-    """Glass, n = 1.51: head-on ((n - 1) / (n + 1))^2 = 0.041285 by the mean, exactly 0 as printed; 1 at grazing, both.
+def test_fresnel_power() -> None:
+    """Glass, n = 1.51: head-on ((n - 1) / (n + 1))^2 = 0.041285; 1 at grazing.
 
-    At Brewster's angle, tan t = n, TM vanishes, so the mean is |TE|^2 / 2 and the printed form |TE|^2 / 4, with
-    TE = (1 - n^2) / (1 + n^2).
+    At Brewster's angle, tan t = n, TM vanishes, so the mean is |TE|^2 / 2, with TE = (1 - n^2) / (1 + n^2).
     """
     assert fresnel_power(GLASS, 1.0) == pytest.approx((0.51 / 2.51) ** 2, rel=1e-14)
-    assert fresnel_power(GLASS, 1.0, "printed") == 0.0
-    for mean in ("mean", "printed"):
-        assert fresnel_power(GLASS, 0.0, mean) == pytest.approx(1.0, rel=1e-14)
+    assert fresnel_power(GLASS, 0.0) == pytest.approx(1.0, rel=1e-14)
     te = (1.0 - GLASS**2) / (1.0 + GLASS**2)
     brewster = 1.0 / math.hypot(1.0, GLASS)
     assert fresnel_power(GLASS, brewster) == pytest.approx(te**2 / 2.0, rel=1e-12)
-    assert fresnel_power(GLASS, brewster, "printed") == pytest.approx(te**2 / 4.0, rel=1e-12)
-
-
-@pytest.mark.parametrize("index", [GLASS, IRON, 1.33])
-def test_printed_form_is_the_printed_sum(index: complex) -> None:
-    """|(TE + TM) / 2|^2 of `half_space_reflection` with eps = (n - jk)^2, to the rounding of its difference."""
-    permittivity = np.conj(np.complex128(index)) ** 2
-    fields = [half_space_reflection(permittivity, COSINES, way) for way in ("te", "tm")]
-    np.testing.assert_allclose(
-        fresnel_power(index, COSINES, "printed"), np.abs(0.5 * (fields[0] + fields[1])) ** 2, rtol=1e-9, atol=1e-15
-    )
-    assert np.all(fresnel_power(index, COSINES, "printed") <= fresnel_power(index, COSINES) + 1e-15)
 
 
 def test_iron_reflects_as_its_index_says() -> None:
@@ -76,15 +60,14 @@ def test_iron_reflects_as_its_index_says() -> None:
     assert matt_albedo(OPTICAL["metal"]) == pytest.approx(0.5721, abs=1e-4)
 
 
-@pytest.mark.parametrize("mean", ["mean", "printed"])
 @pytest.mark.parametrize("roughness_m", [0.0, 1e-8, 1e-7, 1e-4])
-def test_energy_adds_up(mean: str, roughness_m: float) -> None:
+def test_energy_adds_up(roughness_m: float) -> None:
     """Mirror, scattered light and what stays inside, (1 - |Gamma|^2)(1 - albedo), are all that fell: to 1e-14."""
     for material in OPTICAL.values():
-        args = COSINES, roughness_m, WAVELENGTH_M, mean
+        args = COSINES, roughness_m, WAVELENGTH_M
         mirror = optical_reflectance(material.index, *args)
         scattered = diffuse_reflectance(material.index, material.albedo, *args)
-        inside = (1.0 - fresnel_power(material.index, COSINES, mean)) * (1.0 - material.albedo)
+        inside = (1.0 - fresnel_power(material.index, COSINES)) * (1.0 - material.albedo)
         np.testing.assert_allclose(mirror + scattered + inside, 1.0, rtol=0.0, atol=1e-14)
 
 
@@ -216,7 +199,6 @@ def test_no_distance_gives_more_than_was_sent() -> None:
         (lambda: fresnel_power(0.0, 1.0), "index must be n \\+ jk"),
         (lambda: fresnel_power(math.nan, 1.0), "index must be n \\+ jk"),
         (lambda: fresnel_power(1.5, 1.1), "cos_theta must lie in 0..1"),
-        (lambda: fresnel_power(1.5, 1.0, "sum"), "fresnel must be 'mean' or 'printed', got 'sum'"),
         (lambda: optical_reflectance(1.5, 1.0, -1e-6, WAVELENGTH_M), "roughness_m must be finite and not negative"),
         (lambda: diffuse_reflectance(1.5, 1.5, 1.0, 0.0, WAVELENGTH_M), "albedo must lie in 0..1"),
         (lambda: direct_photons(SpadParams(), 0.0, 0.5, 1.0), "range_m must be finite and positive"),
