@@ -19,7 +19,6 @@ import msgspec
 import numpy as np
 from scipy.optimize import least_squares
 
-from msgs.values.arrays import require_positive
 from msgs.values.frames import Pose2, wrap_angle
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -32,54 +31,20 @@ STEP = 1e-5
 WANTED = UNKNOWNS[:4]
 
 
-class MountingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Gates of a wall, prior standard deviations, and the limits below which a result counts as determined."""
-
-    #: Sightings within these belong to one wall, before and after the first solution.
-    first_gate_deg: float = 12.0
-    first_gate_m: float = 2.5
-    gate_deg: float = 5.0
-    gate_m: float = 0.8
-    #: Maximum gap along a wall between its sightings.
-    gap_m: float = 15.0
-    rounds: int = 3
-    #: Unevenness of walls, added to each point's own error.
-    flatness_m: float = 0.05
-    min_scans: int = 10
-    min_sightings: int = 3
-    #: Travel and turn below which a vehicle counts as stationary.
-    min_way_m: float = 3.0
-    min_turn_deg: float = 10.0
-    max_clock_offset_s: float = 0.5
-    #: Standard deviations above which a drive does not determine a quantity.
-    known_position_m: float = 0.15
-    known_yaw_deg: float = 0.7
-    known_clock_s: float = 0.03
-    #: Prior standard deviations: of the mounting very wide, of the odometry those of typical cars.
-    prior_position_m: float = 3.0
-    prior_yaw_deg: float = 20.0
-    prior_clock_s: float = 0.5
-    prior_bias_dps: float = 0.5
-    prior_scale: float = 0.01
-    #: A longer silence of the bus ends a stretch of odometry; the longest stretch is used.
-    max_gap_s: float = 0.5
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_positive(f"mounting.{name}", getattr(self, name))
-
-    @property
-    def prior_std(self) -> np.ndarray:
-        """Prior standard deviation of each of `UNKNOWNS`."""
-        yaw_rad, bias_rps = math.radians(self.prior_yaw_deg), math.radians(self.prior_bias_dps)
-        position_m = self.prior_position_m
-        return np.array([position_m, position_m, yaw_rad, self.prior_clock_s, bias_rps, self.prior_scale])
-
-    @property
-    def known_std(self) -> np.ndarray:
-        """Maximum standard deviation of each of `WANTED` that counts as determined."""
-        position_m = self.known_position_m
-        return np.array([position_m, position_m, math.radians(self.known_yaw_deg), self.known_clock_s])
+#: Gates of sightings of one wall (angle, offset), before and after the first solution, and how often they are solved.
+FIRST_GATE, GATE, ROUNDS = (math.radians(12.0), 2.5), (math.radians(5.0), 0.8), 3
+#: Maximum gap along a wall between its sightings; unevenness of walls, added to each point's own error.
+GAP_M, FLATNESS_M = 15.0, 0.05
+MIN_SCANS, MIN_SIGHTINGS = 10, 3
+#: Travel and turn below which a vehicle counts as stationary.
+MIN_WAY_M, MIN_TURN_DEG = 3.0, 10.0
+MAX_CLOCK_OFFSET_S = 0.5
+#: Standard deviations of `WANTED` above which a drive does not determine a quantity.
+KNOWN_STD = np.array([0.15, 0.15, math.radians(0.7), 0.03])
+#: Prior standard deviations of `UNKNOWNS`: of the mounting very wide, of the odometry those of typical cars.
+PRIOR_STD = np.array([3.0, 3.0, math.radians(20.0), 0.5, math.radians(0.5), 0.01])
+#: A longer silence of the bus ends a stretch of odometry; the longest stretch is used.
+MAX_GAP_S = 0.5
 
 
 class Sighting(NamedTuple):
@@ -153,12 +118,12 @@ class Motion:
     Raises ValueError if fewer than two valid states follow one another.
     """
 
-    def __init__(self, states: Sequence[VehicleState], max_gap_s: float = 0.5) -> None:
+    def __init__(self, states: Sequence[VehicleState]) -> None:
         states = sorted((state for state in states if state.valid), key=lambda state: state.stamp_ns)
         if len(states) < 2:
             raise ValueError(f"vehicle/state must hold at least 2 valid states, got {len(states)}")
         stamp_ns = np.array([state.stamp_ns for state in states], np.int64)
-        gaps = np.flatnonzero(np.diff(stamp_ns) > max_gap_s * NANOSECONDS_PER_SECOND) + 1
+        gaps = np.flatnonzero(np.diff(stamp_ns) > MAX_GAP_S * NANOSECONDS_PER_SECOND) + 1
         stretch = max(np.split(np.arange(len(states)), gaps), key=lambda part: stamp_ns[part[-1]] - stamp_ns[part[0]])
         first = stretch[np.flatnonzero(np.diff(stamp_ns[stretch], prepend=-1) > 0)]
         self.start_ns = int(stamp_ns[first[0]])
@@ -272,30 +237,28 @@ def solve_mounting(
     prior: Pose2 | None = None,
     clock_offset_s: float | None = None,
     known_pose: bool = False,
-    params: MountingParams | None = None,
 ) -> Mounting:
     """Return pose and clock from straight walls seen along a drive.
 
     `clock_offset_s` and `known_pose` hold the clock or the pose (at `prior`). Raises ValueError for a drive without
     walls, scans or motion.
     """
-    prior, params = prior or Pose2(), params or MountingParams()
-    motion = Motion(states, params.max_gap_s)
+    prior, motion = prior or Pose2(), Motion(states)
     clock_s = clock_offset_s or 0.0
-    margin_s = params.max_clock_offset_s if clock_offset_s is None else 0.0
+    margin_s = MAX_CLOCK_OFFSET_S if clock_offset_s is None else 0.0
     sightings = _within(sightings, motion, clock_s, margin_s)
-    _require_scans(sightings, params)
+    _require_scans(sightings)
     start = np.array([prior.x_m, prior.y_m, prior.yaw_rad, clock_s, motion.rest_bias_rps, 1.0])
     drive = _drive_of(motion, sightings, clock_s)
-    if drive.way_m < params.min_way_m and drive.turned_deg < params.min_turn_deg:
+    if drive.way_m < MIN_WAY_M and drive.turned_deg < MIN_TURN_DEG:
         raise ValueError(
-            f"the vehicle must move {params.min_way_m:g} m or turn {params.min_turn_deg:g} deg while walls are seen, "
+            f"the vehicle must move {MIN_WAY_M:g} m or turn {MIN_TURN_DEG:g} deg while walls are seen, "
             f"got {drive.way_m:.2f} m and {drive.turned_deg:.1f} deg"
         )
     held = np.array([known_pose] * 3 + [clock_offset_s is not None, False, False])
-    problem, unknowns = _rounds(sightings, motion, start, held, params)
+    problem, unknowns = _rounds(sightings, motion, start, held)
     std = _std(problem, unknowns, _held(problem, held))
-    observed = ~held[: len(WANTED)] & (std[: len(WANTED)] <= params.known_std)
+    observed = ~held[: len(WANTED)] & (std[: len(WANTED)] <= KNOWN_STD)
     before = np.concatenate([start, unknowns[len(UNKNOWNS) :]])
     before = _fit(problem, before, np.arange(len(before)) < len(UNKNOWNS))
     return _report(problem, before, unknowns, std, observed, drive)
@@ -308,10 +271,10 @@ def _within(sightings: Sequence[Sighting], motion: Motion, clock_s: float, margi
     return [sighting for sighting, time_s in zip(sightings, times, strict=True) if low_s <= time_s <= high_s]
 
 
-def _require_scans(sightings: Sequence[Sighting], params: MountingParams) -> None:
+def _require_scans(sightings: Sequence[Sighting]) -> None:
     scans = len({sighting.stamp_ns for sighting in sightings})
-    if scans < params.min_scans:
-        raise ValueError(f"straight walls must be seen in at least {params.min_scans} scans with states, got {scans}")
+    if scans < MIN_SCANS:
+        raise ValueError(f"straight walls must be seen in at least {MIN_SCANS} scans with states, got {scans}")
 
 
 def _drive_of(motion: Motion, sightings: Sequence[Sighting], clock_s: float) -> DriveSummary:
@@ -335,35 +298,32 @@ def _held(problem: _Problem, held: np.ndarray) -> np.ndarray:
 
 
 def _rounds(
-    sightings: list[Sighting], motion: Motion, start: np.ndarray, held: np.ndarray, params: MountingParams
+    sightings: list[Sighting], motion: Motion, start: np.ndarray, held: np.ndarray
 ) -> tuple[_Problem, np.ndarray]:
     """Sort sightings to walls, solve, and repeat with the result."""
     unknowns = start
-    for number in range(params.rounds):
-        gate_deg, gate_m = (params.gate_deg, params.gate_m) if number else (params.first_gate_deg, params.first_gate_m)
-        problem = _problem(sightings, motion, start, unknowns, (math.radians(gate_deg), gate_m), params)
+    for number in range(ROUNDS):
+        problem = _problem(sightings, motion, start, unknowns, GATE if number else FIRST_GATE)
         full = np.concatenate([unknowns[: len(UNKNOWNS)], np.zeros(2 * len(problem.pivot_m))])
-        full = _fit(problem, full, _held(problem, held), params.max_clock_offset_s)
+        full = _fit(problem, full, _held(problem, held), MAX_CLOCK_OFFSET_S)
         unknowns = full[: len(UNKNOWNS)]
     return problem, full
 
 
 def _problem(
     sightings: list[Sighting], motion: Motion, prior: np.ndarray, unknowns: np.ndarray,
-    gate: tuple[float, float], params: MountingParams,
+    gate: tuple[float, float],
 ) -> _Problem:  # fmt: skip
     """Return the sightings sorted to walls by the unknowns; ValueError if no wall is seen often enough."""
     x_m, y_m, yaw_rad, clock_s, bias_rps, scale = unknowns
     time_s = motion.seconds(np.array([sighting.stamp_ns for sighting in sightings], np.int64))
     poses = motion.poses(time_s - clock_s, bias_rps, scale)
     odom_from_radar = [Pose2(*pose) @ Pose2(x_m, y_m, yaw_rad) for pose in poses.tolist()]
-    wall = _sorted_to_walls(sightings, odom_from_radar, gate, params.gap_m)
+    wall = _sorted_to_walls(sightings, odom_from_radar, gate, GAP_M)
     sighting_count = np.bincount(wall)
-    kept = np.flatnonzero(sighting_count >= params.min_sightings)
+    kept = np.flatnonzero(sighting_count >= MIN_SIGHTINGS)
     if len(kept) == 0:
-        raise ValueError(
-            f"a straight wall must be seen at least {params.min_sightings} times, got {sighting_count.max()}"
-        )
+        raise ValueError(f"a straight wall must be seen at least {MIN_SIGHTINGS} times, got {sighting_count.max()}")
     of_kept = np.searchsorted(kept, wall) * np.isin(wall, kept) - ~np.isin(wall, kept)
     used = [index for index in range(len(sightings)) if of_kept[index] >= 0]
     counts = [len(sightings[index].points_m) for index in used]
@@ -379,7 +339,7 @@ def _problem(
     return _Problem(
         motion=motion,
         prior=prior,
-        prior_std=params.prior_std,
+        prior_std=PRIOR_STD,
         scan_time_s=scan_time_s,
         scan=np.repeat(scan, counts),
         points_m=np.concatenate([sightings[index].points_m for index in used]),
@@ -387,7 +347,7 @@ def _problem(
         wall=np.repeat(of_used, counts),
         pivot_m=pivot,
         normal_rad=normal_rad,
-        flatness_m=params.flatness_m,
+        flatness_m=FLATNESS_M,
     )
 
 

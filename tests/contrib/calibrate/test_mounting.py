@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contrib.calibrate.mounting import Motion, MountingParams, Sighting, _Problem, solve_mounting
+from contrib.calibrate.mounting import Motion, Sighting, _Problem, solve_mounting
 from msgs.values.frames import Pose2, polar_from_xy, xy_from_polar
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
@@ -136,8 +136,6 @@ def test_drives_that_do_not_serve_are_refused() -> None:
         solve_mounting([], states(way, 6.0), PRIOR)
     with pytest.raises(ValueError, match="at least 2 valid states, got 0"):
         solve_mounting(sightings(way, 20), [], PRIOR)
-    with pytest.raises(ValueError, match=r"mounting\.rounds must be"):
-        MountingParams(rounds=0)
 
 
 def test_the_longest_stretch_of_states_counts() -> None:
