@@ -327,7 +327,7 @@ def test_no_text_steers_the_terminal(capsys: pytest.CaptureFixture[str]) -> None
 def _limits() -> dict[str, str]:
     """The table of limits in SECURITY.md."""
     text = (CHECKOUT / "SECURITY.md").read_text(encoding="utf-8")
-    table = text.split("| door | limit |")[1].split("\n\n")[0]
+    table = text.split("| input | limit |")[1].split("\n\n")[0]
     rows = (line.strip("| ").split(" | ") for line in table.splitlines()[2:])
     return {row[0].strip("`"): row[1] for row in rows}
 
@@ -371,9 +371,9 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "header of a message": _size(codec.MAX_HEADER_BYTES),
         "dimensions of an array": str(arrays.MAX_NDIM),
         "publishers of a topic": str(tally.MAX_PUBLISHERS),
-        "what a link's peer may send up at once": _size(curve_link.MAX_UPWARD_BYTES),
+        "message from a peer to the exporting end of a link": _size(curve_link.MAX_UPWARD_BYTES),
         "publishers behind one peer": str(peer_messages.MAX_ORIGINS),
-        "last messages kept of a latched topic": f"{tally.MAX_LATCHED} publishers",
+        "publishers whose last message of a latched topic is kept": str(tally.MAX_LATCHED),
         "newest-only messages that wait for a peer of a link": (
             f"{tally.MAX_LATCHED} publishers a topic, {curve_exporter._MAX_JOINED} peers"
         ),
@@ -394,25 +394,25 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "line of a table of detections; its columns": (
             f"{_size(detection_tables.MAX_LINE)}; {detection_tables.MAX_COLUMNS}"
         ),
-        "line of a CAN log; object of a BLF, packed; unpacked": (
+        "line of a CAN log; object of a BLF, compressed; unpacked": (
             f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}; "
             f"{_size(can_log_file.MAX_CONTAINER_BYTES)}"
         ),
-        "log that is packed, unpacked": (
-            f"{_size(unpacking.Budget.FREE_BYTES)} and {unpacking.Budget.RATIO} times what was read"
+        "compressed log, unpacked": (
+            f"{_size(unpacking.Budget.FREE_BYTES)} plus {unpacking.Budget.RATIO} times what was read"
         ),
         "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "image file; its sides and pixels": (
             f"{_size(recorded_sensors.MAX_IMAGE_FILE_BYTES)}; {camera.MAX_SIDE_PX}, {camera.MAX_PIXELS:,}"
         ),
         "configuration of a DCA1000 capture": _size(config_file.MAX_CONFIG_BYTES),
-        "confocal transients, packed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
+        "confocal transients, compressed; counts": f"{_size(confocal.MAX_FILE_BYTES)}; {scan.MAX_COUNTS:,}",
         "metadata of a SigMF capture; its captures and annotations": (
-            f"{_size(sigmf_capture._MAX_META_BYTES)}; {sigmf_capture._FREE_SEGMENTS:,} and one a "
-            f"{_size(sigmf_capture._SEGMENT_BYTES)} of data, which are exactly as large as they say"
+            f"{_size(sigmf_capture._MAX_META_BYTES)}; {sigmf_capture._FREE_SEGMENTS:,} plus one for each "
+            f"{_size(sigmf_capture._SEGMENT_BYTES).removeprefix('1 ')} of data, whose sizes must be exact"
         ),
         "record of a recording": _size(recording._MAX_RECORD_BYTES),
-        "packed chunk of a recording, unpacked; all of its chunks": (
+        "compressed chunk of a recording, unpacked; all its chunks": (
             f"{_size(recording._MAX_UNPACKED_CHUNK_BYTES)}; {_size(recording._FREE_UNPACKED_BYTES)}, "
             f"or {recording._MAX_UNPACKED_RATIO} times the file"
         ),
@@ -423,7 +423,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         ),
         "archive of arrays, unpacked": (
             f"{_size(array_files.MAX_UNPACKED_BYTES)}; beyond {_size(array_files.FREE_UNPACKED_BYTES)} "
-            f"{array_files.MAX_UNPACKED_RATIO} times the file"
+            f"at most {array_files.MAX_UNPACKED_RATIO} times the file"
         ),
         "key file": _size(curve_keys.MAX_BYTES),
         "a node's log file": f"{_size(logs._FILE_BYTES)}, four of them",
