@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_picture
 from msgs.values.wording import counted
-
-
-class KindOption(StrEnum):
-    """Layout of the frame."""
-
-    REAL = "real"
-    SIM = "sim"
 
 
 def annotate(
@@ -27,8 +19,8 @@ def annotate(
     ] = None,
     frame: Annotated[str, typer.Option(metavar="NAME", help="Name of the frame within its scene.")] = "frame_000",
     kind: Annotated[
-        KindOption, typer.Option(help="real: Welch power, 4.5 to 44 m; sim: complex map, 0 to 109 m.")
-    ] = KindOption.REAL,
+        Literal["real", "sim"], typer.Option(help="real: Welch power, 4.5 to 44 m; sim: complex map, 0 to 109 m.")
+    ] = "real",
     plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Picture of the labels over the map.")] = None,
     skip_refused: Annotated[
         bool, typer.Option(help="Leave out clouds that cannot be registered; exit code 3.")
@@ -50,11 +42,11 @@ def annotate(
     if plot is not None:
         require_picture(plot)
     with progress_bar("annotate", stages(manifest)) as advance:
-        done = annotate_scene(manifest, scene.parent, capture, out, frame, kind.value, skip_refused, advance)
+        done = annotate_scene(manifest, scene.parent, capture, out, frame, kind, skip_refused, advance)
     if plot is not None:
         from contrib.annotate.picture import draw_annotation
 
-        draw_annotation(done, kind.value, plot)
+        draw_annotation(done, kind, plot)
     for reason in done.refused.values():
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
     if as_json:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -23,15 +22,7 @@ if TYPE_CHECKING:
 
 #: Thresholds of the precision-recall curves, and bootstrap draws of the intervals.
 SWEEP, DRAWS = 8, 1000
-
-
-class SplitOption(StrEnum):
-    """Scenes of the fixed splits."""
-
-    TEST = "test"
-    VALIDATION = "validation"
-    TRAIN = "train"
-    ALL = "all"
+Split = Literal["test", "validation", "train", "all"]
 
 
 def evaluate(
@@ -101,7 +92,7 @@ def evaluate(
             show_default=False,
         ),
     ] = None,
-    split: Annotated[SplitOption, typer.Option(help="Scenes to evaluate.")] = SplitOption.TEST,
+    split: Annotated[Split, typer.Option(help="Scenes to evaluate.")] = "test",
     out: Annotated[
         Path | None,
         typer.Option(
@@ -153,7 +144,7 @@ def evaluate(
     methods = _methods(method or _default_methods(), threads, dataset.setup)
     run, sweeps = _run(dataset, splits, methods, split, SWEEP if out is not None else 0, limit)
     context = Context(
-        data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=DRAWS, threads=threads,
+        data=str(data), split=split, test_sha256=splits.test_sha256, seed=seed, draws=DRAWS, threads=threads,
         reference=methods[-1].name,
     )  # fmt: skip
     report = make_report(run, sweeps, context)
@@ -192,14 +183,14 @@ def _run(
     dataset: DataSet,
     splits: Splits,
     methods: list[Method],
-    split: SplitOption,
+    split: Split,
     sweep_count: int,
     limit: int | None,
 ) -> tuple[Run, dict[str, list[SweepPoint]]]:
     """All frames, then the curves."""
     from lab.evaluate.method_runs import checked_frames, run_methods, sweep
 
-    indices = splits.of(split.value)[:limit]
+    indices = splits.of(split)[:limit]
     with progress_bar("frames", len(indices)) as tick:
         run = run_methods(methods, checked_frames(dataset, indices, methods), sweep_count > 0, tick)
     sweeps: dict[str, list[SweepPoint]] = {}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,13 +14,6 @@ if TYPE_CHECKING:
     from lab.full_wave.reflectance import ReflectanceTable
 
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Picture to write (png, svg, pdf).")]
-
-
-class PolarisationOption(StrEnum):
-    """Polarisations: te has its field along the wall's vertical."""
-
-    TE = "te"
-    TM = "tm"
 
 
 def reflectance(
@@ -64,7 +56,7 @@ def wall(
     ] = None,
     frequency_ghz: float = 10.0,
     angle_deg: Annotated[float, typer.Option(help="Angle of incidence, at most 60.")] = 0.0,
-    polarisation: PolarisationOption = PolarisationOption.TE,
+    polarisation: Annotated[Literal["te", "tm"], typer.Option(help="te: field along the vertical.")] = "te",
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -74,7 +66,7 @@ def wall(
     title, layers = wall_of(material, thickness_mm, frequency_ghz)
     if not 0.0 <= angle_deg <= 60.0:
         raise ValueError(f"--angle-deg must lie in 0..60, got {angle_deg!r}")
-    result = answer(title, layers, 1e9 * frequency_ghz, angle_deg, polarisation.value, picture=plot is not None)
+    result = answer(title, layers, 1e9 * frequency_ghz, angle_deg, polarisation, picture=plot is not None)
     if plot is not None:
         from lab.walls.transmission_figure import draw_wall
 

@@ -142,9 +142,9 @@ def run_strip(strip: Strip, frequency_hz: float, polarisation: Polarisation, par
     sine = strip.transverse_per_m * reach_m / (2.0 * math.sin(math.pi * frequency_hz * strip.step_s))
     deviation_hz = frequency_hz * min(WIDEST_SHARE, (1.0 - sine) / CUT_OFF_DEVIATIONS)
     deviation_steps = 1.0 / (2.0 * math.pi * deviation_hz * strip.step_s)
-    kernel = _advance_te if polarisation == "te" else _advance_tm
-    front, back, steps, residue = kernel(
+    front, back, steps, residue = _advance(
         tuple(array.astype(dtype) for array in arrays),
+        polarisation == "te",
         dtype.type(strip.transverse_per_m * reach_m),
         np.array([strip.source, strip.front, strip.back]),
         2.0 * math.pi * frequency_hz * strip.step_s,
@@ -187,26 +187,19 @@ def _absorbers(
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def _advance_te(coefficients, transverse, nodes, phase_per_step, deviation_steps, decay):  # type: ignore[no-untyped-def]
-    """Step TE: E along the wall's vertical; H along the wall between nodes, H along the normal (times j) at nodes."""
-    a, b, _, _, per_dual, per_cell, node_b, node_c, node_k, cell_b, cell_c, cell_k = coefficients
-    cells = len(per_cell)
-    e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(a)
+def _advance(coefficients, is_te, transverse, nodes, phase_per_step, deviation_steps, decay):  # type: ignore[no-untyped-def]
+    """Step E along the wall at nodes, H between them, and the field along the normal (times j): of TE H, at nodes."""
+    a, per_cell = coefficients[0], coefficients[5]
+    e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(a if is_te else per_cell)
     psi_e, psi_h = np.zeros_like(a), np.zeros_like(per_cell)
     front, back, peak, residue = 0j, 0j, 0.0, 1.0
     least, max_steps = _run_length(deviation_steps)
     step = 0
     while step < max_steps:
-        for k in range(cells):
-            slope = (e[k + 1] - e[k]) * per_cell[k]
-            psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
-            h[k] += slope * cell_k[k] + psi_h[k]
-        for k in range(cells + 1):
-            normal[k] += transverse * e[k]
-        for k in range(1, cells):
-            slope = (h[k] - h[k - 1]) * per_dual[k]
-            psi_e[k] = node_b[k] * psi_e[k] + node_c[k] * slope
-            e[k] = a[k] * e[k] + b[k] * (slope * node_k[k] + psi_e[k] - transverse * normal[k])
+        if is_te:
+            _step_te(coefficients, transverse, e, h, normal, psi_e, psi_h)
+        else:
+            _step_tm(coefficients, transverse, e, h, normal, psi_e, psi_h)
         step += 1
         e[nodes[0]] += _pulse(step, phase_per_step, deviation_steps)
         turn = np.exp(-1j * phase_per_step * step)
@@ -222,37 +215,36 @@ def _advance_te(coefficients, transverse, nodes, phase_per_step, deviation_steps
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def _advance_tm(coefficients, transverse, nodes, phase_per_step, deviation_steps, decay):  # type: ignore[no-untyped-def]
-    """Step TM: E along the wall at nodes; H along its vertical and E along the normal (times j) between them."""
+def _step_te(coefficients, transverse, e, h, normal, psi_e, psi_h):  # type: ignore[no-untyped-def]
+    """TE: E along the wall's vertical; H along the wall."""
+    a, b, _, _, per_dual, per_cell, node_b, node_c, node_k, cell_b, cell_c, cell_k = coefficients
+    cells = len(per_cell)
+    for k in range(cells):
+        slope = (e[k + 1] - e[k]) * per_cell[k]
+        psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
+        h[k] += slope * cell_k[k] + psi_h[k]
+    for k in range(cells + 1):
+        normal[k] += transverse * e[k]
+    for k in range(1, cells):
+        slope = (h[k] - h[k - 1]) * per_dual[k]
+        psi_e[k] = node_b[k] * psi_e[k] + node_c[k] * slope
+        e[k] = a[k] * e[k] + b[k] * (slope * node_k[k] + psi_e[k] - transverse * normal[k])
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _step_tm(coefficients, transverse, e, h, normal, psi_e, psi_h):  # type: ignore[no-untyped-def]
+    """TM: E along the wall; H along its vertical."""
     a, b, cell_a, cell_e, per_dual, per_cell, node_b, node_c, node_k, cell_b, cell_c, cell_k = coefficients
     cells = len(per_cell)
-    e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(per_cell)
-    psi_e, psi_h = np.zeros_like(a), np.zeros_like(per_cell)
-    front, back, peak, residue = 0j, 0j, 0.0, 1.0
-    least, max_steps = _run_length(deviation_steps)
-    step = 0
-    while step < max_steps:
-        for k in range(cells):
-            slope = (e[k + 1] - e[k]) * per_cell[k]
-            psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
-            h[k] += transverse * normal[k] - slope * cell_k[k] - psi_h[k]
-            normal[k] = cell_a[k] * normal[k] - cell_e[k] * transverse * h[k]
-        for k in range(1, cells):
-            slope = (h[k] - h[k - 1]) * per_dual[k]
-            psi_e[k] = node_b[k] * psi_e[k] + node_c[k] * slope
-            e[k] = a[k] * e[k] - b[k] * (slope * node_k[k] + psi_e[k])
-        step += 1
-        e[nodes[0]] += _pulse(step, phase_per_step, deviation_steps)
-        turn = np.exp(-1j * phase_per_step * step)
-        front += e[nodes[1]] * turn
-        back += e[nodes[2]] * turn
-        if step % 64 == 0:
-            level = _level_and_flush(e, h, normal, psi_e, psi_h)
-            peak = max(peak, level)
-            residue = level / max(peak, 1e-30)
-            if level < 0.0 or (step > least and residue < decay):
-                break
-    return front, back, step, residue
+    for k in range(cells):
+        slope = (e[k + 1] - e[k]) * per_cell[k]
+        psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
+        h[k] += transverse * normal[k] - slope * cell_k[k] - psi_h[k]
+        normal[k] = cell_a[k] * normal[k] - cell_e[k] * transverse * h[k]
+    for k in range(1, cells):
+        slope = (h[k] - h[k - 1]) * per_dual[k]
+        psi_e[k] = node_b[k] * psi_e[k] + node_c[k] * slope
+        e[k] = a[k] * e[k] - b[k] * (slope * node_k[k] + psi_e[k])
 
 
 @numba.njit(cache=True, inline="always")
