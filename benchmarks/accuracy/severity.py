@@ -16,7 +16,7 @@ import platform
 import sys
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -317,11 +317,6 @@ def summarise(cases: Sequence[Case]) -> Row:
     )
 
 
-def first_flagged(rows: Iterable[Row]) -> Row | None:
-    """The mildest severity that most scans flag; rows in growing order."""
-    return next((row for row in rows if row.flagged >= FLAGGED_SHARE), None)
-
-
 def _file(work: Path, fault: str, severity: float, scene: Path, seed: int) -> Path:
     return work / f"{fault}_{severity:g}_{scene.stem}_{seed}.json"
 
@@ -416,7 +411,8 @@ def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> 
     errors.plot(at, means, "o-", color=_GREEN, ms=4, label="face error, mean")
     errors.plot(at, tails, "^:", color=_GREEN, ms=4, mfc="white", label="its 90th percentile")
     errors.plot(at, centres, "d--", color="0.3", ms=4, label="centre error, mean")
-    flagged = first_flagged(rows)
+    # the mildest severity that most scans flag: rows grow
+    flagged = next((row for row in rows if row.flagged >= FLAGGED_SHARE), None)
     harmless = all(row.missed + row.ghosts == 0 for row in rows)
     said = "not flagged, nothing missed or made up" if harmless else "not flagged"
     if flagged is not None:

@@ -98,11 +98,6 @@ def mutated(source: str, mutation: Mutation) -> str:
     return source.replace(mutation.old, mutation.new)
 
 
-def module_of(file: str) -> str:
-    """The import name of a source file."""
-    return file.removesuffix(".py").replace("/", ".")
-
-
 def stages_of(root: Path, mutation: Mutation) -> Iterator[list[str]]:
     """Tests of a mutant in the order in which they run, none twice; those of one list run together."""
     taken = set[str]()
@@ -121,7 +116,8 @@ def _overlapping_stages(root: Path, mutation: Mutation) -> Iterator[list[str]]:
     yield [file for file in files if Path(file).stem.startswith(f"test_{path.stem}")]
     # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
     readers = [file for file in files if not file.startswith(("tests/docs/", "tests/fuzz/"))]
-    yield [file for file in readers if _imports((root / file).read_text(), module_of(mutation.file))]
+    module = mutation.file.removesuffix(".py").replace("/", ".")
+    yield [file for file in readers if _imports((root / file).read_text(), module)]
     yield [file for file in files if file.startswith(f"{mirrored_room(path)}/")]
     yield [LAST_STAGE] if (root / LAST_STAGE).exists() else []
 

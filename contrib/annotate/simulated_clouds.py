@@ -28,6 +28,8 @@ GROUND_HALF_M = 500.0
 CLEARANCE_M, FARTHEST_STEP_M = 1.2, 14.0
 #: Least cosine to the normal at which a side counts as covered.
 LEAST_COSINE = 0.3
+#: Most viewpoints of a scene, and the spacing of the positions that are tried.
+MAX_VIEWPOINTS, SPACING_M = 3, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,16 +158,13 @@ def lidar_cloud(scene: Scene, viewpoint: Viewpoint, params: LidarParams, seed: i
     )
     noisy_m = range_m + np.random.default_rng(seed).normal(0.0, params.range_noise_m, len(range_m))
     hit = np.isfinite(range_m) & (noisy_m > 0.0)
-    return LidarCloud(noisy_m[hit, None] * directions[hit], surface[hit], radar_from_scene(scene) @ scene_from_lidar)
+    # the antenna stands at the scene's origin, at its mounting height
+    radar_from_scene = rigid((0.0, 0.0, -scene.radar.height_m), 0.0, 0.0, 0.0)
+    return LidarCloud(noisy_m[hit, None] * directions[hit], surface[hit], radar_from_scene @ scene_from_lidar)
 
 
-def radar_from_scene(scene: Scene) -> np.ndarray:
-    """Transform [4, 4]: the antenna stands at the scene's origin, at its mounting height."""
-    return rigid((0.0, 0.0, -scene.radar.height_m), 0.0, 0.0, 0.0)
-
-
-def choose_viewpoints(scene: Scene, max_viewpoints: int = 3, spacing_m: float = 1.0) -> tuple[Viewpoint, ...]:
-    """Choose up to `max_viewpoints` viewpoints that together see as much as they can of the sides of all objects.
+def choose_viewpoints(scene: Scene) -> tuple[Viewpoint, ...]:
+    """Choose up to `MAX_VIEWPOINTS` viewpoints that together see as much as they can of the sides of all objects.
 
     The first is the radar's own position. Each next one is near an earlier one and in its sight, so that clouds
     overlap; greedy, on a grid.
@@ -177,7 +176,7 @@ def choose_viewpoints(scene: Scene, max_viewpoints: int = 3, spacing_m: float = 
     face_a, face_b = boxes.faces
     a, b = np.concatenate([a, face_a]), np.concatenate([b, face_b])
     samples, outward = _side_samples(face_a, face_b)
-    candidates = _free_positions(a, b, boxes, samples, spacing_m)
+    candidates = _free_positions(a, b, boxes, samples, SPACING_M)
 
     def seen_from(position: np.ndarray) -> np.ndarray:
         """Return the samples in sight, not so edge-on that rays would miss them."""
@@ -187,7 +186,7 @@ def choose_viewpoints(scene: Scene, max_viewpoints: int = 3, spacing_m: float = 
 
     sees = np.array([seen_from(position) for position in candidates]).reshape(len(candidates), len(samples))
     selected, covered = [np.zeros(2)], seen_from(np.zeros(2))
-    while len(selected) < max_viewpoints and len(candidates):
+    while len(selected) < MAX_VIEWPOINTS and len(candidates):
         near = np.zeros(len(candidates), bool)
         for earlier in selected:
             near |= (np.hypot(*(candidates - earlier).T) <= FARTHEST_STEP_M) & ~blocked(earlier, candidates, a, b)

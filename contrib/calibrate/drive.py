@@ -84,7 +84,8 @@ def solve_drive(path: Path, params: DriveParams, on_scan: Callable[[], None] = l
 def _solve(capture: Capture, states: list[VehicleState], params: DriveParams, on_scan: Callable[[], None]) -> Solved:
     motion = Motion(states)
     held = (params.clock_offset_s, params.known_pose)
-    peaks = [] if _has_beams(capture) else list(capture.messages(("perception/peaks",)))
+    has_beams = next(capture.messages(("radar/beam",)), None) is not None
+    peaks = [] if has_beams else list(capture.messages(("perception/peaks",)))
     if peaks:
         sightings = [sighting for scan_peaks in peaks for sighting in sightings_of(scan_peaks, _limit_rad(capture))]
         mounting = solve_mounting(sightings, states, params.prior, *held)
@@ -105,10 +106,6 @@ def _solve(capture: Capture, states: list[VehicleState], params: DriveParams, on
             speed_scale=mounting.speed_scale,
         )
     return Solved(mounting=mounting, sightings=sightings, loss=capture.loss)
-
-
-def _has_beams(capture: Capture) -> bool:
-    return next(capture.messages(("radar/beam",)), None) is not None
 
 
 def _limit_rad(capture: Capture) -> float:

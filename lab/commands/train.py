@@ -15,9 +15,7 @@ from lab.commands.train_residual import residual
 from mirrorwave.console import print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
-    from lab.training.objectives.objectives import ObjectiveConfig
     from lab.training.train_dense import DenseTraining, EpochReport
-    from msgs.values.radar import RangeAzimuthGrid
 
 app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
 app.command()(residual)
@@ -53,6 +51,7 @@ def dense(
     """Train a network that tells direct from mirrored returns, on this CPU or a GPU."""
     import msgspec
 
+    from lab.training.data.frames import DataSet
     from lab.training.data.samples import DataConfig, load_training_data
     from lab.training.families import FAMILIES, preset_network
     from lab.training.schedules import SCHEDULES
@@ -63,10 +62,14 @@ def dense(
     choice, encoding = preset_network(family, size or "compact", inputs)
     if schedule not in SCHEDULES:
         raise ValueError(f"--schedule must be one of {', '.join(SCHEDULES)}, got {schedule!r}")
+    objective = FAMILIES[family].objective
+    if schedule == "fine_tuning":
+        # the released class weights
+        objective = replace(objective, class_weights=(1.5, 1.0))
     given: dict[str, Any] = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
     config = TrainDenseConfig(
         network=choice,
-        objective=_objective(FAMILIES[family].objective, schedule),
+        objective=objective,
         schedule=replace(SCHEDULES[schedule], **{name: value for name, value in given.items() if value is not None}),
         seed=seed,
         threads=threads,
@@ -74,9 +77,8 @@ def dense(
     )
     folders = tuple(str(folder) for folder in more or ())
     data_config = DataConfig(
-        directory=str(data), more=folders, limit=limit, seed=seed,
-        encoding=encoding, grid=_grid(data),
-    )  # fmt: skip
+        directory=str(data), more=folders, limit=limit, seed=seed, encoding=encoding, grid=DataSet(data).grid
+    )
     training = DenseTraining(config, load_training_data(data_config), out)
     _run(training)
     summary = training.summary()
@@ -103,14 +105,3 @@ def _run(training: DenseTraining) -> None:
             )
 
         training.run(show, lambda done, of: progress())
-
-
-def _objective(default: ObjectiveConfig, schedule: str) -> ObjectiveConfig:
-    """The network's objective; fine-tuning has the released class weights."""
-    return replace(default, class_weights=(1.5, 1.0)) if schedule == "fine_tuning" else default
-
-
-def _grid(data: Path) -> RangeAzimuthGrid:
-    from lab.training.data.frames import DataSet
-
-    return DataSet(data).grid

@@ -14,7 +14,7 @@ from lab.evaluate.mot_tables import write_mot_tables
 from lab.evaluate.place_runs import ObjectPlan, ObjectSet, PlaceResult, read_sets, run_objects, scenes_sha256
 from lab.measures.drive_metrics import DriveReport, drive_report
 from lab.measures.frame_scores import Estimate, bootstrap_weights
-from lab.measures.object_metrics import ObjectReport, ObjectScores, Ratio, ScoreBin, mean_loss, object_report
+from lab.measures.object_metrics import ObjectReport, ObjectScores, Ratio, mean_loss, object_report
 from lab.measures.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M, ScanRow
 from lab.measures.tracking_scores import GATE_M, TrackingScores
 from lab.tradeoff.rows import profile_setting
@@ -312,7 +312,10 @@ def _estimates(report: ObjectReport, field: str) -> dict[str, Estimate]:
 def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """Return the evaluation of the scores as probabilities."""
     rows = [
-        (profile, f"{score_bin.low:g}..{score_bin.high:g}", score_bin.mean_score, *_share_cells(score_bin))
+        (
+            *(profile, f"{score_bin.low:g}..{score_bin.high:g}", score_bin.mean_score),
+            *(str(score_bin.found), _short(score_bin.near)),
+        )
         for profile, report in reports.items()
         for score_bin in report.scores
         if score_bin.found.whole
@@ -324,10 +327,6 @@ def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     )
     columns = ("profile", "score", "mean", "true", "within 2 m")
     return f"{name}: scores and the share that is true; calibration error {errors or '-'}", columns, rows
-
-
-def _share_cells(score_bin: ScoreBin) -> tuple[str, str]:
-    return str(score_bin.found), _short(score_bin.near)
 
 
 def page(results: Mapping[str, Any], all_tables: Iterable[Table]) -> str:

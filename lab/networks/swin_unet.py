@@ -388,12 +388,11 @@ class SwinUNet(nn.Module):
         """
         crop = self.config.crop_columns // self.config.patch[1]
         x = x[:, :, crop : x.shape[2] - crop]
-        logits = self.up(x) if self.config.head_hidden else self._convolve(self.up.tiles(x))
+        if self.config.head_hidden:
+            logits = self.up(x)
+        else:
+            logits = functional.linear(self.up.tiles(x), self.output.weight.flatten(1), self.output.bias)
         return spread(logits).permute(0, 3, 1, 2)
-
-    def _convolve(self, cells: Tensor) -> Tensor:
-        """Return the 1x1 output convolution on [..., embed]."""
-        return functional.linear(cells, self.output.weight.flatten(1), self.output.bias)
 
     def _start_sparse(self) -> None:
         """Let the mean logit start at `initial_logit`.

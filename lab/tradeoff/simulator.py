@@ -273,7 +273,8 @@ def _cells(row: SimulatorRow, errors: list[str], parts: list[str], count: int) -
         return [row.name, f"failed: {row.failed}", *[""] * (count - 2)]
     wall = row.times_ms["wall"]
     times_ms = [wall.p50, wall.p90, wall.p99, row.times_ms["cpu"].p50, *(row.times_ms[part].p50 for part in parts)]
-    return [row.name, *(_error(name, row.errors[name]) for name in errors), *map(_milliseconds, times_ms)]
+    times = ["-" if time_ms is None else f"{time_ms:.4g}" for time_ms in times_ms]
+    return [row.name, *(_error(name, row.errors[name]) for name in errors), *times]
 
 
 def _error(name: str, spread: Spread) -> str:
@@ -281,7 +282,3 @@ def _error(name: str, spread: Spread) -> str:
     if not name.endswith("_db"):
         return f"{spread.median:.1e}, {spread.worst:.1e}"
     return ", ".join("same" if value <= SAME_DB else f"{value:.1f}" for value in (spread.median, spread.worst))
-
-
-def _milliseconds(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"

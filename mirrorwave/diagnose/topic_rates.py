@@ -59,7 +59,8 @@ def awaited(bus: Bus, domain: str, topic: str, deadline_s: float | None) -> Iter
 
     Raises `ConnectionError` where no time was set and no graph has come within `FIND_S`.
     """
-    first = next(messages(bus, _earlier(deadline_s, time.monotonic() + FIND_S)), None)
+    find_s = time.monotonic() + FIND_S
+    first = next(messages(bus, find_s if deadline_s is None else min(deadline_s, find_s)), None)
     if first is not None:
         yield first
     elif deadline_s is None and not is_running(domain):
@@ -67,10 +68,6 @@ def awaited(bus: Bus, domain: str, topic: str, deadline_s: float | None) -> Iter
     elif deadline_s is None and not publishes(domain, topic):
         typer.echo(f"nobody publishes {topic} yet: waiting until Ctrl-C", err=True)
     yield from messages(bus, deadline_s)
-
-
-def _earlier(deadline_s: float | None, other_s: float) -> float:
-    return other_s if deadline_s is None else min(deadline_s, other_s)
 
 
 def ends_of(topic: str, window_s: float, domain: str) -> dict[str, list[dict[str, Any]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -98,7 +98,8 @@ class Watch:
     def warnings(self, now_ns: int) -> tuple[DriverWarning, ...]:
         """Return the warnings at a time, the most urgent first; to be called often enough for right times."""
         views = self._views.figures(now_ns)
-        nodes = _node_facts(self._nodes.rows(now_ns))
+        rows = self._nodes.rows(now_ns)
+        nodes = tuple(NodeFact(row["node"], row["state"], row["reason"], row["lost_lately"]) for row in rows)
         graph_since_ns = self._views.since_ns
         return self._warner.step(
             self._facts._replace(now_ns=now_ns, views=views, nodes=nodes, graph_since_ns=graph_since_ns)
@@ -129,7 +130,3 @@ def _numbers(message: msgspec.Struct, now_ns: int, since_ns: int) -> Iterator[tu
             yield "incoherent_share", float(message.incoherent.mean())
             yield "missing_beams.count", float(len(message.missing_beams))
     yield from numeric_fields(message)
-
-
-def _node_facts(rows: Sequence[dict[str, Any]]) -> tuple[NodeFact, ...]:
-    return tuple(NodeFact(row["node"], row["state"], row["reason"], row["lost_lately"]) for row in rows)

@@ -80,9 +80,10 @@ def import_map(
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
     out.write_text(made.yaml, encoding="utf-8")
     if plot is not None:
-        from mirrorwave.plots.scene import write_scene
+        from mirrorwave.plots.scene import scene_figure
+        from mirrorwave.plots.style import save
 
-        write_scene(plot, made.scene)
+        save(scene_figure(made.scene), plot, dpi=130)
     _report(out, made, as_json)
     return ExitCode.DONE_WITH_LOSS if made.broken else ExitCode.DONE
 
