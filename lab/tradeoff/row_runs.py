@@ -62,11 +62,6 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     seed: int = 11
     effects: str = "all"
 
-    def __post_init__(self) -> None:
-        for name in ("frames", "repeats"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-
 
 class FrameResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One frame: counts and distances of each row (as `FrameScores`), its objects, milliseconds of each part and

@@ -19,7 +19,6 @@ from lab.training.data.frames import Frame
 from models.perception.find.detectors import Detector
 from models.perception.mirrors.confidence import FEATURES, PositionConfidence, position_features, standardised
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
-from msgs.values.arrays import require_positive
 from msgs.values.perception import PathClass
 
 #: Maximum distance of a true position from truth; the gate of the recovered F1.
@@ -35,10 +34,6 @@ class FitConfig(msgspec.Struct, frozen=True, kw_only=True):
     penalty: float = 3e-3
     iterations: int = 300
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("hidden", "penalty", "iterations"):
-            require_positive(f"fit.{name}", getattr(self, name))
 
 
 @dataclass(frozen=True)

@@ -46,12 +46,6 @@ class TrainDenseConfig:
     #: File of initial weights: a checkpoint, or an exported `CompactUNet`.
     init: str = ""
 
-    def __post_init__(self) -> None:
-        if self.threads < 1:
-            raise ValueError(f"train.threads must be at least 1, got {self.threads}")
-        if self.seed < 0:
-            raise ValueError(f"train.seed must not be negative, got {self.seed}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:

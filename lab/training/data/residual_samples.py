@@ -27,6 +27,8 @@ from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks
 
 Geometry = Literal["ours", "published"]
+#: A detected image is assigned to the nearest truth image within this (one to one).
+GATE_M = 2.0
 
 
 class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -34,12 +36,6 @@ class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     #: Walls and association behind which detected images are folded.
     geometry: Geometry = "ours"
-    #: A detected image is assigned to the nearest truth image within this (one to one).
-    gate_m: float = 2.0
-
-    def __post_init__(self) -> None:
-        if not self.gate_m > 0.0:
-            raise ValueError(f"samples.gate_m must be positive, got {self.gate_m}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +118,7 @@ def fold_published(peaks: Peaks) -> Folded:
 GEOMETRIES: dict[Geometry, Callable[[Peaks], Folded]] = {"ours": fold_ours, "published": fold_published}
 
 
-def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 2.0) -> FoldedImages:
+def with_truth(folded: Folded, labels: FrameLabels, scene: int) -> FoldedImages:
     """Return the folded images of one scene, each with the nearest truth image.
 
     Labels without a true position are ignored.
@@ -132,7 +128,7 @@ def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 
     truth_images_m = xy_from_polar(truth.range_m.astype(np.float64), truth.azimuth_rad.astype(np.float64))
     truth_m = truth.hidden_xy_m.astype(np.float64)
     target_m = np.full((len(recovered), 2), np.nan)
-    pairs = match_points(recovered.images_m, truth_images_m, gate_m)
+    pairs = match_points(recovered.images_m, truth_images_m, GATE_M)
     target_m[pairs[:, 0]] = truth_m[pairs[:, 1]] - recovered.points_m[pairs[:, 0]]
     return FoldedImages(
         images_m=reflection.images_m,
@@ -173,7 +169,7 @@ def fold_scenes(
     parts: list[FoldedImages] = []
     for frame in data.frames(indices):
         folded = GEOMETRIES[config.geometry](detector.detect(frame.ra_map))
-        parts.append(with_truth(folded, frame.labels, frame.index, config.gate_m))
+        parts.append(with_truth(folded, frame.labels, frame.index))
         on_scene()
     return join(parts)
 

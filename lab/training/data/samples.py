@@ -80,12 +80,6 @@ class DataConfig:
     encoding: Encoding = field(default_factory=Encoding)
     grid: RangeAzimuthGrid = field(default_factory=RangeAzimuthGrid)
 
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.clean_share <= 1.0:
-            raise ValueError(f"data.clean_share must be in 0..1, got {self.clean_share}")
-        if self.limit < 0:
-            raise ValueError(f"data.limit must not be negative, got {self.limit}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingData:

@@ -36,11 +36,6 @@ class GridSchedule(ScheduleConfig):
     #: bfloat16 in forward and backward passes.
     mixed_precision: bool = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.threads < 1:
-            raise ValueError(f"schedule.threads must be positive, got {self.threads}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class GridEpoch:

@@ -73,20 +73,11 @@ class ExportConfig:
 
     #: Data set of the run, for its splits and the card's text; None: the folder that the run names.
     data_dir: Path | None = None
-    #: Data set whose scenes all score the export; None: a split of `data_dir`.
-    test_dir: Path | None = None
-    split: str = "test"
     precision: Precision = "fp32"
     #: Encoded maps of the training split that set the ranges of int8.
     calibration_maps: int = 64
     #: Nearest range bins that the exported network sees; None: as many as it was trained on.
     range_bins: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.precision not in ("fp32", "fp16", "int8"):
-            raise ValueError(f"export.precision must be fp32, fp16 or int8, got {self.precision!r}")
-        if self.calibration_maps < 1:
-            raise ValueError(f"export.calibration_maps must be at least 1, got {self.calibration_maps}")
 
 
 def export_onnx(model: Exported, path: Path, maps: Iterable[np.ndarray] = ()) -> str:
@@ -152,12 +143,10 @@ PURSUIT_THRESHOLDS = tuple(round(0.1 + 0.02 * step, 2) for step in range(16))
 
 
 class _Scenes:
-    """The run's data set with its splits, read and checked once, and the scenes that score the export."""
+    """The run's data set with its splits, read and checked once."""
 
-    def __init__(self, directory: Path, config: ExportConfig) -> None:
+    def __init__(self, directory: Path) -> None:
         self.data, self.splits = DataSet(directory), fixed_splits(directory)
-        self.test = self.data if config.test_dir is None else DataSet(config.test_dir)
-        self.tested = self.splits.of(config.split) if config.test_dir is None else np.arange(len(self.test))
 
     @property
     def validation(self) -> Iterator[Frame]:
@@ -180,7 +169,7 @@ def export_run(
         if not isinstance(network, CompactUNet):
             raise ValueError(f"export.range_bins must go with a compact_unet, got {type(network).__name__}")
         network = network.cropped(config.range_bins)
-    scenes = _Scenes(config.data_dir or Path(run.data.directory), config)
+    scenes = _Scenes(config.data_dir or Path(run.data.directory))
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
     indices = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
     maps = np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(indices)])
@@ -194,9 +183,10 @@ def export_run(
         draft = msgspec.structs.replace(draft, radar=TrainedRadar.of(scenes.data.setup))
         for path in (reference, file):
             write_card(msgspec.structs.replace(draft, sha256=file_sha256(path)), path)
-        report(f"scoring on {counted(len(scenes.tested), 'scene')}")
+        tested = scenes.splits.of("test")
+        report(f"scoring on {counted(len(tested), 'scene')}")
         paths = (file,) if config.precision == "fp32" else (reference, file)
-        tallies = score_files(paths, scenes.test.frames(scenes.tested))
+        tallies = score_files(paths, scenes.data.frames(tested))
         exact, own = tallies[0], tallies[-1]
         report("reading scores as probabilities on the validation scenes")
         if draft.head == "heatmap":
@@ -214,7 +204,12 @@ def export_run(
                 calibration_maps=len(maps) if config.precision == "int8" else 0,
             ),
             calibration=_score_table(file, draft.head, scenes),
-            data=_provenance(scenes, config),
+            data={
+                "training": _command(scenes.data.directory),
+                "test_scenes": len(tested),
+                "test": "its test split",
+                "test_sha256": scenes.splits.test_sha256,
+            },
         )
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
@@ -353,14 +348,6 @@ def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
         )
         for threshold, counts in tally.counts.items()
     )
-
-
-def _provenance(scenes: _Scenes, config: ExportConfig) -> dict[str, str | int]:
-    """Return the origin of training and test scenes, and the identity of the latter."""
-    provenance: dict[str, str | int] = {"training": _command(scenes.data.directory), "test_scenes": len(scenes.tested)}
-    if config.test_dir is not None:
-        return provenance | {"test": _command(config.test_dir)}
-    return provenance | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
 
 
 #: Entries of a series that the command takes, and their options.

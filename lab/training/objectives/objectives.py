@@ -35,11 +35,6 @@ class ObjectiveConfig:
     #: Weight of a positive cell against a negative one, binary_focal.
     alpha: float = 0.99
 
-    def __post_init__(self) -> None:
-        for name in ("sigma_px", "alpha"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"objective.{name} must be positive, got {getattr(self, name)}")
-
 
 class Objective(Protocol):
     """Loss of a batch of raw answers, and the points of one."""

@@ -174,9 +174,6 @@ def test_wrong_rows_are_refused(tmp_path: Path) -> None:
     path.write_text("rows: [{switch: a}]")
     with pytest.raises(ValueError, match=r"rows\.yaml.*missing required field value"):
         read_settings(path)
-    for name in ("frames", "repeats"):
-        with pytest.raises(ValueError, match=f"{name} must be at least 1, got 0"):
-            Plan(**{"rows": [], "frames": 1, "repeats": 1, name: 0})
 
 
 @pytest.mark.slow

@@ -138,13 +138,6 @@ def test_peaks_by_pursuit_have_a_threshold_of_their_own(monkeypatch: pytest.Monk
     assert false < threshold <= false + 0.02
 
 
-def test_all_scenes_of_another_data_set_can_score_it(run_dir: Path, tmp_path: Path) -> None:
-    other = write_shards(tmp_path / "other", seed=2, scenes=4)
-    card = export_run(run_dir, tmp_path / "net.onnx", ExportConfig(test_dir=other))
-    assert card.data["test"] == f"mirrorwave sim dataset --out {other} --count 4 --seed 2"
-    assert card.data["test_scenes"] == 4
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["fp16", "int8"])
 def test_smaller_numbers_say_what_they_cost(run_dir: Path, tmp_path: Path, precision: str) -> None:
@@ -183,13 +176,6 @@ def test_run_without_a_network_is_named(run_dir: Path) -> None:
     (run_dir / BEST).unlink()
     with pytest.raises(ValueError, match=r"best\.pt must exist"):
         load_best(run_dir)
-
-
-def test_wrong_wishes_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"export\.precision must be fp32, fp16 or int8, got 'fp8'"):
-        ExportConfig(precision="fp8")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"export\.calibration_maps must be at least 1, got 0"):
-        ExportConfig(calibration_maps=0)
 
 
 def test_a_card_names_the_command_of_drives(tmp_path: Path) -> None:

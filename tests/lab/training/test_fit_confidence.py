@@ -137,5 +137,3 @@ def test_weights_are_those_of_training_scenes_threshold_and_metrics_those_of_val
 def test_places_of_one_kind_and_wrong_parameters_are_refused() -> None:
     with pytest.raises(ValueError, match="places to fit must be true and false, got 0 of one kind"):
         fit_confidence([scene([], [])], [], FitConfig())
-    with pytest.raises(ValueError, match=r"fit\.penalty must be"):
-        FitConfig(penalty=0.0)

@@ -79,8 +79,9 @@ def test_a_range_error_is_what_is_to_be_corrected() -> None:
 def test_an_image_beyond_the_gate_is_none_of_the_truth() -> None:
     labels = labels_of(PLACES_M)
     peaks = moved(truth_peaks(labels), 2.5)
-    assert with_truth(GEOMETRIES["ours"](peaks), labels, 0, gate_m=2.0).within(np.inf).tolist() == [False, False]
-    assert with_truth(GEOMETRIES["ours"](peaks), labels, 0, gate_m=3.0).within(np.inf).tolist() == [True, True]
+    assert with_truth(GEOMETRIES["ours"](peaks), labels, 0).within(np.inf).tolist() == [False, False]
+    peaks = moved(truth_peaks(labels), 1.5)
+    assert with_truth(GEOMETRIES["ours"](peaks), labels, 0).within(np.inf).tolist() == [True, True]
 
 
 def test_two_images_of_one_place_are_matched_once() -> None:
@@ -184,8 +185,3 @@ def test_a_file_that_is_no_table_is_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", a=np.zeros(1))
     with pytest.raises(ValueError, match=r"other\.npz must hold folded images"):
         load_folded(tmp_path / "other.npz")
-
-
-def test_a_gate_must_be_positive() -> None:
-    with pytest.raises(ValueError, match=r"samples\.gate_m must be positive, got 0\.0"):
-        SampleConfig(gate_m=0.0)
