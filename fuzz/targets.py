@@ -661,8 +661,8 @@ def _words(parts: Parts, box: Box) -> None:
     import math
 
     from lab.evaluate import methods as evaluate_methods
-    from lab.training.data.selection import parse_selection
     from lab.walls import curves as wall_curves
+    from mirrorwave.commands import former_options
     from mirrorwave.commands.captures import bag_options
     from mirrorwave.commands.sim import dataset as sim_dataset
     from mirrorwave.diagnose import topic_echo
@@ -695,7 +695,7 @@ def _words(parts: Parts, box: Box) -> None:
         case 7:
             sim_dataset.parse_slurm(word.split("|"))
         case _:
-            parse_selection(word.split("|")[:1], word.split("|")[1:])
+            former_options.present_words(word.split("|"), str)
 
 
 def _messages() -> list[tuple[str, Any]]:

@@ -55,7 +55,7 @@ def config(**changes: object) -> ResidualRunConfig:
     settings = {"epochs": 3, "batch_size": 32, "frame": "wall"} | changes
     return ResidualRunConfig(
         training=TrainResidualConfig(**settings),  # type: ignore[arg-type]
-        samples=SampleConfig(source="peaks"),
+        samples=SampleConfig(),
         data={"directory": "none"},
     )
 
