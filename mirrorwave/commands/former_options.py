@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import islice
 
 #: Verb -> its name today.
 _VERBS = {"bag trim": "bag filter"}
@@ -65,8 +66,9 @@ def _present_options(verb: str, words: Iterator[str], say: Callable[[str], objec
         option, given, value = word.partition("=")
         if option in renamed:
             today, _, key = renamed[option].partition("=")
-            value = value if given else next(words, "")
-            yield from (today, f"{key}={value}" if key else value)
+            yield today
+            for follower in [value] if given else islice(words, 1):
+                yield f"{key}={follower}" if key else follower
         elif option in constants or f"{option} " in constants:
             if option in constants and not given:
                 next(words, "")

@@ -23,6 +23,7 @@ from mirrorwave.commands.former_options import _CONSTANTS, _RENAMED, _VERBS, pre
         ("train confidence --clean --data d", "train confidence --data d", "--clean of `train confidence` is"),
         ("train dense --data d --split x", "train dense --data d --split x", ""),
         ("sim run a --out b", "sim run a --out b", ""),
+        ("compare --jobs", "compare --workers", ""),
         ("", "", ""),
     ],
 )
