@@ -3,8 +3,8 @@
 One GPU, many cores, no network, some minutes: places are drawn by as many processes as there are cores, their maps
 formed as they come, and trained on while more are drawn. Our detector ends with the drawing and is exported at once;
 UNet and both sizes of Swin-UNet train all the time, the other networks after the drawing, and last the runs of the
-curve against the number of training maps. The clock starts when the simulator is compiled. Whatever `--work` holds is kept: the same
-command goes on where it was stopped.
+curve against the number of training maps. The clock starts when the simulator is compiled. Whatever `--work` holds is
+kept: the same command goes on where it was stopped.
 Usage: python -m benchmarks.accuracy.full_size --work DIR --out DIR [--minutes 6.5] [--places 20000] [--workers 16]
        python -m benchmarks.accuracy.full_size --unpack DIR --out runs/full_size
 The second writes what the first left in its --out as run folders for `mirrorwave export`.
