@@ -154,7 +154,7 @@ mutants: setup-dev  ## bugs put into a room one by one, and those that its own t
 	cd build/mutants && $(COSMIC_RAY)/cr-report --surviving-only --show-diff session.sqlite
 
 tables: setup  ## the shipped reflectance table, simulated again (minutes; goes on if stopped)
-	$(BIN)/mirrorwave sim reflectance --rebuild
+	$(BIN)/mirrorwave sim reflectance --rebuild --workers 2
 
 sample: setup  ## the shipped sample capture, simulated again: docs/guides/first-look.md
 	$(BIN)/python -m benchmarks.simulator.sample_capture
