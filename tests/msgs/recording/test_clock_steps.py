@@ -85,7 +85,9 @@ def test_a_silence_is_time_that_passed_and_is_said(gap_s: int, caplog: pytest.Lo
     assert f"the clock has a gap of {gap_s - 0.2:.1f} s, or was set ahead, after 10 messages" in caplog.text
 
 
-@pytest.mark.parametrize(("period_ns", "gap_s", "level"), [(MS, 2, "WARNING"), (300 * MS, 8, "INFO"), (S, 12, "WARNING")])
+@pytest.mark.parametrize(
+    ("period_ns", "gap_s", "level"), [(MS, 2, "WARNING"), (300 * MS, 8, "INFO"), (S, 12, "WARNING")]
+)
 def test_a_gap_is_a_warning_in_a_dense_stream_or_where_it_is_long(
     period_ns: int, gap_s: int, level: str, caplog: pytest.LogCaptureFixture
 ) -> None:
