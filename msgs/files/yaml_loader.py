@@ -45,7 +45,7 @@ class BoundedLoader(_loader()):  # type: ignore[misc]
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return a node of the tree; raises `yaml.MarkedYAMLError` for a refused one."""
-        event = self.peek_event()
+        event: Any = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
             # lists of lists of these grow without bound when they are read as values
             raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=event.start_mark)
