@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lab.tradeoff.row_report import Report
     from lab.tradeoff.row_runs import Plan
     from lab.tradeoff.rows import Setting
+    from mirrorwave.console import Progress
 
 #: Places for a coffee, and for the record; times each is timed.
 QUICK, FULL, REPEATS = 24, 240, 2
@@ -49,7 +50,7 @@ def tradeoff(
     if simulator:
         _simulator(out, full, seed, as_json)
         return
-    from lab.studies.report import busy_reason, load_per_core, write_report
+    from lab.studies.report import write_report
     from lab.tradeoff.row_figures import draw_front, draw_stages
     from lab.tradeoff.row_report import make_report, markdown
     from lab.tradeoff.row_runs import Plan, peak_memory_mib, run_plan
@@ -61,8 +62,7 @@ def tradeoff(
     rows = _selected_rows(read_settings(DEFAULT_SETTINGS, by_file), asked)
     plan = Plan(rows=rows, frames=count or (FULL if full else QUICK), repeats=REPEATS, seed=seed)
     with progress_bar("places", plan.frames) as tick:
-        if busy := busy_reason(load_per_core()):
-            tick.print(f"mirrorwave: the machine is busy, times will not count: {busy}")
+        _warn_of_load(tick)
         results = run_plan(plan, out, tick)
     failed = {name for result in results for name in result.failed}
     running = [setting for setting in plan.rows if setting.name not in failed] if memory else []
@@ -84,6 +84,7 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
     from lab.tradeoff.simulator_figures import draw_simulator
 
     with progress_bar("cases", len(simulator_plan(full, seed).jobs)) as tick:
+        _warn_of_load(tick)
         report = run_simulator(out, full, seed, tick)
     write_report(out, "tradeoff-simulator", report, simulator_markdown(report))
     draw_simulator(report, out / "tradeoff-simulator.png")
@@ -92,6 +93,14 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
         return
     print_line(simulator_markdown(report))
     print_line(f"{out}: tradeoff-simulator.json, .md, .png")
+
+
+def _warn_of_load(tick: Progress) -> None:
+    """Say before a run that its times will not count."""
+    from lab.studies.report import busy_reason, load_per_core
+
+    if busy := busy_reason(load_per_core()):
+        tick.print(f"mirrorwave: the machine is busy, times will not count: {busy}")
 
 
 def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:

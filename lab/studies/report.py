@@ -94,6 +94,11 @@ def busy_reason(load_before: float, waited: float = 0.0) -> str:
     return " and ".join(reasons)
 
 
+def busy_lines(busy: str) -> list[str]:
+    """Return what a page says of a machine that was busy, and why; nothing where it was not."""
+    return ["", f"**The times do not count**: the machine was busy. {busy}."] if busy else []
+
+
 def versions() -> dict[str, str]:
     """Return the versions of what times depend on."""
     packages = ("mirrorwave", "numpy", "scipy", "numba", "onnxruntime", "pyzmq", "msgspec")

@@ -13,7 +13,18 @@ import numpy as np
 
 from lab.measures.frame_scores import Estimate, FrameScores, bootstrap_weights, differences, estimates
 from lab.measures.object_metrics import ObjectScores, object_differences, object_estimates
-from lab.studies.report import DRAWS, Interval, Provenance, Times, busy_reason, finite, machine, quantiles_ms, versions
+from lab.studies.report import (
+    DRAWS,
+    Interval,
+    Provenance,
+    Times,
+    busy_lines,
+    busy_reason,
+    finite,
+    machine,
+    quantiles_ms,
+    versions,
+)
 from lab.tradeoff.row_runs import BEFORE, PARTS, FrameResult, Plan
 from lab.tradeoff.rows import PROFILE, Setting
 from mirrorwave.plots.markdown import table
@@ -273,8 +284,8 @@ def markdown(report: Report) -> str:
         f"`{report.command}`: {counted(report.frames, 'place')} of series {report.seed}, "
         f"each timed {counted(report.repeats, 'time')}; "
         f"{report.machine}; {report.packages}.",
+        *busy_lines(report.busy),
         "",
-        *([f"**The times do not count**: the machine was busy. {report.busy}.", ""] if report.busy else []),
         *table(COLUMNS, map(cells, ordered)),
     ]
     return "\n".join(lines) + "\n"

@@ -17,7 +17,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lab.full_wave.smooth import SMOOTH_WALLS
-from lab.studies.report import Provenance, Times, machine, quantiles_ms, versions
+from lab.studies.report import (
+    Provenance,
+    Times,
+    busy_lines,
+    busy_reason,
+    load_per_core,
+    machine,
+    quantiles_ms,
+    versions,
+)
 from lab.studies.resumable import ResumableRun, charged
 from lab.tradeoff.simulator_cases import BODIES, GROUPS, SAME_DB, Case, Clock, Value, setting_name
 from mirrorwave.plots.markdown import table
@@ -64,6 +73,8 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     times_ms: dict[str, dict[str, list[float]]]
     #: Settings that failed, and why in one line.
     failed: dict[str, str]
+    #: `load_per_core` before the run.
+    load_before: float = 0.0
 
 
 @dataclass
@@ -135,11 +146,12 @@ def run_simulator_plan(plan: SimulatorPlan, out: Path, tick: Callable[[], None] 
     files = {(group, index): f"{group.replace(' ', '-')}-{index:05d}.msgpack" for group, index in plan.jobs}
     run = ResumableRun(plan, out / "simulator", CaseResult, files)
     warm: set[str] = set()
+    load_before = load_per_core()
     for group, index in run.missing(tick):
         if group not in warm:
             warm_up(plan, group)
             warm.add(group)
-        run.keep((group, index), measure(plan, group, index))
+        run.keep((group, index), msgspec.structs.replace(measure(plan, group, index), load_before=load_before))
         tick()
     return run.results()
 
@@ -181,6 +193,8 @@ class SimulatorReport(Provenance, frozen=True, kw_only=True, forbid_unknown_fiel
     repeats: int
     groups: list[SimulatorGroup]
     rows: list[SimulatorRow]
+    #: Why the times do not count: the machine was busy. Empty where they do.
+    busy: str = ""
 
     def of(self, group: str) -> list[SimulatorRow]:
         """Rows of a group that did not fail, in order."""
@@ -213,7 +227,16 @@ def make_simulator_report(plan: SimulatorPlan, results: Sequence[CaseResult], co
         repeats=plan.repeats,
         groups=groups,
         rows=rows,
+        busy=busy_reason(max((result.load_before for result in results), default=0.0), _waited(results)),
     )
+
+
+def _waited(results: Sequence[CaseResult]) -> float:
+    """Return the share of the timed parts in which they had no core; parts that ran on several had all they wanted."""
+    each = [times for result in results for times in result.times_ms.values()]
+    wall_ms = np.array([ms for times in each for ms in times["wall"]])
+    cpu_ms = np.array([ms for times in each for ms in times["cpu"]])
+    return float(np.maximum(wall_ms - cpu_ms, 0.0).sum() / max(wall_ms.sum(), 1e-9))
 
 
 def _row(group: str, value: Value, results: Sequence[CaseResult]) -> SimulatorRow:
@@ -244,6 +267,7 @@ ERROR_NAMES = {"worst_cell_db": "worst cell [dB]", "median_cell_db": "median cel
 def simulator_markdown(report: SimulatorReport) -> str:
     """The report as a page: how it was made, then a table a group, failed rows in their place."""
     lines = [f"`{report.command}`: each timed {counted(report.repeats, 'time')}; {report.machine}; {report.packages}."]
+    lines += busy_lines(report.busy)
     for group in report.groups:
         rows = [row for row in report.rows if row.group == group.name]
         sound = report.of(group.name)

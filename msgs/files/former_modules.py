@@ -45,6 +45,7 @@ FORMER = {
     "sim_player.scene.visibility": "sim_player.paths.visibility",
     "sim_player.trace.bounce": "sim_player.scene.bounce",
     "sim_player.trace.conversion": "sim_player.paths.conversion",
+    "sim_player.trace.mesh_rcs": "lab.full_wave.shot_rays",
     "sim_player.trace.path_tracks": "sim_player.paths.path_tracks",
     "sim_player.trace.paths": "sim_player.trace.path_table",
     "sim_player.trace.ray_tracing": "sim_player.paths.ray_tracing",

@@ -9,10 +9,11 @@ import re
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
 
 #: No file of this project is deeper, and deep files are slow to parse.
 MAX_DEPTH = 32
-#: Keys and values of one file: a scene of ten thousand walls has 80,000, which take a second or two to parse.
+#: Keys and values of one file: a scene of ten thousand walls has 80,000, which take a second to parse.
 MAX_NODES = 100_000
 
 
@@ -24,19 +25,33 @@ def in_words(value: object) -> str:
     return _WORDS.get(type(value), type(value).__name__)
 
 
-class BoundedLoader(yaml.SafeLoader):
+def _loader() -> Any:
+    """Return a `SafeLoader` whose nodes are composed here, of events that libyaml reads where it is at hand: a megabyte
+    of text takes it a hundredth of a second.
+    """
+    if not yaml.__with_libyaml__:
+        return yaml.SafeLoader
+    return type("_Loader", (Composer, yaml.CSafeLoader), {"__init__": yaml.CSafeLoader.__init__})
+
+
+class BoundedLoader(_loader()):  # type: ignore[misc]
     """`SafeLoader` without aliases and tags, of `MAX_NODES` keys and values and `MAX_DEPTH` levels at most."""
 
     _depth = _nodes = 0
 
+    def __init__(self, stream: Any) -> None:
+        super().__init__(stream)
+        self.anchors: dict[str, Any] = {}
+
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return a node of the tree; raises `yaml.MarkedYAMLError` for a refused one."""
-        if self.check_event(yaml.AliasEvent):
+        event: Any = self.peek_event()
+        if isinstance(event, yaml.AliasEvent):
             # lists of lists of these grow without bound when they are read as values
-            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
-        if getattr(self.peek_event(), "tag", None) is not None:
+            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=event.start_mark)
+        if getattr(event, "tag", None) is not None:
             # PyYAML raises KeyError, IndexError and others for values that do not match their tag
-            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
+            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=event.start_mark)
         self._depth += 1
         self._nodes += 1
         if self._nodes > MAX_NODES:

@@ -23,8 +23,9 @@ _LOG = logging.getLogger(__name__)
 _NEAR_NS, _NEAR_INTERVALS = NANOSECONDS_PER_SECOND // 10, 3
 #: A longer gap is said, and a much longer one is a step of the clock; a slow stream may be silent for some intervals.
 GAP_NS, SILENCE_NS, _INTERVALS = NANOSECONDS_PER_SECOND, 60 * NANOSECONDS_PER_SECOND, 10
-#: Whoever waits for a gap this long wants to know why.
-_LONG_GAP_NS = 10 * NANOSECONDS_PER_SECOND
+#: Whoever waits for a gap this long wants to know why; and in a stream this dense, stamps cannot tell silence from a
+#: clock that was set ahead.
+_LONG_GAP_NS, _DENSE_INTERVALS = 10 * NANOSECONDS_PER_SECOND, 100
 #: Intervals of which the median is the usual one.
 _KEPT_INTERVALS = 31
 #: Stamps in a row that are off, at most: more of them are a step.
@@ -133,8 +134,9 @@ class Bridged(Generic[Item]):
             self._last_ns = stamp_ns
         elif away_ns > max(GAP_NS, _INTERVALS * usual_ns):
             self.gaps += 1
-            level = logging.WARNING if away_ns > _LONG_GAP_NS else logging.INFO
-            self._say(level, f"has a gap of {s_from_ns(away_ns):.1f} s")
+            is_odd = away_ns > min(_LONG_GAP_NS, _DENSE_INTERVALS * usual_ns)
+            level = logging.WARNING if is_odd else logging.INFO
+            self._say(level, f"has a gap of {s_from_ns(away_ns):.1f} s, or was set ahead,")
             self._last_ns = stamp_ns
         else:
             self._keep(stamp_ns)

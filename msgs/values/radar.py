@@ -347,12 +347,14 @@ class RadarBeam(Checked, frozen=True, kw_only=True, eq=False):
 FORMING_MODES = ("coherent", "magnitude", "welch")
 #: Origin of a map: formed of beams, or excess photons of a LiDAR in standard deviations.
 MAP_MODES = (*FORMING_MODES, "photons")
-#: Faults of the receiver's wiring, in words.
+#: Faults of the receiver's wiring and of its converters, in words.
 WIRING_FAULTS = {
     "i_stuck": "I does not change",
     "q_stuck": "Q does not change",
     "i_equals_q": "I and Q carry the same signal",
     "iq_exchanged": "echoes stand at negative ranges: I and Q are exchanged, or beat_sign is wrong",
+    "i_bit_stuck": "a bit of I does not change while higher and lower ones do",
+    "q_bit_stuck": "a bit of Q does not change while higher and lower ones do",
 }
 #: Zeroed chirps; beams without any echo; beams with foreign noise; tones that fill all beams; columns whose gains or
 #: phases are not those of the set-up; and those of the wiring.

@@ -77,6 +77,8 @@ FLAG_WORDS = {
     "q_stuck": ("The radar's Q channel is dead", "half of what is shown is not there; check the wiring"),
     "i_equals_q": ("The radar's channels carry one signal", "half of what is shown is not there; check the wiring"),
     "iq_exchanged": ("The radar's channels are exchanged", "nothing is seen; check the wiring or the set-up"),
+    "i_bit_stuck": ("The radar's I converter has a dead bit", "echoes may be missed or made up; check the converter"),
+    "q_bit_stuck": ("The radar's Q converter has a dead bit", "echoes may be missed or made up; check the converter"),
 }
 #: Maximum number of tracks considered: the nearest.
 MAX_TRACKS = 100

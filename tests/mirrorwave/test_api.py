@@ -12,6 +12,8 @@ import pytest
 from mirrorwave.api import Perception, View, scan_beams, views
 from mirrorwave.cli import main
 from mirrorwave.convert.result_lines import bev_to_json
+from mirrorwave.profiles import profile_names
+from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.radar import PRESETS, RadarBeam, RadarParams, RadarSetup
 from nodes.player import Params, scene_player
@@ -47,6 +49,12 @@ def test_profile_and_overrides_reach_the_nodes(capture: Path, tmp_path: Path) ->
     assert lines_of(list(views(capture, overrides=["dense_predictor.method=cfar"]))) == lines_of(
         list(views(capture, "cfar"))
     )
+
+
+@pytest.mark.parametrize("profile", profile_names())
+def test_every_profile_sees_the_sample(profile: str) -> None:
+    """Chirps of 1,024 samples, of which `fast` takes every one."""
+    assert len(next(views(SAMPLE, profile=profile)).peaks)
 
 
 def test_a_scan_as_one_array_is_a_scan_of_beams(beams: tuple[RadarSetup, list[RadarBeam]]) -> None:

@@ -29,6 +29,8 @@ from nodes.geometry import Params, parts_of
 from nodes.player import Params as PlayerParams
 from nodes.player import scene_player
 from nodes.process.launch_file import LaunchFile, read_launch_file
+from sim_player.player import ScenePlayer
+from sim_player.scene.description import load_scene
 from tests.captures import DATA, needs
 
 ALLEY = DATA / "sigmf_alley"
@@ -109,6 +111,25 @@ def test_left_and_right_are_alike(profile: str) -> None:
         apart = {math.hypot(other.x_m - item.x_m, other.y_m + item.y_m): other.score for other in there}
         assert min(apart) < 0.15
         assert apart[min(apart)] == pytest.approx(item.score, abs=0.08)
+
+
+@pytest.mark.parametrize("profile", ["accurate", "default"])
+def test_left_and_right_are_equal_under_ideal_phase_shifters(profile: str) -> None:
+    """Without rounded phases the samples in mirrored order are the mirrored scene: what is left is the order of sums of
+    float32, and with whole numbers which way a cell is rounded.
+    """
+    scene = load_scene(LAUNCH / "scenes/corner.yaml")
+    ideal = replace(scene, radar=replace(scene.radar, array=replace(scene.radar.array, phase_bits=0)))
+    player = ScenePlayer(ideal, 0, chirps_per_beam=8)
+    beams = [player.beam(0, index) for index in range(25)]
+    mirrored = [replace(beam, samples=other.samples) for beam, other in zip(beams, reversed(beams), strict=True)]
+    parts = SharedParts.of(read_profile(profile), player.setup)
+    here, there = objects_of(parts, beams), objects_of(parts, mirrored)
+    assert here
+    assert len(here) == len(there)
+    tolerance = 1e-3 if profile == "accurate" else 0.02
+    for item, other in zip(here, there, strict=True):
+        assert (other.x_m, -other.y_m, other.score) == pytest.approx((item.x_m, item.y_m, item.score), abs=tolerance)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ from msgs.values.units import ratio_from_db
 
 #: Number of codes of a chirp that are inspected to detect a lost chirp.
 _LOOKED_AT = 128
+#: Number of chirps of a beam whose bits are inspected.
+_BIT_CHIRPS = 4
 #: Range bins this near hold the transmitter's leakage, which fills all beams by nature.
 _NEAR_BINS = 4
 #: A silent beam's mean power stays under the first over at least so many bins in which some beam is over the second:
@@ -42,6 +44,23 @@ def lost_chirps(samples: np.ndarray) -> int:
     """Count the chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise never is all zeros."""
     step = max(samples.shape[1] // _LOOKED_AT, 1)
     return int(np.count_nonzero(~samples[:, ::step].any(axis=(1, 2))))
+
+
+def changing_bits(samples: np.ndarray) -> np.ndarray:
+    """Return the bits of I and of Q that change, uint16 [2], over some chirps of int16 codes [chirps, samples, 2]."""
+    pairs = np.ascontiguousarray(samples[:: max(len(samples) // _BIT_CHIRPS, 1)]).view(np.uint32)
+    changing = np.bitwise_or.reduce(pairs, axis=None) & ~np.bitwise_and.reduce(pairs, axis=None)
+    return np.array([changing & 0xFFFF, changing >> 16], np.uint16)
+
+
+def converter_faults(changing: np.ndarray) -> tuple[str, ...]:
+    """Return the faults of the two converters by the bits [2] that change in a scan, names in `MAP_FAULTS`.
+
+    Low bits that a converter lacks are still, and so are high ones where no code changes its sign. A still bit between
+    two that change is broken: codes on both sides of zero or of its value need it.
+    """
+    filled = [int(bits) | (int(bits) - 1) if bits else 0 for bits in changing]
+    return tuple(f"{name}_bit_stuck" for name, bits in zip("iq", filled, strict=True) if bits & (bits + 1))
 
 
 class ChannelTerms(NamedTuple):

@@ -64,7 +64,8 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     beam_step: int = 1
     #: A map of the newest sweep every so many beams, most of them measured before the last map; None: one a scan.
     rolling_beams: int | None = None
-    #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
+    #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out; fewer
+    #: where chirps are short (`allowed_decimation`).
     decimation: int = 1
     coherence: CoherenceTest = CoherenceTest()
     #: Where the radar sits on the vehicle; ego motion is the vehicle's.
@@ -236,9 +237,10 @@ class BeamFolder:
                 "forming.rolling_beams must be null for a digital array: all its beams are of one time, "
                 f"got {params.rolling_beams!r}"
             )
+        _check_grid(radar.range_bin_m, radar.samples_per_chirp, grid)
+        self.decimation = allowed_decimation(params.decimation, radar.samples_per_chirp, grid.range_bins)
         #: Number of samples per chirp that are transformed.
-        self.samples = radar.samples_per_chirp // params.decimation
-        _check_grid(radar.range_bin_m, self.samples, grid)
+        self.samples = radar.samples_per_chirp // self.decimation
         self.setup = setup
         self.params = params
         self.grid = grid
@@ -260,7 +262,7 @@ class BeamFolder:
         series = self._beats(sums, beam.beam_index)
         if ego is not None:
             series *= ego.sample_phase
-        if self.params.decimation > 1:
+        if self.decimation > 1:
             series = series.reshape(self.groups, self.samples, -1).sum(axis=2)
         spectra = scipy.fft.fft(series, axis=1, overwrite_x=True, workers=1)
         # milliwatt per code, over all that was summed
@@ -273,7 +275,7 @@ class BeamFolder:
             noise_power_mw = self._noise_power_mw(spectra)
             profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
             profile, speed_mps = self.resolved(profiles, noise_power_mw, ego)
-        if self.params.decimation > 1:
+        if self.decimation > 1:
             profile = profile * self._undrooped
         profile = profile if ego is None else profile * ego.bin_phase
         return FoldedBeam(profile, noise_power_mw, saturated, speed_mps, channels)
@@ -357,7 +359,7 @@ class BeamFolder:
     def _undrooped(self) -> np.ndarray:
         """Factor that restores the phase and magnitude that sums of neighbouring samples lose; complex64 [range]."""
         turns = np.arange(self.grid.range_bins) / self.setup.radar.samples_per_chirp
-        droop = np.exp(2j * np.pi * np.multiply.outer(turns, np.arange(self.params.decimation))).mean(axis=1)
+        droop = np.exp(2j * np.pi * np.multiply.outer(turns, np.arange(self.decimation))).mean(axis=1)
         return (1.0 / droop).astype(np.complex64)
 
     @cached_property
@@ -384,6 +386,14 @@ class BeamFolder:
         # beyond half the rate of the sums Doppler repeats
         limit = min(limit, (self.groups - 1) * params.doppler_padding // 2)
         return step_hz * np.concatenate([np.arange(limit + 1), -np.arange(1, limit + 1)])
+
+
+def allowed_decimation(wanted: int, samples: int, range_bins: int) -> int:
+    """Return the largest number of neighbouring samples to sum, at most `wanted`, that leaves two samples for each
+    range bin of the map: beyond, sums lose more than 4 dB of an echo and noise folds into the map.
+    """
+    fitting = (count for count in range(wanted, 1, -1) if samples % count == 0 and samples // count >= 2 * range_bins)
+    return next(fitting, 1)
 
 
 def _check_grid(range_bin_m: float, samples: int, grid: RangeAzimuthGrid) -> None:

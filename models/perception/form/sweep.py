@@ -7,7 +7,15 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from models.perception.form.map_quality import has_spurs, interfered_beams, lost_chirps, silent_beams, wiring_faults
+from models.perception.form.map_quality import (
+    changing_bits,
+    converter_faults,
+    has_spurs,
+    interfered_beams,
+    lost_chirps,
+    silent_beams,
+    wiring_faults,
+)
 from models.perception.form.ra_forming import (
     BeamFolder,
     EgoCorrection,
@@ -43,6 +51,8 @@ class FoldedBeams:
     #: Number of samples at full scale, and of chirps lost; int64 [beams].
     saturated: np.ndarray
     lost_chirps: np.ndarray
+    #: Bits of I and Q that change, uint16 [beams, 2].
+    changing_bits: np.ndarray
     #: `ChannelTerms` [beams, 2, range], [beams] and complex [beams]; the ranges beyond the leakage are the first.
     sides: np.ndarray
     channel_power: np.ndarray
@@ -62,6 +72,7 @@ class FoldedBeams:
             stamp_ns=stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64),
             saturated=np.zeros(beams, np.int64),
             lost_chirps=np.zeros(beams, np.int64),
+            changing_bits=np.zeros((beams, 2), np.uint16),
             sides=np.zeros((beams, 2, folder.grid.range_bins)),
             channel_power=np.zeros(beams),
             channel_product=np.zeros(beams, np.complex128),
@@ -125,6 +136,7 @@ class Sweep:
         beams.stamp_ns[index] = beam.stamp_ns
         beams.saturated[index] = folded.saturated
         beams.lost_chirps[index] = lost_chirps(beam.samples[: self._folder.chirps])
+        beams.changing_bits[index] = changing_bits(beam.samples[: self._folder.chirps])
         channels = folded.channels
         beams.sides[index, :, : channels.sides.shape[1]] = channels.sides
         beams.channel_power[index], beams.channel_product[index] = channels.power, channels.product
@@ -201,6 +213,7 @@ class Sweep:
             faults=(
                 *(name for name, holds in faults.items() if holds),
                 *wiring_faults(beams.sides.sum(axis=0), beams.channel_power.sum(), beams.channel_product.sum()),
+                *converter_faults(np.bitwise_or.reduce(beams.changing_bits)),
             ),
             look_azimuth_rad=None if state is None else beams.look_azimuth_rad,
             radial_speed_mps=beams.radial_speed_mps if folder.measures_speed else None,

@@ -50,7 +50,7 @@ SAME_IMAGE_M = 0.7
 AZIMUTH_STD_RAD, END_M, MAX_MISSED_M = 0.035, 0.5, 8.0
 #: Bounds of distances, lengths and errors in channels.
 FAR_M, GAP_M, RANGE_M, PLACE_M, ANGLE_RAD = 8.0, 8.0, 70.0, 42.0, 0.175
-GAP_STEP_M, GAP_BEFORE_M, GAPS = 0.5, 10.0, 256
+GAP_STEP_M, GAPS = 0.5, 256
 
 
 class BirdsEyeGrid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -170,14 +170,15 @@ def _table(walls: WallArrays, certainty: np.ndarray) -> np.ndarray:
 
 
 def _gaps(walls: WallArrays, support_m: np.ndarray, wall_of: np.ndarray) -> np.ndarray:
-    """Return the distance along each wall to the nearest place where it was seen, [walls, GAPS] from before its end."""
+    """Return the distance along each wall to the nearest place where it was seen, [walls, GAPS] about its middle."""
     gaps = np.full((len(walls), GAPS), GAP_M)
-    at_m = GAP_STEP_M * (np.arange(GAPS) + 0.5) - GAP_BEFORE_M
+    from_middle_m = GAP_STEP_M * (np.arange(GAPS) + 0.5 - 0.5 * GAPS)
     for wall in range(len(walls)):
         own = support_m[wall_of == wall]
         if len(own):
             chord = (walls.b[wall] - walls.a[wall]) / max(walls.length_m[wall], 1e-9)
             along_m = np.sort((own - walls.a[wall]) @ chord)
+            at_m = from_middle_m + 0.5 * walls.length_m[wall]
             right = np.clip(np.searchsorted(along_m, at_m), 1, max(len(along_m) - 1, 1))
             left_m, right_m = along_m[right - 1], along_m[np.minimum(right, len(along_m) - 1)]
             gaps[wall] = np.minimum(np.minimum(np.abs(at_m - left_m), np.abs(at_m - right_m)), GAP_M)
@@ -253,7 +254,8 @@ def _gather(xs, ys, table, gaps, fields, steps, mirrors, y_limit, channels, mirr
                 level, contrast, heat = fields[0, r, c], fields[1, r, c], fields[4, r, c]
                 dx, dy = x - mx, y - my
                 away_m = max(np.sqrt(dx * dx + dy * dy), 1e-6)
-                gap = gaps[wall, min(max(int((along + GAP_BEFORE_M) / GAP_STEP_M), 0), GAPS - 1)]
+                from_middle = along - 0.5 * table[wall, _LENGTH]
+                gap = gaps[wall, min(max(int(from_middle / GAP_STEP_M + 0.5 * GAPS), 0), GAPS - 1)]
                 f = features[count]
                 f[0], f[1], f[2], f[3], f[4], f[5] = 1.0, level, contrast, fields[2, r, c], fields[3, r, c], heat
                 f[6], f[7] = incidence, missed / MAX_MISSED_M

@@ -426,7 +426,7 @@ function showObjects() {
     return row(
       cell(objectName(one)), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),
       cell(one.score.toFixed(2)), cell(truth ? truth.class : "–"),
-      cell(truth ? `${truth.face_error.toFixed(1)}, ${truth.centre_error.toFixed(1)} m` : "–"),
+      cell(truth ? `${truth.centre_error.toFixed(1)}, ${truth.face_error.toFixed(1)} m` : "–"),
     );
   });
   byId("objects").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(6, "none seen")]));

@@ -11,6 +11,7 @@ from lab.studies.report import write_report
 from lab.tradeoff import simulator as tradeoff_simulator
 from lab.tradeoff import simulator_cases as tradeoff_simulator_cases
 from lab.tradeoff.simulator import (
+    CaseResult,
     SimulatorPlan,
     SimulatorReport,
     SimulatorRow,
@@ -114,6 +115,34 @@ def test_same_accuracy_twice(
         assert one.times_ms != first[key].times_ms
     other = msgspec.structs.replace(part, seed=4, repeats=1, cases={"effect budget": 1})
     assert run_simulator_plan(other, tmp_path / "other")[0].errors != first["effect budget", 0].errors
+
+
+@pytest.mark.parametrize(
+    ("load_before", "cpu_ms", "busy"),
+    [
+        (0.0, 10.0, ""),
+        # field solver on two cores
+        (0.0, 20.0, ""),
+        (0.0, 6.0, "it waited for a core 20 % of the time (limit 10 %)"),
+        (0.9, 10.0, "0.90 processes wanted each core before it began (limit 0.5)"),
+    ],
+)
+def test_times_of_a_busy_machine_do_not_count(load_before: float, cpu_ms: float, busy: str) -> None:
+    """One of two timings of 10 ms each had `cpu_ms` of a core, the other all."""
+    names = [tradeoff_simulator.setting_name("fdtd", value) for value in PLAN.settings_of("fdtd")]
+    result = CaseResult(
+        group="fdtd",
+        index=0,
+        case="wall",
+        errors={name: {"r": 0.0} for name in names},
+        times_ms={name: {"wall": [10.0, 10.0], "cpu": [10.0, cpu_ms]} for name in names},
+        failed={},
+        load_before=load_before,
+    )
+    plan = msgspec.structs.replace(PLAN, cases={"fdtd": 1})
+    report = make_simulator_report(plan, [result], "here")
+    assert report.busy == busy
+    assert ("The times do not count" in simulator_markdown(report)) == bool(busy)
 
 
 def test_a_stopped_run_goes_on(made: tuple[Path, SimulatorReport], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,7 +82,19 @@ def test_a_silence_is_time_that_passed_and_is_said(gap_s: int, caplog: pytest.Lo
     caplog.set_level(logging.INFO)
     stamps_ns = [*steady(10), *steady(10, start_ns=TODAY_NS + gap_s * S)]
     assert times_of(stamps_ns) == stamps_ns
-    assert f"the clock has a gap of {gap_s - 0.2:.1f} s after 10 messages" in caplog.text
+    assert f"the clock has a gap of {gap_s - 0.2:.1f} s, or was set ahead, after 10 messages" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "gap_s", "level"), [(MS, 2, "WARNING"), (300 * MS, 8, "INFO"), (S, 12, "WARNING")]
+)
+def test_a_gap_is_a_warning_in_a_dense_stream_or_where_it_is_long(
+    period_ns: int, gap_s: int, level: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A bus of a frame a millisecond may have been silent for two seconds, or its logger's clock was set."""
+    caplog.set_level(logging.INFO)
+    times_of([*steady(10, period_ns), *steady(10, period_ns, TODAY_NS + 9 * period_ns + gap_s * S)])
+    assert [record.levelname for record in caplog.records] == [level]
 
 
 def test_items_without_a_stamp_have_the_time_before() -> None:

@@ -7,6 +7,7 @@ import math
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colormaps
 
+import nodes.viewer
 from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import (
@@ -436,3 +438,10 @@ def test_a_peer_that_invents_all_it_can_fills_neither_table_nor_page() -> None:
     assert max(len(heard) for heard in table._heard.values()) == MAX_HEARTBEATS
     assert all(len(row[name]) <= MAX_ENTRIES for row in rows for name in ("stages", "shed", "rates"))
     assert len(json_text(rows)) < MAX_NODES * 6000
+
+
+def test_the_page_names_the_error_of_the_centre_first() -> None:
+    static = Path(nodes.viewer.__file__).parent / "static"
+    script = (static / "viewer.js").read_text()
+    assert "centre, face error" in (static / "index.html").read_text()
+    assert script.index("centre_error.toFixed") < script.index("face_error.toFixed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -13,7 +14,8 @@ from scipy.special import expit
 from lab.training.data.evidence_store import load_objects, load_truths
 from lab.training.data.frames import DataSet
 from lab.training.evidence.grid_training import GridSchedule
-from lab.training.evidence.runs import CHANNELS, EVIDENCE_FILE, FIELDS_FILE, GRID, EvidenceRun
+from lab.training.evidence.runs import CHANNELS, EVIDENCE, EVIDENCE_FILE, FIELDS_FILE, GRID, EvidenceRun
+from lab.training.evidence.train_evidence import EvidenceTraining
 from lab.training.evidence.train_fields import FieldTraining
 from lab.training.export.evidence import quantize_evidence
 from lab.training.run_folder import BEST, load_state
@@ -70,6 +72,28 @@ def test_samples_hold_what_the_scans_show(places: Path, trained: Path) -> None:
         for place_m, number in zip(of_scan.place_m[of_scan.asked], of_scan.number[of_scan.asked], strict=True):
             own = scan.labels.object_index == number
             assert np.hypot(*(scan.labels.hidden_xy_m[own] - place_m).T).min() < 3.0
+
+
+def test_left_and_right_are_exchanged_in_evidence_and_objects_alike(
+    places: Path, trained: Path, tmp_path: Path
+) -> None:
+    """Half of all training: what a flip asks for is what the mirrored scan with mirrored objects asks for."""
+    paths = list((trained / "evidence-samples" / places.name).glob("*.npz"))
+    training = EvidenceTraining(paths, [], EVIDENCE, GRID, GridSchedule(epochs=1, batch_size=2), tmp_path)
+    channels = training._channels
+    objects = load_objects(paths[0])
+    assert any(item.asked.any() for item in objects)
+    turned = channels.flip(3)
+    turned[:, EVIDENCE.odd_channels] *= -1
+    across = np.array([1.0, -1.0], np.float32)
+    mirrored = [
+        replace(item, **{name: getattr(item, name) * across for name in ("place_m", "centre_m", "heading")})
+        for item in objects
+    ]
+    with torch.no_grad():
+        flipped, _ = training._loss(channels, objects, True)
+        same, _ = training._loss(turned, mirrored, False)
+    assert flipped.item() == pytest.approx(same.item(), rel=1e-6)
 
 
 def test_a_field_network_begins_with_the_answers_of_a_detector(places: Path, trained: Path, tmp_path: Path) -> None:

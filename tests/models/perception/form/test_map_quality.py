@@ -281,6 +281,9 @@ _SPOILED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], tuple[str, ...]]] 
     "I = -Q": (lambda samples: samples[..., [0, 0]] * np.array([1, -1], np.int16), ("i_equals_q",)),
     "both at zero": (np.zeros_like, ("i_stuck", "q_stuck")),
     "both at one code": (lambda samples: np.full_like(samples, 5), ("i_stuck", "q_stuck")),
+    "bit 3 of I at one": (lambda samples: samples | np.array([8, 0], np.int16), ("i_bit_stuck",)),
+    "bit 10 of Q at zero": (lambda samples: samples & np.array([-1, ~1024], np.int16), ("q_bit_stuck",)),
+    "a bit of both": (lambda samples: samples | np.array([16, 64], np.int16), ("i_bit_stuck", "q_bit_stuck")),
 }
 
 
@@ -300,8 +303,13 @@ def test_wrong_wiring_is_named(kind: str) -> None:
         _echoing(4, level=8000.0),
         # Q at half of I's gain, 20 degrees off: an image 9 dB down
         (_echoing(5) @ np.array([[1.0, 0.17], [0.0, 0.47]])).astype(np.int16),
+        # a converter of 12 bits, at the top of 16 and at their bottom
+        _echoing(6) & ~np.int16(15),
+        _echoing(7) >> 4,
+        # above zero alone, about no code that is a power of two
+        _echoing(8, level=0.0) + np.int16(9000),
     ],
-    ids=["echoes", "noise alone", "noise of a code", "saturated", "unbalanced"],
+    ids=["echoes", "noise alone", "noise of a code", "saturated", "unbalanced", "high bits", "low bits", "offset"],
 )
 def test_a_sound_receiver_is_wired_well(samples: np.ndarray) -> None:
     assert _wired(samples) == ()

@@ -420,6 +420,14 @@ def test_sums_of_neighbouring_samples_keep_the_noise() -> None:
     assert near == pytest.approx(1.0, rel=0.1)
 
 
+@pytest.mark.parametrize(("samples", "summed"), [(8192, 4), (4096, 4), (2048, 2), (1024, 1), (512, 1)])
+def test_short_chirps_are_summed_as_far_as_the_map_allows(samples: int, summed: int) -> None:
+    """512 range bins need 1,024 sums: fewer than twice the bins would be a map of folded noise."""
+    radar = msgspec.structs.replace(RADAR, samples_per_chirp=samples)
+    folder = RaFormer(msgspec.structs.replace(SETUP, radar=radar), FormingParams(decimation=4)).folder
+    assert (folder.decimation, folder.samples) == (summed, samples // summed)
+
+
 def test_azimuths_from_magnitudes_alone() -> None:
     """A coherent target's magnitude comes out the same within the two-way pattern's spread (5 %), and says so."""
     beams = _scan(SETUP, (20.0, 0.0))
@@ -468,8 +476,8 @@ def test_grid_of_another_radar_is_refused() -> None:
         RaFormer(SETUP, grid=RangeAzimuthGrid(range_bins=4096))
     with pytest.raises(ValueError, match=r"forming\.decimation must divide the 2048 samples"):
         RaFormer(SETUP, FormingParams(decimation=3))
-    with pytest.raises(ValueError, match=r"grid\.range_bins must be at most samples_per_chirp = 256"):
-        RaFormer(SETUP, FormingParams(decimation=8))
+    with pytest.raises(ValueError, match=r"grid\.range_bins must be at most samples_per_chirp = 2048, got 4096"):
+        RaFormer(SETUP, FormingParams(decimation=8), RangeAzimuthGrid(range_bins=4096))
 
 
 def test_short_chirps_have_a_map_of_their_own_bins() -> None:

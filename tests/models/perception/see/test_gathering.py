@@ -87,6 +87,33 @@ def test_a_wall_in_the_way_takes_the_free_way() -> None:
     assert blocked.channels[len(BY_MIRROR) + second][at] == 0.0
 
 
+def test_mirrors_of_a_place_are_counted_once_for_each_image() -> None:
+    """By the facade (14, -4) has its image at (26, -4), by a wall to the right at (14, -16); a wall that lies 0.2 m
+    behind the facade is the same mirror. The count is in quarters.
+    """
+    right = Wall(normal=(0.0, 1.0), offset_m=10.0, ends_m=((2.0, -10.0), (18.0, -10.0)), inliers=9)
+    same = Wall(normal=(-1.0, 0.0), offset_m=20.2, ends_m=((20.2, -8.0), (20.2, 9.0)), inliers=9)
+    at = np.abs(PLANE.x_m - 14.0).argmin(), np.abs(PLANE.y_m + 4.0).argmin()
+    count = channel_names(MIRRORS).index("count")
+    for walls, mirrors in (([FACADE], 1), ([FACADE, same], 1), ([FACADE, right], 2), ([same, right, FACADE], 2)):
+        evidence = evidence_of(silent_map(GRID), wall_arrays(walls))
+        assert evidence.channels[count][at] == mirrors / 4.0, walls
+
+
+def test_a_wall_mirrors_beyond_its_end_by_half_a_metre_and_two_deviations() -> None:
+    """Straight on 20 m away a direction known to 0.035 rad is a place known to 0.7 m: 1.9 m beyond the end count."""
+    valid = BY_MIRROR.index("valid")
+    row = np.abs(PLANE.x_m - 12.0).argmin()
+    column = np.abs(PLANE.y_m - 0.25).argmin()
+    # the ray to the image of (12.25, 0.25) meets the wall at y = 0.18 m
+    y_m = 20.0 * PLANE.y_m[column] / (40.0 - PLANE.x_m[row])
+    for missed_m, is_seen in ((1.8, True), (2.0, False)):
+        first_m = y_m + missed_m
+        wall = Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, first_m), (20.0, first_m + 8.0)), inliers=9)
+        evidence = evidence_of(silent_map(GRID), wall_arrays([wall]))
+        assert bool(evidence.channels[valid][row, column]) == is_seen
+
+
 def test_a_mirrored_map_gives_mirrored_evidence() -> None:
     """To the last digit but where rounding puts a place on another cell's border."""
     oblique = Wall(normal=(-0.8, -0.6), offset_m=18.0, ends_m=((22.5, 0.0), (13.5, 12.0)), inliers=9)
