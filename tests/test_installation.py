@@ -35,6 +35,7 @@ OPTIONAL = {
     "pytest",
     "ray",
     "rosbags",
+    "h5py",
     "shapely",
     "submitit",
     "torch",

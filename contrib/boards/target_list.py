@@ -34,9 +34,9 @@ _LEAST_RANGE_M = 0.15
 #: Counters that go on by more than this began anew.
 _MAX_MISSED = 1000
 #: States that are no detections. A cluster that the sensor calls a mirror image (6) is what this program looks for.
-_CLUSTER_REFUSED = {1: "low RCS", 2: "near-field artefact", 3: "far cluster not confirmed near",
+CLUSTER_REFUSED = {1: "low RCS", 2: "near-field artefact", 3: "far cluster not confirmed near",
                     7: "outside the field of view", 14: "harmonic"}  # fmt: skip
-_OBJECT_REFUSED = {0: "deleted", 3: "predicted, not measured", 4: "deleted by a merge"}
+OBJECT_REFUSED = {0: "deleted", 3: "predicted, not measured", 4: "deleted by a merge"}
 
 
 #: A measurement that lasts longer is published as it is: cycles last 60 to 100 ms.
@@ -73,9 +73,9 @@ class _Layout(NamedTuple):
 
 _LAYOUTS = {
     "clusters": _Layout("CLUSTER_STATUS", "CLUSTER_GENERAL", "CLUSTER_QUALITY", ("NEAR_COUNT", "FAR_COUNT"),
-                        "VALIDITY", _CLUSTER_REFUSED),
+                        "VALIDITY", CLUSTER_REFUSED),
     "objects": _Layout("OBJECT_STATUS", "OBJECT_GENERAL", "OBJECT_QUALITY", ("COUNT",), "MEASUREMENT_STATE",
-                       _OBJECT_REFUSED),
+                       OBJECT_REFUSED),
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Detections in ROS 1 and ROS 2 bags: `PointCloud2` of radars, `radar_msgs/RadarScan`."""
+"""Detections in ROS 1 and ROS 2 bags: `PointCloud2` of radars, `radar_msgs/RadarScan`, lists of `ars_40X`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from contrib.imports.detection_mapping import READERS
 from contrib.imports.detection_tables import ScanRows
 from contrib.imports.ros_bag import RosBag, reason_of
 from contrib.ros2.ros2_inputs import stamp_ns_of
-from contrib.ros2.ros2_types import CLOUD, SCAN
 
 
 class DetectionBag:
@@ -35,7 +34,7 @@ class DetectionBag:
             advance()
             try:
                 message = self._bag.deserialize(raw)
-                columns = READERS[self.kind](message, wanted)
+                columns = READERS[self.kind].columns(message, wanted)
             except Exception as error:  # noqa: BLE001 - a damaged message fails in whatever way it is damaged
                 left_out[f"message: {reason_of(error)}"] += 1
                 continue
@@ -54,10 +53,10 @@ def open_bag(path: Path, topic: str | None) -> Iterator[DetectionBag]:
 
 def _wanted(kinds: Mapping[str, str | None], path: Path, topic: str | None) -> str:
     """Return the topic of detections that is named, or the only one."""
-    known = sorted(name for name, kind in kinds.items() if kind in (CLOUD, SCAN))
+    known = sorted(name for name, kind in kinds.items() if kind in READERS)
     listed = ", ".join(known) or "none"
     if topic is not None and topic not in known:
-        raise ValueError(f"{path}: --topic must be one with {CLOUD} or {SCAN} ({listed}), got {topic!r}")
+        raise ValueError(f"{path}: --topic must be one with {' or '.join(READERS)} ({listed}), got {topic!r}")
     if topic is None and len(known) != 1:
-        raise ValueError(f"{path}: --topic must name one of its topics with {CLOUD} or {SCAN}: {listed}")
+        raise ValueError(f"{path}: --topic must name one of its topics with {' or '.join(READERS)}: {listed}")
     return topic or known[0]

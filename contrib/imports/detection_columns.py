@@ -93,6 +93,13 @@ class Mounting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return Pose2(self.x_m, self.y_m, math.radians(self.yaw_deg))
 
 
+class Sensors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Sensors that share a table: the column that names them, and where each stands."""
+
+    column: str
+    mountings: dict[str, Mounting] = {}
+
+
 class DetectionMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the columns of a file mean: range and azimuth or x and y, their standard deviations, and what else is there.
 
@@ -121,6 +128,9 @@ class DetectionMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     stamp: Source | None = None
     #: Rows in a row that agree here are a scan; None: those of one stamp.
     scan: Source | None = None
+    #: Table of a file of HDF5, and the sensors in it, of which one is read.
+    dataset: str = ""
+    sensors: Sensors | None = None
     max_range_m: float = 1000.0
     table: TableFormat = TableFormat()
     mounting: Mounting = Mounting()

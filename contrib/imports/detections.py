@@ -1,4 +1,4 @@
-"""`mirrorwave import detections`: a table or a ROS bag of a radar's detections as a recording of `radar/detections`."""
+"""`mirrorwave import detections`: tables, ROS bags and data sets of a radar's detections as `radar/detections`."""
 
 from __future__ import annotations
 
@@ -7,36 +7,46 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from contrib.boards.detection_arrays import array_scan
 from contrib.imports.detection_bags import open_bag
 from contrib.imports.detection_columns import DetectionMapping, detections_of
 from contrib.imports.detection_mapping import mapping_path, read_mapping
+from contrib.imports.detection_sets import (
+    ARRAYS,
+    DRIVE_SUFFIXES,
+    array_files,
+    array_scans,
+    read_drive,
+    shipped_mapping,
+)
 from contrib.imports.detection_tables import ScanRows, count_lines, table_scans
 from contrib.imports.ros_bag import SUFFIXES
 from mirrorwave.convert.formats import Bar
 from msgs.files.checksums import file_sha256
-from msgs.files.shipped import LAUNCH, shipped_path
+from msgs.files.shipped import shipped_path
 from msgs.recording.clock_steps import Bridged
 from msgs.recording.mcap import RecordingWriter, whole_recording
 from msgs.values.arrays import MAX_STAMP_NS
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
-#: Ends of the files of data sets, one scan a file, and their mappings.
-ARRAY_MAPPINGS = {".pcd": "nuscenes.yaml", ".bin": "view_of_delft.yaml"}
 
 
 def import_detections(source: Path, out: Path, given: Path | None, topic: str | None, bar: Bar) -> dict[str, Any]:
-    """Write the detections of a table or a bag to the new recording `out`; returns counts and `loss`.
+    """Write the detections of a table, a bag or a data set to the new recording `out`; returns counts and `loss`.
 
-    Raises `ValueError` where file, mapping and topic do not fit, or no scan comes out; `ImportError` without rosbags.
+    Raises `ValueError` where file, mapping and topic do not fit, or no scan comes out; `ImportError` without rosbags or
+    h5py.
     """
-    if files := _array_files(source):
+    if files := array_files(source):
         return _import_arrays(source, files, out, given, topic, bar)
+    if source.suffix.lower() in DRIVE_SUFFIXES:
+        return _import_drive(source, out, given, topic, bar)
     if source.is_dir() or source.suffix.lower() in SUFFIXES:
         return _import_bag(source, out, given, topic, bar)
     if source.suffix.lower() not in TEXT_SUFFIXES:
-        ends = ", ".join((*TEXT_SUFFIXES, *ARRAY_MAPPINGS, *SUFFIXES))
-        raise ValueError(f"{source}: must be a table or a ROS bag, by the end of its name: {ends}, or a bag's folder")
+        ends = ", ".join((*TEXT_SUFFIXES, *ARRAYS, *DRIVE_SUFFIXES, *SUFFIXES))
+        raise ValueError(
+            f"{source}: must be a table, a data set or a ROS bag, by the end of its name: {ends}, or a bag's folder"
+        )
     if topic is not None:
         raise ValueError(f"{source}: --topic is for bags, got {topic!r}")
     if given is None:
@@ -52,12 +62,6 @@ def import_detections(source: Path, out: Path, given: Path | None, topic: str | 
     return sink.summary("")
 
 
-def _array_files(source: Path) -> list[Path]:
-    """Return the scans of a data set, by name: one file, or those of a folder; empty where it is something else."""
-    files = sorted(source.iterdir()) if source.is_dir() else [source]
-    return [file for file in files if file.suffix.lower() in ARRAY_MAPPINGS]
-
-
 def _import_arrays(
     source: Path, files: list[Path], out: Path, given: Path | None, topic: str | None, bar: Bar
 ) -> dict[str, Any]:
@@ -66,19 +70,21 @@ def _import_arrays(
     kinds = {file.suffix.lower() for file in files}
     if len(kinds) > 1:
         raise ValueError(f"{source}: must hold files of one kind, got {' and '.join(sorted(kinds))}")
-    used = shipped_path(given) if given else LAUNCH / "detections" / ARRAY_MAPPINGS[kinds.pop()]
+    used = shipped_path(given) if given else shipped_mapping(ARRAYS[kinds.pop()].mapping)
     sink = _Sink(source, read_mapping(used))
-
-    def scans(advance: Callable[[], None]) -> Iterator[ScanRows]:
-        for file in files:
-            stamp_ns, columns = array_scan(file)
-            advance()
-            yield ScanRows(stamp_ns, dict(columns))
-
     facts = {"files": ", ".join(file.name for file in files[:: max(1, len(files) - 1)])}
     provenance = _provenance(files[0], used) | facts
     with bar("files", len(files)) as advance, whole_recording(out, provenance) as writer:
-        sink.write(writer, scans(advance))
+        sink.write(writer, array_scans(files, advance))
+    return sink.summary("")
+
+
+def _import_drive(source: Path, out: Path, given: Path | None, sensor: str | None, bar: Bar) -> dict[str, Any]:
+    drive = read_drive(source, shipped_path(given) if given else None, sensor)
+    sink = _Sink(source, drive.mapping)
+    provenance = _provenance(source, drive.mapping_path) | {"sensor": drive.mapping.sensor}
+    with bar("scans", len(drive.starts)) as advance, whole_recording(out, provenance) as writer:
+        sink.write(writer, drive.scans(advance))
     return sink.summary("")
 
 

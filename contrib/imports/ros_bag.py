@@ -105,7 +105,10 @@ def _open_mcap(path: Path) -> Iterator[RosBag]:
 @contextmanager
 def _open_any(path: Path) -> Iterator[RosBag]:
     from rosbags.highlevel import AnyReader
+    from rosbags.typesys.msg import MSGParser
 
+    # packages of ROS 1 may have capitals in their names, as ars_40X does; the library reads those of ROS 2 alone
+    MSGParser.PackageName = MSGParser.MixedSnake
     with _bag_errors(path):
         reader = AnyReader([path], default_typestore=type_store())
         reader.open()

@@ -28,7 +28,7 @@ class DetectionInput:
     """`PointCloud2` or `RadarScan` -> radar/detections."""
 
     def __init__(self, kind: str, mapping: DetectionMapping, shed: ShedTally) -> None:
-        self._read, self._mapping, self._shed = READERS[kind], mapping, shed
+        self._read, self._mapping, self._shed = READERS[kind].columns, mapping, shed
         self._scan_id = 0
 
     def convert(self, message: Any, stamp_ns: int) -> Outgoing:

@@ -152,13 +152,15 @@ def can(
 def detections(
     source: Annotated[
         Path,
-        typer.Argument(metavar="SOURCE", help="Table, ROS bag, or nuScenes .pcd or View-of-Delft .bin (file, folder)."),
+        typer.Argument(metavar="SOURCE", help="Table, ROS bag, or file or folder of a data set (see the guide)."),
     ],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of radar/detections.")],
     mapping: Annotated[
         Path | None, typer.Option("--mapping", help="From columns or fields to detections, YAML; bags have a default.")
     ] = None,
-    topic: Annotated[str | None, typer.Option("--topic", help="Topic of a bag, where more than one fits.")] = None,
+    topic: Annotated[
+        str | None, typer.Option("--topic", help="Topic of a bag or sensor of a drive, where it has several.")
+    ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Detections of a radar that gives no beats; exit code 3 if any are left out."""

@@ -212,7 +212,7 @@ def test_doors_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert call(put(tmp_path, HEAD), out) == 2
     assert "--mapping must name what the columns are" in capsys.readouterr().err
     assert call(put(tmp_path, HEAD, "a.pcap"), out) == 2
-    assert "a.pcap: must be a table or a ROS bag, by the end of its name: .csv" in capsys.readouterr().err
+    assert "a.pcap: must be a table, a data set or a ROS bag, by the end of its name: .csv" in capsys.readouterr().err
     assert call(put(tmp_path, HEAD), out, "--mapping", TABLE, "--topic", "/radar") == 2
     assert "--topic is for bags" in capsys.readouterr().err
     assert call(tmp_path / "none.csv", out, "--mapping", TABLE) == 2
