@@ -1,50 +1,90 @@
-"""Raw captures of the DCA1000 board: chirp configuration, layout of the file, and samples for the digital array.
+"""Raw captures of TI's 60 and 77 GHz boards: chirp configuration, layout of the file, samples for the digital array.
 
 A file is int16 without header, frame after frame, chirp after chirp. Two lanes (xWR16xx, xWR18xx): one receiver after
 the other, its samples in pairs I0 I1 Q0 Q1. Four lanes (xWR14xx): one sample after the other, I of the four receivers,
-then their Q. With `sample_swap` 1 in `adcbufCfg`, Q precedes I. Source: TI SWRA581B, sections 5 and 6.
+then their Q. With `sample_swap` 1 in `adcbufCfg`, Q precedes I. Source: TI SWRA581B, sections 5 and 6. Real samples
+(AWR2944, AWRL6844, or `adcCfg` 2 0) have no Q. A cascade of four AWR2243 has a file for each device: one sample after
+the other, I and Q of each of its four receivers (TI's MMWCAS-DSP-EVM).
 
 The configuration is that of TI's command line (`.cfg`), a JSON object with the same commands as keys, or a script of
 mmWave Studio (`contrib.boards.mmwave_studio`). Its gaps are filled by assumptions: receivers half a wavelength of the
-sweep's middle apart, and transmitters as in `Device`.
+sweep's middle apart, and the array as in `Device`.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 import scipy.fft
 
 from contrib.boards.digital_array import DigitalArrayParams
+from contrib.boards.l_sdk import L_SDK_COMMANDS, l_sdk_fields, l_sdk_words
 from msgs.values.arrays import require_array, require_positive
 from msgs.values.known_names import with_known_names
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.wording import counted
 
-DeviceName = Literal["xwr14xx", "xwr16xx", "xwr18xx"]
-_RECEIVERS = 4
-_BYTES_PER_SAMPLE = 4
-_BAND_GHZ = (76.0, 81.0)
+DeviceName = Literal["xwr14xx", "xwr16xx", "xwr18xx", "awr2944", "awrl6844", "awr2243_cascade"]
+_BYTES_PER_CODE = 2
+#: Of all devices; the band of one is `Device.band_ghz`.
+_BANDS_GHZ = (57.0, 81.0)
+#: Height of the ends of the window under which real samples become complex: it is divided by.
+_PEDESTAL = 0.05
 #: Limit of TI's loops and frames.
 _MAX_COUNT = 65535
 
 
+Row = tuple[tuple[int | None, ...], ...]
+
+
 class Device(NamedTuple):
-    """LVDS lanes of a device, and positions of its transmitters in half wavelengths; None: higher than the others."""
+    """LVDS lanes of a device and its horizontal row."""
 
     lanes: int
-    transmitter_place: tuple[int | None, ...]
+    #: Place of each pair of a transmitter and a receiver in half wavelengths; None: at another height.
+    row: Row
+    band_ghz: tuple[float, float] = (76.0, 81.0)
+    #: Its samples are real, whatever is configured.
+    is_real: bool = False
+    #: Transmitters whose field is turned round.
+    turned: tuple[int, ...] = ()
+    #: Devices that write a file each.
+    parts: int = 1
+
+    @property
+    def receivers(self) -> int:
+        """Number of receivers."""
+        return len(self.row[0])
 
 
-#: The evaluation boards (BOOST) of each device.
+def _row(transmitters: tuple[int | None, ...], receivers: tuple[int, ...] = (0, 1, 2, 3)) -> Row:
+    """Return the places of pairs whose transmitters and receivers stand at these."""
+    return tuple(tuple(None if start is None else start + at for at in receivers) for start in transmitters)
+
+
+#: The evaluation boards of each device. Sources: BOOST boards, TI SWRA581B; AWR2944EVM, its SDK's `antGeometryCfg`;
+#: AWRL6844EVM, table 3-1 of its user's guide (16 places, four rows of four: the highest); MMWCAS-RF-EVM, TI's
+#: `module_params.m`: 86 places, some taken twice.
 DEVICES: dict[DeviceName, Device] = {
-    "xwr14xx": Device(4, (0, None, 4)),
-    "xwr16xx": Device(2, (0, 4)),
-    "xwr18xx": Device(2, (0, None, 4)),
+    "xwr14xx": Device(4, _row((0, None, 4))),
+    "xwr16xx": Device(2, _row((0, 4))),
+    "xwr18xx": Device(2, _row((0, None, 4))),
+    "awr2944": Device(2, _row((0, None, 4, 8)), is_real=True),
+    "awrl6844": Device(
+        2, ((2, None, None, 3), (0, None, None, 1), (None,) * 4, (None,) * 4), (57.0, 64.0), is_real=True, turned=(1, 3)
+    ),
+    "awr2243_cascade": Device(
+        4,
+        _row(
+            (None, None, None, 32, 28, 24, 20, 16, 12, 8, 4, 0),
+            (11, 12, 13, 14, 50, 51, 52, 53, 46, 47, 48, 49, 0, 1, 2, 3),
+        ),
+        parts=4,
+    ),
 }
 
 
@@ -66,8 +106,8 @@ class ChannelCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     cascading: int = 0
 
     def __post_init__(self) -> None:
-        _require_between("rx_mask", self.rx_mask, 1, 15)
-        _require_between("tx_mask", self.tx_mask, 1, 7)
+        _require_between("rx_mask", self.rx_mask, 1, 0xFFFF)
+        _require_between("tx_mask", self.tx_mask, 1, 0xFFF)
         _require_value("cascading", self.cascading, 0, "a single device")
 
 
@@ -75,12 +115,12 @@ class AdcCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Word length and format of the samples."""
 
     adc_bits: int
-    #: 1: complex, 2: complex with the image band.
+    #: 0: real, 1: complex, 2: complex with the image band.
     output_format: int
 
     def __post_init__(self) -> None:
         _require_value("adc_bits", self.adc_bits, 2, "16 bits")
-        _require_between("output_format", self.output_format, 1, 2)
+        _require_between("output_format", self.output_format, 0, 2)
 
 
 class AdcbufCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -94,7 +134,7 @@ class AdcbufCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def __post_init__(self) -> None:
         _require_value("subframe", self.subframe, -1, "no subframes")
-        _require_value("output_format", self.output_format, 0, "complex")
+        _require_between("output_format", self.output_format, 0, 1)
         _require_between("sample_swap", self.sample_swap, 0, 1)
         _require_between("channel_interleave", self.channel_interleave, 0, 1)
 
@@ -137,7 +177,7 @@ class ProfileCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             require_positive(name, getattr(self, name))
         _require_between("adc_samples", self.adc_samples, 2, 4096)
         _require_between("adc_start_time_us", self.adc_start_time_us, 0.0, self.ramp_end_time_us)
-        _require_between("start_frequency_ghz", self.start_frequency_ghz, *_BAND_GHZ)
+        _require_between("start_frequency_ghz", self.start_frequency_ghz, *_BANDS_GHZ)
         end_us = self.adc_start_time_us + 1e3 * self.adc_samples / self.sample_rate_ksps
         if end_us > self.ramp_end_time_us:
             raise ValueError(f"ramp_end_time_us must not be before the last sample, {end_us:g}, "
@@ -173,8 +213,8 @@ class ChirpCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         for name in ("start_frequency", "slope", "idle_time", "adc_start_time"):
             field = f"{name}_deviation"
             _require_value(field, getattr(self, field), 0, "all chirps alike")
-        if self.tx_mask not in (1, 2, 4):
-            raise ValueError(f"tx_mask must name one transmitter (1, 2 or 4), got {self.tx_mask!r}")
+        if self.tx_mask not in [1 << at for at in range(12)]:
+            raise ValueError(f"tx_mask must name one transmitter (1, 2, 4, ...), got {self.tx_mask!r}")
 
 
 class FrameCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -226,6 +266,7 @@ class Dca1000Config(
     sent_lanes: int | None = None
 
     def __post_init__(self) -> None:
+        self._require_device()
         self._require_lanes()
         self._require_chirps()
         if not self.used_chirps:
@@ -242,7 +283,8 @@ class Dca1000Config(
     @property
     def receivers(self) -> tuple[int, ...]:
         """Receivers that are switched on, from 0."""
-        return tuple(index for index in range(_RECEIVERS) if self.channel.rx_mask >> index & 1)
+        receivers = DEVICES[self.device].receivers
+        return tuple(index for index in range(receivers) if self.channel.rx_mask >> index & 1)
 
     @property
     def transmitters(self) -> tuple[int, ...]:
@@ -251,10 +293,29 @@ class Dca1000Config(
         return tuple(self._chirp_at(index).tx_mask.bit_length() - 1 for index in indices)
 
     @property
+    def channels(self) -> tuple[tuple[int, int, int], ...]:
+        """Channels of the horizontal row: chirp of a loop, receiver among those switched on, place.
+
+        Of a place that several transmitters share, as in a cascade, the first.
+        """
+        row = DEVICES[self.device].row
+        first: dict[int, int] = {}
+        return tuple(
+            (at, index, place)
+            for at, transmitter in enumerate(self.transmitters)
+            for index, receiver in enumerate(self.receivers)
+            if (place := row[transmitter][receiver]) is not None and first.setdefault(place, transmitter) == transmitter
+        )
+
+    @property
     def used_chirps(self) -> tuple[int, ...]:
         """Chirps of a loop whose transmitter is in the horizontal row; the others measure heights, not azimuths."""
-        positions = DEVICES[self.device].transmitter_place
-        return tuple(at for at, transmitter in enumerate(self.transmitters) if positions[transmitter] is not None)
+        return tuple(dict.fromkeys(at for at, _, _ in self.channels))
+
+    @property
+    def is_real(self) -> bool:
+        """True where samples are real: a file has no Q."""
+        return self.adc.output_format == 0
 
     @property
     def has_lost_lanes(self) -> bool:
@@ -262,9 +323,14 @@ class Dca1000Config(
         return self.sent_lanes not in (None, self.lanes)
 
     @property
-    def samples(self) -> int:
-        """Samples of a chirp that are stored."""
+    def stored_samples(self) -> int:
+        """Samples of a chirp in the file."""
         return self.profile.adc_samples // (2 if self.has_lost_lanes else 1)
+
+    @property
+    def samples(self) -> int:
+        """Complex samples of a chirp: real ones make half as many."""
+        return self.stored_samples // (2 if self.is_real else 1)
 
     @property
     def sample_rate_hz(self) -> float:
@@ -273,14 +339,19 @@ class Dca1000Config(
 
     @property
     def frame_shape(self) -> tuple[int, int, int, int]:
-        """(loops, chirps of a loop, receivers, samples)."""
-        return self.frame.loops, len(self.transmitters), len(self.receivers), self.samples
+        """(loops, chirps of a loop, receivers, samples) in the file."""
+        return self.frame.loops, len(self.transmitters), len(self.receivers), self.stored_samples
+
+    @property
+    def sample_bytes(self) -> int:
+        """Bytes of a sample in the file."""
+        return _BYTES_PER_CODE * (1 if self.is_real else 2)
 
     @property
     def frame_bytes(self) -> int:
         """Bytes of a frame in the file."""
         loops, chirps, receivers, samples = self.frame_shape
-        return loops * chirps * receivers * samples * _BYTES_PER_SAMPLE
+        return loops * chirps * receivers * samples * self.sample_bytes
 
     def _chirp_at(self, index: int) -> ChirpCfg:
         matches = [chirp for chirp in self.chirps if chirp.start_index <= index <= chirp.end_index]
@@ -288,9 +359,25 @@ class Dca1000Config(
             raise ValueError(f"chirpCfg must name chirp {index} of frameCfg once, got {len(matches)} times")
         return matches[0]
 
+    def _require_device(self) -> None:
+        device = DEVICES[self.device]
+        _require_between("channelCfg.rx_mask", self.channel.rx_mask, 1, (1 << device.receivers) - 1)
+        _require_between("profileCfg.start_frequency_ghz", self.profile.start_frequency_ghz, *device.band_ghz)
+        if device.is_real and not self.is_real:
+            _require_value("adcCfg.output_format", self.adc.output_format, 0, f"real, as {self.device} samples")
+        if device.parts > 1 and self.is_real:
+            raise ValueError(f"adcCfg.output_format must be 1 or 2 on {self.device}, got 0")
+        if self.adcbuf is not None:
+            expected, noun = (1, "real") if self.is_real else (0, "complex")
+            _require_value("adcbufCfg.output_format", self.adcbuf.output_format, expected, noun)
+        if self.is_real and (self.profile.adc_samples % 2 or self.sent_lanes is not None):
+            raise ValueError(f"profileCfg.adc_samples must be even, without sent_lanes, where samples are real, "
+                             f"got {self.profile.adc_samples} and {self.sent_lanes}")  # fmt: skip
+
     def _require_lanes(self) -> None:
-        if self.lanes == 4 and self.channel.rx_mask != 15:
-            raise ValueError(f"channelCfg.rx_mask must be 15 with four lanes ({self.device}), "
+        full = (1 << DEVICES[self.device].receivers) - 1
+        if self.lanes == 4 and self.channel.rx_mask != full:
+            raise ValueError(f"channelCfg.rx_mask must be {full} with four lanes ({self.device}), "
                              f"got {self.channel.rx_mask}")  # fmt: skip
         if self.sent_lanes not in (None, 4, self.lanes):
             raise ValueError(f"sent_lanes must be {self.lanes} on {self.device}, or 4 of which the card takes two, "
@@ -312,7 +399,7 @@ class Dca1000Config(
             if chirp.profile_id != self.profile.profile_id:
                 raise ValueError(f"chirpCfg.profile_id must be that of profileCfg, {self.profile.profile_id}, "
                                  f"got {chirp.profile_id}")  # fmt: skip
-            on_board = chirp.tx_mask.bit_length() <= len(DEVICES[self.device].transmitter_place)
+            on_board = chirp.tx_mask.bit_length() <= len(DEVICES[self.device].row)
             if not (on_board and chirp.tx_mask & self.channel.tx_mask):
                 raise ValueError(f"chirpCfg.tx_mask must be a transmitter of {self.device} that channelCfg.tx_mask "
                                  f"{self.channel.tx_mask} switches on, got {chirp.tx_mask}")  # fmt: skip
@@ -332,11 +419,15 @@ _COMMANDS: dict[str, type[msgspec.Struct]] = {
 _WITHOUT_EFFECT = frozenset(
     {
         "sensorStop", "flushCfg", "sensorStart", "lowPower", "guiMonitor", "cfarCfg", "multiObjBeamForming",
-        "calibDcRangeSig", "clutterRemoval", "compRangeBiasAndRxChanPhase", "measureRangeBiasAndRxChanPhase",
-        "aoaFovCfg", "cfarFovCfg", "extendedMaxVelocity", "nearFieldCfg", "peakGrouping", "CQRxSatMonitor",
-        "CQSigImgMonitor", "analogMonitor", "calibData", "configDataPort",
+        "calibDcRangeSig", "clutterRemoval", "apllFreqShiftEn", "adcDataDitherCfg", "gpAdcMeasConfig", "cfarProcCfg",
+        "aoaProcCfg", "runtimeCalibCfg", "factoryCalibCfg", "adcDataSource", "adcLogging", "lowPowerCfg",
+        "compRangeBiasAndRxChanPhase", "measureRangeBiasAndRxChanPhase", "aoaFovCfg", "cfarFovCfg",
+        "extendedMaxVelocity", "nearFieldCfg", "peakGrouping", "CQRxSatMonitor", "CQSigImgMonitor", "analogMonitor",
+        "calibData", "configDataPort",
     }
 )  # fmt: skip
+#: `antGeometryCfg` of AWR2944EVM: height and place of each pair, then half wavelengths between places and heights.
+_GEOMETRY = (1, 0, 1, 1, 1, 2, 1, 3, 0, 2, 0, 3, 0, 4, 0, 5, 1, 4, 1, 5, 1, 6, 1, 7, 1, 8, 1, 9, 1, 10, 1, 11, 0.5, 0.8)
 #: Commands that are read only to check their values: word, value, rule.
 _FIXED = {"dfeDataOutputMode": (0, 1, "frames without subframes"), "bpmCfg": (1, 0, "transmitters take turns")}
 
@@ -376,11 +467,20 @@ def _add_command(fields: dict[str, Any], command: str, words: list[str], where: 
     """Put a command's words under the names of its fields."""
     if command in _WITHOUT_EFFECT:
         return
+    if command == "antGeometryBoard":
+        board = " ".join(words).lower()
+        fields.setdefault("device", "awrl6844" if board == "xwrl6844evm" else board)
+        return
     values = [_number(word, f"{where}: {command}") for word in words]
     if command in _FIXED:
         at, expected, rule = _FIXED[command]
         if len(values) <= at or values[at] != expected:
             raise ValueError(f"{where}: {command} must be {expected} ({rule}), got {' '.join(words) or 'nothing'}")
+    elif command == "antGeometryCfg":
+        if values != list(_GEOMETRY):
+            raise ValueError(f"{where}: antGeometryCfg must be that of AWR2944EVM, got {' '.join(words)}")
+    elif command in L_SDK_COMMANDS and (command != "frameCfg" or "chirpComnCfg" in fields):
+        _put(fields, command, l_sdk_words(command, values, where), where)
     elif command not in _COMMANDS:
         raise ValueError(f"{where}: command must be one that is known, got {command!r}")
     else:
@@ -401,6 +501,11 @@ def _parameters(kind: type[msgspec.Struct], command: str, values: list[float], w
     # SDK 1 has no subframes
     if command == "adcbufCfg" and len(values) == len(names) - 1:
         values = [-1, *values]
+    # SDKs of AWR2944 add the samples to the frame, and two words on a clock to the channels
+    if command == "frameCfg" and len(values) == len(names) + 1:
+        values = [*values[:4], *values[5:]]
+    if command == "channelCfg" and len(values) == len(names) + 2:
+        values = values[:-2]
     if len(values) != len(names):
         raise ValueError(f"{where}: {command} must have {len(names)} numbers ({', '.join(names)}), got {len(values)}")
     return dict(zip(names, values, strict=True))
@@ -422,6 +527,8 @@ def configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> 
         raise ValueError(f"{name}: device must be named, one of {', '.join(DEVICES)}: the lanes depend on it")
     if device not in (None, device_name):
         raise ValueError(f"{name}: device must be {device} as asked for, got {device_name!r}")
+    if "chirpComnCfg" in fields:
+        fields = l_sdk_fields(fields, name)
     try:
         return msgspec.convert({**fields, "device": device_name}, Dca1000Config)
     except msgspec.ValidationError as error:
@@ -467,7 +574,7 @@ def frames_of(size_bytes: int, config: Dca1000Config, name: str) -> FileFrames:
         loops, chirps, receivers, samples = config.frame_shape
         raise ValueError(
             f"{name}: size must be at most {wanted * config.frame_bytes} bytes ({wanted} frames x {loops} loops x "
-            f"{chirps} chirps x {receivers} receivers x {samples} samples x {_BYTES_PER_SAMPLE}), got {size_bytes}"
+            f"{chirps} chirps x {receivers} receivers x {samples} samples x {config.sample_bytes}), got {size_bytes}"
         )
     whole, left = divmod(size_bytes, config.frame_bytes)
     if not whole:
@@ -481,14 +588,31 @@ def frame_samples(codes: np.ndarray, config: Dca1000Config) -> np.ndarray:
     Channels are those of `array_params`: chirp by chirp of the horizontal row, receiver by receiver.
     """
     require_array("codes", codes, "<i2", (config.frame_bytes // 2,))
-    loops, _, receivers, samples = config.frame_shape
     first, second = _parts(codes, config)
     swapped = config.adcbuf is not None and config.adcbuf.sample_swap
     real, imaginary = (second, first) if swapped else (first, second)
     values = np.empty(config.frame_shape, np.complex64)
     values.real, values.imag = real, imaginary
-    used = values[:, list(config.used_chirps)].reshape(loops, len(config.used_chirps) * receivers, samples)
-    return cast(np.ndarray, _evenly(used) if config.has_lost_lanes else used)
+    chirps, receivers, _ = (list(each) for each in zip(*config.channels, strict=True))
+    used = values[:, chirps, receivers]
+    if turned := DEVICES[config.device].turned:
+        signs = [-1.0 if config.transmitters[at] in turned else 1.0 for at in chirps]
+        used *= np.array(signs, np.float32)[:, None]
+    if config.is_real:
+        return _analytic(used)
+    return _evenly(used) if config.has_lost_lanes else used
+
+
+def _analytic(real: np.ndarray) -> np.ndarray:
+    """Return the complex samples [..., samples / 2] of real ones, complex64 [..., samples]: the upper half of a real
+    spectrum repeats the lower one. A real tone of amplitude one becomes a complex one.
+
+    The window on the way, taken off again, keeps a tone between the bins from leaking over the cut: 56 dB under it.
+    """
+    count = real.shape[-1]
+    window = (_PEDESTAL + (1.0 - _PEDESTAL) * np.sin(np.pi * np.arange(count) / count) ** 2).astype(np.float32)
+    lower = scipy.fft.fft(real * window, axis=-1, workers=1)[..., : count // 2]
+    return np.asarray(scipy.fft.ifft(lower, axis=-1, workers=1) / window[::2])
 
 
 def _evenly(stored: np.ndarray) -> np.ndarray:
@@ -508,6 +632,16 @@ def _evenly(stored: np.ndarray) -> np.ndarray:
 def _parts(codes: np.ndarray, config: Dca1000Config) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and second part of each sample, int16 [loops, chirps, receivers, samples] each."""
     loops, chirps, receivers, samples = config.frame_shape
+    if (parts := DEVICES[config.device].parts) > 1:
+        # [device, ..., sample, receiver, I or Q]
+        cube = codes.reshape(parts, loops, chirps, samples, receivers // parts, 2)
+        first, second = np.moveaxis(cube, 5, 0).transpose(0, 2, 3, 1, 5, 4).reshape(2, *config.frame_shape)
+        return first, second
+    if config.is_real:
+        by_receiver = (loops, chirps, receivers, samples)
+        by_sample = (loops, chirps, samples, receivers)
+        cube = codes.reshape(by_sample).swapaxes(2, 3) if config.lanes == 4 else codes.reshape(by_receiver)
+        return cube, np.zeros_like(cube)
     if config.lanes == 4:
         # [..., sample, I or Q, receiver]
         cube = codes.reshape(loops, chirps, samples, 2, receivers).transpose(3, 0, 1, 4, 2)
@@ -522,19 +656,17 @@ def array_params(config: Dca1000Config, remove_static: bool = False, mirrored: b
 
     `mirrored`: receivers run to the right as the radar looks, not to the left.
     """
-    chirps, used = len(config.transmitters), config.used_chirps
+    chirps = len(config.transmitters)
     half_m = 0.5 * SPEED_OF_LIGHT_MPS / config.profile.middle_hz * (-1.0 if mirrored else 1.0)
-    positions = DEVICES[config.device].transmitter_place
-    starts = [cast(int, positions[config.transmitters[at]]) for at in used]
     # counted so that the last slot is used: the array takes a loop for as long as its last channel's slot
-    shift = chirps - 1 - max(used)
+    shift = chirps - 1 - max(config.used_chirps)
     return DigitalArrayParams(
         carrier_hz=config.profile.middle_hz,
         chirp_slope_hz_per_s=1e12 * config.profile.slope_mhz_per_us,
         sample_rate_hz=config.sample_rate_hz,
         chirp_interval_s=config.profile.chirp_interval_s,
-        channel_slot=tuple(at + shift for at in used for _ in config.receivers),
-        channel_y_m=tuple(half_m * (start + receiver) for start in starts for receiver in config.receivers),
+        channel_slot=tuple(at + shift for at, _, _ in config.channels),
+        channel_y_m=tuple(half_m * place for _, _, place in config.channels),
         remove_static=remove_static,
     )
 
@@ -542,4 +674,4 @@ def array_params(config: Dca1000Config, remove_static: bool = False, mirrored: b
 def map_grid(config: Dca1000Config) -> RangeAzimuthGrid:
     """Return the grid of the capture's maps: 256 azimuths over +-60 deg; half of the range bins with an image band."""
     range_bin_m = array_params(config).range_bin_m(config.samples)
-    return RangeAzimuthGrid(range_bin_m=range_bin_m, range_bins=config.samples // config.adc.output_format)
+    return RangeAzimuthGrid(range_bin_m=range_bin_m, range_bins=config.samples // max(1, config.adc.output_format))

@@ -9,12 +9,12 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
 
-from contrib.boards.dca1000_capture import Dca1000Config, FileFrames, array_params, frame_samples, map_grid
+from contrib.boards.dca1000_capture import DEVICES, Dca1000Config, FileFrames, array_params, frame_samples, map_grid
 from contrib.boards.digital_array import DigitalArrayMap, form_digital_map
 from contrib.boards.digital_row import beam_messages, radar_setup, row_beams
 from models.perception.find.peaks import keep_apart, local_maxima
@@ -64,12 +64,23 @@ class ImportedFrame:
 _RAW_NAME = re.compile(r"(?P<stem>.*_raw_)(?P<number>\d+)(?P<end>\.bin)", re.IGNORECASE)
 
 
+#: Beginnings of the names of a cascade's files, by device.
+_PARTS = ("master", "slave1", "slave2", "slave3")
+
+
 def capture_files(given: Sequence[Path], config: Dca1000Config) -> list[Path]:
-    """Return the files of one capture in order: those given, or `..._Raw_0.bin` with as many that follow as it needs.
+    """Return the files of one capture in order: those given, or `..._Raw_0.bin` with as many that follow as it needs,
+    or those of the devices of a cascade beside the master's.
 
     Raises `ValueError` for a file that goes on where another ended, `OSError` where one cannot be read.
     """
     files = list(given)
+    if (parts := DEVICES[config.device].parts) > 1:
+        if len(files) == 1 and files[0].name.startswith(_PARTS[0]):
+            files = [files[0].with_name(part + files[0].name.removeprefix(_PARTS[0])) for part in _PARTS]
+        if len(files) != parts:
+            raise ValueError(f"{files[0]}: must be the file of the master, or all {parts}, got {len(files)}")
+        return files
     met = _RAW_NAME.fullmatch(files[0].name)
     if met is not None and int(met["number"]):
         first = f"{met['stem']}0{met['end']}"
@@ -84,6 +95,12 @@ def capture_files(given: Sequence[Path], config: Dca1000Config) -> list[Path]:
             break
         files.append(following)
     return files
+
+
+def capture_bytes(files: Sequence[Path], config: Dca1000Config) -> int:
+    """Return the bytes of a capture's frames: of devices with a file each, as many as all have."""
+    sizes = [file.stat().st_size for file in files]
+    return min(sizes) * len(sizes) if DEVICES[config.device].parts > 1 else sum(sizes)
 
 
 def import_capture(
@@ -204,17 +221,26 @@ def _frames(files: Sequence[Path], config: Dca1000Config, params: ImportParams, 
 
 def _codes(files: Sequence[Path], config: Dca1000Config, count: int) -> Iterator[np.ndarray]:
     """Codes of each frame, int16 [frame_bytes / 2]; a frame may begin in one file and end in the next."""
+    parts = DEVICES[config.device].parts
+    share = config.frame_bytes // parts
     with contextlib.ExitStack() as stack:
-        parts = [stack.enter_context(file.open("rb")) for file in files]
+        opened = [stack.enter_context(file.open("rb")) for file in files]
+        streams: list[list[BinaryIO]] = [[file] for file in opened] if parts > 1 else [[*opened]]
         for index in range(count):
-            content = b""
-            while len(content) < config.frame_bytes and parts:
-                content += parts[0].read(config.frame_bytes - len(content))
-                if len(content) < config.frame_bytes:
-                    del parts[0]
+            content = b"".join(_next_bytes(stream, share) for stream in streams)
             if len(content) != config.frame_bytes:
                 raise ValueError(f"{files[-1]}: ends inside frame {index}: it was whole when it was opened")
             yield np.frombuffer(content, "<i2")
+
+
+def _next_bytes(files: list[BinaryIO], size: int) -> bytes:
+    """Return the next bytes of files that follow each other, fewer at their end; those that ended leave the list."""
+    content = b""
+    while len(content) < size and files:
+        content += files[0].read(size - len(content))
+        if len(content) < size:
+            del files[0]
+    return content
 
 
 def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dict[str, float]]:

@@ -69,7 +69,7 @@ def dca1000(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
     device: Annotated[
-        Literal["xwr14xx", "xwr16xx", "xwr18xx"] | None,
+        Literal["xwr14xx", "xwr16xx", "xwr18xx", "awr2944", "awrl6844", "awr2243_cascade"] | None,
         typer.Option(help='Device, where FILE does not name it ("% Platform:").'),
     ] = None,
     remove_static: Annotated[bool, typer.Option(help="Take off what stands still.")] = False,
@@ -80,17 +80,23 @@ def dca1000(
     ] = None,
     as_json: AsJson = False,
 ) -> int:
-    """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
+    """Raw frames of a TI board as range-azimuth maps, with a picture and the strongest returns."""
     from contrib.boards.config_file import read_config
     from contrib.boards.dca1000_capture import frames_of
-    from contrib.boards.import_dca1000 import ImportParams, capture_files, import_capture, write_recording
+    from contrib.boards.import_dca1000 import (
+        ImportParams,
+        capture_bytes,
+        capture_files,
+        import_capture,
+        write_recording,
+    )
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m)
     chirps = read_config(config, device)
     files = capture_files(capture, chirps)
     for file in files[len(capture) :]:
         typer.echo(f"mirrorwave: {capture[0]}: goes on in {file}", err=True)
-    layout = frames_of(sum(file.stat().st_size for file in files), chirps, str(capture[0]))
+    layout = frames_of(capture_bytes(files, chirps), chirps, str(capture[0]))
     if recording is not None:
         require_new_file(recording)
         with progress_bar("scans", layout.whole) as advance:

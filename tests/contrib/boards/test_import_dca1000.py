@@ -73,6 +73,82 @@ def four_lanes(cube: np.ndarray) -> bytes:
     return np.concatenate([np.rint(by_sample.real), np.rint(by_sample.imag)], axis=-1).astype("<i2").tobytes()
 
 
+def real_lanes(cube: np.ndarray) -> bytes:
+    """Real samples of a receiver, one after the other, receiver after receiver."""
+    return np.rint(cube.real).astype("<i2").tobytes()
+
+
+def real_four_lanes(cube: np.ndarray) -> bytes:
+    """Real samples of four receivers, one time after the other."""
+    return real_lanes(np.moveaxis(cube, 2, 3))
+
+
+CFG_REAL = CFG.replace("adcCfg 2 1", "adcCfg 2 0").replace("adcbufCfg -1 0 0 1 1", "adcbufCfg -1 1 0 1 1")
+#: Of an AWR2944, as its SDK's demo sends it: the second of four transmitters is higher.
+CFG_2944 = (
+    CFG_REAL.replace("xWR16xx", "AWR2944")
+    .replace("channelCfg 15 3 0", "channelCfg 15 15 0 0 0")
+    .replace("adcbufCfg -1 1 0 1 1", "adcbufCfg -1 1 1 1 1")
+    .replace("frameCfg 0 1 32 2 40 1 0", f"frameCfg 0 3 32 2 {SAMPLES} 40 1 0")
+    .replace("0 0 0 0 0 2\n", "0 0 0 0 0 2\nchirpCfg 2 2 0 0 0 0 0 4\nchirpCfg 3 3 0 0 0 0 0 8\n")
+    + "antGeometryCfg 1 0 1 1 1 2 1 3 0 2 0 3 0 4 0 5 1 4 1 5 1 6 1 7 1 8 1 9 1 10 1 11 0.5 0.8\n"
+)
+#: Of an AWRL6844, by the commands of its SDK: 2.5 Msps, 20 samples (8 us) skipped, chirps 92 us apart, all at 60 GHz.
+CFG_6844 = f"""antGeometryBoard xWRL6844EVM
+channelCfg 153 255 0
+apllFreqShiftEn 0
+chirpComnCfg 80 0 0 {SAMPLES} 1 62 0
+chirpTimingCfg 30 20 1 60 60
+frameCfg {4 * LOOPS} 0 11776 1 40 2
+adcLogging 1
+sensorStart 0 0 0 0
+"""
+CARRIER_6844_HZ = 60e9 + 60e12 * (8e-6 + 0.5 * SAMPLES / 2.5e6)
+#: Places of (transmitter, receiver) of the AWRL6844's highest row; its second and fourth transmitters are turned.
+ROW_6844 = {(1, 0): 0, (1, 3): 1, (0, 0): 2, (0, 3): 3}
+CASCADE_TX = (11, 10, 9, 32, 28, 24, 20, 16, 12, 8, 4, 0)
+CASCADE_RX = (11, 12, 13, 14, 50, 51, 52, 53, 46, 47, 48, 49, 0, 1, 2, 3)
+
+
+def l_sdk_capture() -> bytes:
+    loop, chirp, receiver, sample = np.ogrid[:LOOPS, :4, :4, :SAMPLES]
+    noise = 300.0 * np.random.default_rng(1).standard_normal((LOOPS, 4, 4, SAMPLES))
+    places = np.array([[ROW_6844.get((tx, rx), 0) for rx in range(4)] for tx in range(4)])
+    known = np.array([[(tx, rx) in ROW_6844 for rx in range(4)] for tx in range(4)])
+    sign = np.array([1.0, -1.0, 1.0, -1.0])[chirp]
+    turns = 2.0 * 60e12 * RANGE_M / SPEED_OF_LIGHT_MPS * sample / 2.5e6
+    turns = turns - 2.0 * SPEED_MPS * (loop * 4 + chirp) * CHIRP_S * CARRIER_6844_HZ / SPEED_OF_LIGHT_MPS
+    turns = turns - 0.5 * places[chirp, receiver] * np.sin(np.radians(AZIMUTH_DEG))
+    point = sign * 1000.0 * np.cos(2.0 * np.pi * turns)
+    return real_lanes(np.where(known[chirp, receiver], point, noise) + 0j)
+
+
+def cascade_json(**changed: Any) -> str:
+    """All twelve transmitters in turn, 8 loops: the first three are higher."""
+    chirps = [{"start_index": at, "end_index": at, "profile_id": 0, "tx_mask": 1 << (11 - at)} for at in range(12)]
+    fields = as_json_config("awr2243_cascade") | {
+        "channelCfg": {"rx_mask": 0xFFFF, "tx_mask": 0xFFF}, "chirpCfg": chirps,
+        "frameCfg": {"chirp_start_index": 0, "chirp_end_index": 11, "loops": 8, "frames": 2, "period_ms": 40},
+    }  # fmt: skip
+    return json.dumps(fields | changed)
+
+
+def cascade_files(folder: Path) -> list[Path]:
+    """Files of the four devices, two frames: receiver after receiver, I and Q, sample after sample."""
+    loop, chirp, receiver, sample = np.ogrid[:8, :12, :16, :SAMPLES]
+    places = np.array(CASCADE_TX)[11 - chirp] + np.array(CASCADE_RX)[receiver]
+    turns = 2.0 * 60e12 * RANGE_M / SPEED_OF_LIGHT_MPS * sample / 2.5e6
+    turns = turns - 2.0 * SPEED_MPS * (loop * 12 + chirp) * CHIRP_S * CARRIER_HZ / SPEED_OF_LIGHT_MPS
+    cube = 1000.0 * np.exp(2j * np.pi * (turns - 0.5 * places * np.sin(np.radians(AZIMUTH_DEG))))
+    files = []
+    for device, part in enumerate(("master", "slave1", "slave2", "slave3")):
+        own = np.moveaxis(cube[:, :, 4 * device : 4 * device + 4], 2, 3)
+        content = np.rint(np.stack([own.real, own.imag], axis=-1)).astype("<i2").tobytes()
+        (folder / f"{part}_0000_data.bin").write_bytes(2 * content)
+        files.append(folder / f"{part}_0000_data.bin")
+    return files
+
+
 def write(folder: Path, content: bytes, config: str = CFG, suffix: str = "cfg") -> list[str]:
     """The words of a command on a capture of this content."""
     (folder / "capture.bin").write_bytes(content)
@@ -116,8 +192,13 @@ def assert_is_the_point(found: dict[str, float], speed_mps: float = SPEED_MPS) -
         (two_lanes(point()) * 2, CFG),
         (two_lanes(point(), q_first=True) * 2, CFG.replace("adcbufCfg -1 0 0 1 1", "adcbufCfg -1 0 1 1 1")),
         (four_lanes(point()) * 2, CFG_14),
+        (real_lanes(point()) * 2, CFG_REAL),
+        (
+            real_four_lanes(point()) * 2,
+            CFG_14.replace("adcCfg 2 1", "adcCfg 2 0").replace("Cfg 0 0 0 1", "Cfg 1 0 0 1"),
+        ),
     ],
-    ids=["two lanes", "two lanes, Q first", "four lanes"],
+    ids=["two lanes", "two lanes, Q first", "four lanes", "real", "real, four lanes"],
 )
 def test_a_point_stands_where_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, config: str
@@ -322,7 +403,7 @@ def test_wrong_sizes_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ("adcCfg 2 1", "adcCfg 2 x", "line 6: adcCfg must have numbers, got 'x'"),
         ("adcCfg 2 1", "adcCfg 2", "line 6: adcCfg must have 2 numbers (adc_bits, output_format), got 1"),
         ("adcCfg 2 1", "adcCfg 1 1", "adc_bits must be 2 (16 bits), got 1"),
-        ("adcCfg 2 1", "adcCfg 2 0", "output_format must be 1..2, got 0"),
+        ("adcCfg 2 1", "adcCfg 2 0", "adcbufCfg.output_format must be 1 (real), got 0"),
         ("adcCfg 2 1", "adcCfg 2 1\nadcCfg 2 1", "line 7: adcCfg must stand once"),
         ("adcCfg 2 1", "", "missing required field `adcCfg`"),
         ("dfeDataOutputMode 1", "dfeDataOutputMode 3", "line 4: dfeDataOutputMode must be 1"),
@@ -332,13 +413,13 @@ def test_wrong_sizes_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ("adcbufCfg -1 0 0 1 1", "adcbufCfg -1 0 0 0 1", "adcbufCfg.channel_interleave must be 1 on xwr16xx, got 0"),
         ("adcbufCfg -1 0 0 1 1", "adcbufCfg -1 1 0 1 1", "output_format must be 0 (complex), got 1"),
         ("lvdsStreamCfg -1 0 1 0", "lvdsStreamCfg -1 1 1 0", "header must be 0 (no headers), got 1"),
-        ("channelCfg 15 3 0", "channelCfg 0 3 0", "rx_mask must be 1..15, got 0"),
+        ("channelCfg 15 3 0", "channelCfg 0 3 0", "rx_mask must be 1..65535, got 0"),
         ("channelCfg 15 3 0", "channelCfg 15 1 0", "chirpCfg.tx_mask must be a transmitter of xwr16xx"),
-        ("0 0 0 0 0 2\n", "0 0 0 0 0 3\n", "tx_mask must name one transmitter (1, 2 or 4), got 3"),
+        ("0 0 0 0 0 2\n", "0 0 0 0 0 3\n", "tx_mask must name one transmitter (1, 2, 4, ...), got 3"),
         ("chirpCfg 1 1 0", "chirpCfg 1 1 4", "chirpCfg.profile_id must be that of profileCfg, 0, got 4"),
         ("chirpCfg 1 1 0", "chirpCfg 0 1 0", "chirpCfg must name chirp 0 of frameCfg once, got 2 times"),
         ("chirpCfg 1 1 0 0", "chirpCfg 1 1 0 9", "start_frequency_deviation must be 0 (all chirps alike), got 9"),
-        ("0 77.0 30", "0 nan 30", "start_frequency_ghz must be 76..81, got nan"),
+        ("0 77.0 30", "0 nan 30", "start_frequency_ghz must be 57..81, got nan"),
         ("0 77.0 30 6 62", "0 77.0 30 6 30", "ramp_end_time_us must not be before the last sample, 31.6, got 30"),
         (f"1 {SAMPLES} 2500", "1 63 2500", "profileCfg.adc_samples must be even with two lanes (xwr16xx), got 63"),
         (f"1 {SAMPLES} 2500", "1 64.5 2500", "`$.profileCfg.adc_samples`, got 64.5"),
@@ -517,3 +598,136 @@ def test_a_real_capture_by_its_script(tmp_path: Path, capsys: pytest.CaptureFixt
         "whole frames: 20 of 1000, 5 bytes of one that is cut are left out; two of four lanes"
     )
     assert said["grid"]["range_bins"] * said["grid"]["range_bin_m"] == pytest.approx(2.90, abs=0.01)
+
+
+def test_real_samples_become_half_as_many_complex_ones() -> None:
+    """Of tones anywhere between the bins: amplitude within 2 %, and 55 dB under it ten bins away, by Hann's window."""
+    config = parse_cfg(CFG_REAL, "a.cfg")
+    for bins in (7.0, 11.3, 20.5):
+        tone = 1000.0 * np.cos(2.0 * np.pi * bins * np.arange(SAMPLES) / SAMPLES + 0.4)
+        codes = np.broadcast_to(np.rint(tone).astype("<i2"), config.frame_shape)
+        samples = frame_samples(codes.ravel(), config)
+        assert samples.shape == (LOOPS, 8, SAMPLES // 2)
+        window = np.hanning(SAMPLES // 2 + 1)[:-1]
+        spectrum = np.abs(np.fft.fft(samples[0, 0] * window, 512)) / window.sum()
+        at = int(spectrum.argmax())
+        assert at / 16.0 == pytest.approx(bins, abs=0.1)
+        assert spectrum[at] == pytest.approx(1000.0, rel=0.02)
+        assert spectrum[max(0, at - 288) : max(0, at - 160)].max(initial=0.0) < 1.8
+        assert spectrum[at + 160 : at + 288].max(initial=0.0) < 1.8
+
+
+@pytest.mark.slow
+def test_an_awr2944_has_twelve_channels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cube = point((0, 50, 4, 8))
+    assert main([*write(tmp_path, real_lanes(cube) * 2, CFG_2944), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["device"], said["channels"], said["left_out_transmitters"]) == ("awr2944", 12, [2])
+    assert_is_the_point(said["per_frame"][1]["returns"][0])
+
+
+@pytest.mark.slow
+def test_an_awrl6844_by_the_commands_of_its_sdk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*write(tmp_path, l_sdk_capture() * 2, CFG_6844), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["device"], said["channels"], said["left_out_transmitters"]) == ("awrl6844", 4, [3, 4])
+    assert said["carrier_hz"] == pytest.approx(CARRIER_6844_HZ)
+    assert_is_the_point(said["per_frame"][1]["returns"][0])
+
+
+@pytest.mark.slow
+def test_a_cascade_has_eighty_six_channels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the master's name alone; the recording gives the row's beams."""
+    files = cascade_files(tmp_path)
+    (tmp_path / "chirps.json").write_text(cascade_json())
+    words = ["import", "dca1000", str(files[0]), "--config", str(tmp_path / "chirps.json"), "--json", "--out"]
+    assert main([*words, str(tmp_path / "out"), "--recording", str(tmp_path / "a.mcap")]) == 0
+    captured = capsys.readouterr()
+    said = json.loads(captured.out)
+    assert "slave3_0000_data.bin" in captured.err
+    assert (said["frames"], said["channels"], said["left_out_transmitters"]) == (2, 86, [1, 2, 3])
+    found = said["per_frame"][1]["returns"][0]
+    assert found["range_m"] == pytest.approx(RANGE_M, abs=0.05)
+    assert found["azimuth_deg"] == pytest.approx(AZIMUTH_DEG, abs=0.5)
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        beams = [item.message for item in reader.messages(("radar/beam",))]
+    assert len(beams) == 2 * 86
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "rule"),
+    [
+        ("adcCfg 2 0", "adcCfg 2 1", "adcCfg.output_format must be 0 (real, as awr2944 samples), got 1"),
+        ("adcbufCfg -1 1 1 1 1", "adcbufCfg -1 0 1 1 1", "adcbufCfg.output_format must be 1 (real), got 0"),
+        ("1 10 1 11 0.5 0.8", "1 10 1 12 0.5 0.8", "antGeometryCfg must be that of AWR2944EVM, got 1 0 1 1"),
+        ("chirpCfg 2 2 0 0 0 0 0 4", "chirpCfg 2 2 0 0 0 0 0 16", "chirpCfg.tx_mask must be a transmitter of awr2944"),
+        ("0 77.0 30", "0 nan 30", "start_frequency_ghz must be 57..81, got nan"),
+        ("0 77.0 30", "0 60.0 30", "profileCfg.start_frequency_ghz must be 76..81, got 60.0"),
+    ],
+)
+def test_configurations_of_an_awr2944_that_do_not_fit(
+    old: str, new: str, rule: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert old in CFG_2944
+    assert main(write(tmp_path, real_lanes(point((0, 50, 4, 8))), CFG_2944.replace(old, new))) == 2
+    said = capsys.readouterr().err
+    assert "chirps.cfg: " in said
+    assert rule in said
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "rule"),
+    [
+        ("channelCfg 153 255 0", "channelCfg 153 15 0", "channelCfg.tx_mask must be 255 (all in turn, evenly), got 15"),
+        (f"{SAMPLES} 1 62 0", f"{SAMPLES} 4 62 0", "chirpComnCfg.pattern must be 1 (all in turn, evenly), got 4"),
+        ("chirpTimingCfg 30 20 1 60 60\n", "", "chirpTimingCfg must be given"),
+        ("chirpTimingCfg 30 20 1 60 60", "chirpTimingCfg 30 20 1 60", "must have 5 numbers (idle_us, skipped_samples"),
+        ("1 60 60", "1 nan 60", "slope_mhz_per_us must be finite"),
+        ("0 11776 1 40 2", "0 11776 2 40 2", "frameCfg.bursts must be 1 (all in turn, evenly), got 2"),
+        ("xWRL6844EVM", "xWRL6432EVM", "device"),
+    ],
+)
+def test_configurations_of_an_awrl6844_that_do_not_fit(
+    old: str, new: str, rule: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert old in CFG_6844
+    assert main(write(tmp_path, l_sdk_capture(), CFG_6844.replace(old, new))) == 2
+    said = capsys.readouterr().err
+    assert "chirps.cfg: " in said
+    assert rule in said
+    assert len(said.splitlines()) == 1
+
+
+def test_cascades_that_do_not_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = cascade_files(tmp_path)
+    config = tmp_path / "chirps.json"
+    words = ["import", "dca1000", str(files[0]), "--config", str(config), "--out", str(tmp_path / "out")]
+    narrow = {"channelCfg": {"rx_mask": 15, "tx_mask": 0xFFF}}
+    for text, rule in (
+        (cascade_json(**narrow), "channelCfg.rx_mask must be 65535 with four lanes (awr2243_cascade), got 15"),
+        (cascade_json(adcCfg={"adc_bits": 2, "output_format": 0}), "adcCfg.output_format must be 1 or 2 on awr2243"),
+        (cascade_json(chirpCfg=[]), "chirpCfg must name chirp 0 of frameCfg once, got 0 times"),
+    ):
+        config.write_text(text)
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert f"chirps.json: {rule}" in said
+        assert len(said.splitlines()) == 1
+    config.write_text(cascade_json())
+    assert main([*words[:2], str(files[1]), *words[3:]]) == 2
+    assert "slave1_0000_data.bin: must be the file of the master, or all 4, got 1" in capsys.readouterr().err
+    files[3].write_bytes(files[3].read_bytes()[:1000])
+    assert main(words) == 2
+    assert "master_0000_data.bin: must hold a whole frame of 393216 bytes, got 4000" in capsys.readouterr().err
+    files[3].unlink()
+    assert main(words) == 2
+    assert "slave3_0000_data.bin: No such file" in capsys.readouterr().err
+
+
+def test_real_samples_that_do_not_fit_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A capture of complex samples is twice as long as one of real ones."""
+    assert main(write(tmp_path, two_lanes(point()) * 2, CFG_REAL)) == 2
+    assert "x 64 samples x 2), got" in capsys.readouterr().err
+    assert main(write(tmp_path, real_lanes(point())[:-1], CFG_REAL)) == 2
+    assert "must hold a whole frame of 32768 bytes, got 32767" in capsys.readouterr().err

@@ -68,7 +68,11 @@ def test_a_script_says_what_a_cfg_says() -> None:
         ("LAST = 2 - 1", "LAST = (1", "line 5: must be NAME = VALUE"),
         ("ar1.FullReset()", "os.execute('a')", "line 8: os.execute must be a call that is known"),
         ("ar1.FullReset()", "ar1.EnableTestSource(1)", "line 8: ar1.EnableTestSource must be a call that is known"),
-        ("XWR1642", "AR1243", "must name a device of xwr14xx, xwr16xx, xwr18xx, got 'AR1243'"),
+        (
+            "XWR1642",
+            "AR1243",
+            "must name a device of xwr14xx, xwr16xx, xwr18xx, awr2944, awrl6844, awr2243_cascade, got 'AR1243'",
+        ),
         ("1, 1, 0, 1, 1, 1, 1, 2, 1, 0", "1, 1, 0, 1, 1, 1, 1, 2, 1", "must have 10 values, got 9"),
         ("1, 1, 0, 1, 1, 1, 1, 2, 1, 0", "1, 1, 0, 1, 1, 1, 3, 2, 1, 0", "switches must be 0 or 1, got 1, 1, 1, 3"),
         ("1, 1, 0, 1, 1, 1, 1, 2, 1, 0", "1, 1, 0, 1, 1, 1, 1, 1, 1, 0", "adc_bits must be 2 (16 bits), got 1"),
