@@ -2,7 +2,8 @@
 
 A return is an image where its own ray crosses a wall between its ends, below the wall's top, and it lies behind it.
 What is surely below the ground came by way of the ground and is left out. An image surely higher than any road user,
-or among such images, is one of the building opposite: it is folded like any other and forms no object.
+or among such images, is one of the building opposite, and an image in a wall that does not repeat what stands before it
+is what stands behind: both are folded like any other and form no object.
 """
 
 from __future__ import annotations
@@ -11,10 +12,14 @@ import msgspec
 import numpy as np
 
 from models.perception.find.cfar import drawn_in
-from models.perception.mirrors.mirror_table import RADAR, behind_walls, hits
+from models.perception.mirrors.image_walls import associate_crossing, seen_through
+from models.perception.mirrors.mirror_table import RADAR, behind_walls, hits, wall_arrays
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
+from models.perception.target_lists.mirror_evidence import shows_what_is_before
 from models.perception.target_lists.returns import Returns
 from models.perception.target_lists.sensor import DetectionSensor
+from models.perception.target_lists.wall_points import MAX_SPEED_MPS
+from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
 
 #: Least depth of an image behind its wall, which rough walls and their posts do not reach.
@@ -31,7 +36,7 @@ HEIGHT_SIGMAS = 1.0
 
 def classified_peaks(returns: Returns, blank: Peaks, sensor: DetectionSensor, geometry: GeometryParams) -> Peaks:
     """Return the peaks of returns with their classes; without those from below the ground, and of no score where their
-    height says that they are no road user's.
+    height says that they are no road user's, or their wall shows nothing else that stands before it.
 
     `blank` has the message's own fields.
     """
@@ -45,9 +50,27 @@ def classified_peaks(returns: Returns, blank: Peaks, sensor: DetectionSensor, ge
     path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
     image = np.flatnonzero(mirrored)
     tall = share_near(returns.points_m[image], too_high[image], TALL_REACH_M) >= TALL_SHARE
+    unproven = in_unproven_wall(peaks, image, geometry, sensor)
     score = peaks.score.copy()
-    score[image] = np.where(tall | too_high[image], 0.0, score[image])
+    score[image] = np.where(tall | too_high[image] | unproven, 0.0, score[image])
     return msgspec.structs.replace(peaks, path_class=path_class, score=score)
+
+
+def in_unproven_wall(peaks: Peaks, image: np.ndarray, geometry: GeometryParams, sensor: DetectionSensor) -> np.ndarray:
+    """Return which of the images, indices [M], are seen in a wall that does not repeat what stands before it; bool [M].
+
+    An image that moves proves itself: clutter stands.
+    """
+    direct = np.ones(len(peaks), bool)
+    direct[image] = False
+    returns, walls = direct_structure(peaks.take(np.flatnonzero(direct)), geometry)
+    images_m = xy_from_polar(peaks.range_m[image], peaks.azimuth_rad[image])
+    arrays = wall_arrays(walls)
+    opaque = ~seen_through(arrays, returns, geometry.recovery)
+    wall, _ = associate_crossing(images_m, np.sqrt(peaks.covariance[image, 1, 1]), arrays, geometry.recovery, opaque)
+    proven = np.append(shows_what_is_before(walls, returns, images_m, sensor.max_range_m), True)
+    speed_mps = np.zeros(len(image)) if peaks.radial_speed_mps is None else peaks.radial_speed_mps[image]
+    return ~proven[wall] & ~(np.abs(speed_mps) > MAX_SPEED_MPS)
 
 
 def share_near(points_m: np.ndarray, marked: np.ndarray, reach_m: float) -> np.ndarray:

@@ -1,7 +1,8 @@
 """A street as a radar of detections sees it: a facade on the right, a building on the left that hides a car, its image.
 
 The image of a point (x, y) in the facade y = -12 is (x, -24 - y). The ray to the car (28, 12) crosses the building, the
-one to its image the facade at x = 9.3, and from there the car is free: y = 6 is met at x = 23.3, past the building.
+one to its image the facade at x = 9.3, and from there the car is free: y = 6 is met at x = 23.3, past the building. The
+facade shows the building too.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ def street_points(car: bool = True) -> np.ndarray:
     parts = [
         line((4.0, FACADE_Y_M), (44.0, FACADE_Y_M), 120),
         line((4.0, BUILDING_Y_M), (20.0, BUILDING_Y_M), 70),
+        images(line((4.0, BUILDING_Y_M), (20.0, BUILDING_Y_M), 24)),
     ]
     return np.concatenate([*parts, images(car_points())] if car else parts)
 

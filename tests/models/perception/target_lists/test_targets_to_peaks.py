@@ -33,6 +33,12 @@ def viewed(message: RadarDetections, sensor: DetectionSensor = SENSOR) -> BevFra
     return recover_bev(DetectionsStage(sensor, DETECTION_GEOMETRY).peaks(message), DETECTION_GEOMETRY)
 
 
+def bare_street() -> np.ndarray:
+    """Return the street whose facade shows the car alone."""
+    points_m = street_points()
+    return np.concatenate([points_m[:190], points_m[-11:]])
+
+
 def test_a_hidden_car_stands_where_its_image_folds_to() -> None:
     """Its visible faces have their centre 0.7 m before the car's; the errors of the wall and the returns add 0.3 m."""
     frame = viewed(detections(street_points()))
@@ -40,6 +46,15 @@ def test_a_hidden_car_stands_where_its_image_folds_to() -> None:
     assert np.hypot(*(np.array([car.x_m, car.y_m]) - car_points().mean(axis=0))) < 0.3
     facade = min(frame.walls, key=lambda wall: wall.ends_m[0][1])
     assert facade.offset_m == pytest.approx(-FACADE_Y_M, abs=0.05)
+
+
+def test_a_row_that_shows_nothing_of_what_is_before_it_is_no_mirror() -> None:
+    """The same street without the building's image: what lies behind the line stands there. What moves is an image."""
+    message = detections(bare_street())
+    assert viewed(message).objects == ()
+    speeds = np.where(np.arange(len(message)) < 190, 0.0, 3.0)
+    moving = msgspec.structs.replace(message, radial_speed_mps=speeds, over_ground=True)
+    assert len(viewed(moving).objects) == 1
 
 
 def test_a_car_in_plain_sight_explains_its_image() -> None:
@@ -55,7 +70,7 @@ def test_a_car_in_plain_sight_explains_its_image() -> None:
 
 def test_images_of_a_standing_world_keep_its_speed() -> None:
     """The radar drives at 9 m/s: an image of a standing car stands over ground too, a moving one does not."""
-    message = detections(street_points())
+    message = detections(bare_street())
     speeds = standing_speeds(message, np.array([9.0, 0.0]))
     speeds[-11:] += 3.0
     peaks = DetectionsStage(SENSOR, DETECTION_GEOMETRY).peaks(msgspec.structs.replace(message, radial_speed_mps=speeds))
@@ -101,7 +116,7 @@ def test_heights_tell_a_building_and_the_ground() -> None:
 
 def test_a_ray_over_the_wall_is_no_image() -> None:
     """A house 20 m high behind a fence of 1 m is in plain sight."""
-    message = detections(street_points())
+    message = detections(bare_street())
     height_m = np.zeros(len(message))
     height_m[-11:] = 20.0
     over = msgspec.structs.replace(message, elevation_rad=np.arcsin(height_m / message.range_m))
