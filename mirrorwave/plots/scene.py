@@ -70,6 +70,11 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.invert_xaxis()
 
 
+def write_scene(out: Path, scene: Scene) -> None:
+    """Write the picture of a scene."""
+    save(scene_figure(scene), out, dpi=130)
+
+
 def scene_figure(scene: Scene) -> Figure:
     """Return the picture of a scene as a figure."""
     figure = new_figure(8.0, 9.0)

@@ -80,10 +80,9 @@ def import_map(
         typer.echo(f"mirrorwave: left out: {reason}", err=True)
     out.write_text(made.yaml, encoding="utf-8")
     if plot is not None:
-        from mirrorwave.plots.scene import scene_figure
-        from mirrorwave.plots.style import save
+        from mirrorwave.plots.scene import write_scene
 
-        save(scene_figure(made.scene), plot, dpi=130)
+        write_scene(plot, made.scene)
     _report(out, made, as_json)
     return ExitCode.DONE_WITH_LOSS if made.broken else ExitCode.DONE
 
