@@ -124,6 +124,9 @@ class ScenePlayer:
         return self._traced[1]
 
     def _trace(self, time_s: float, effects: frozenset[str]) -> Paths:
+        if time_s == 0.0 and self._moves and self.drive is None and self.plan and effects == self.plan.present:
+            # a plan of a scene that moves holds all paths of its start
+            return self.plan.paths
         view = reachable_snapshot(self._world, time_s, self.radar(time_s))
         return as_paths(view, trace_echoes(view, effects), effects)
 

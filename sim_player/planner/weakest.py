@@ -35,6 +35,8 @@ PATHS_SHARE = 0.7
 #: The window's skirts of an echo whose pattern squints over those of a steady one as strong as its strongest instant;
 #: measured are 1.57 at most, in the nulls of a beam.
 SQUINTED = 1.6
+#: Fewer paths cost less than the question which of them go.
+FEWEST = 256
 #: Steps of the table of patterns in the sine of an angle, for each column of the array; sine of the table's ends.
 STEPS_PER_COLUMN, WIDEST_SINE = 64, 1.2
 
@@ -62,10 +64,16 @@ class Weakest:
 
         Raises ValueError for paths that are not finite.
         """
+        parts = np.abs(paths.amplitude), paths.length_m, paths.radial_speed_mps, *_angles(paths)
+        # a sum of all is finite where each is
+        if not math.isfinite(total := float(sum(part.sum() for part in parts))):
+            raise ValueError(f"paths of a beam must be finite, got {total!r}")
+        kept, overlaps = np.ones(len(paths), bool), np.full(len(paths), self._effects.chirp_overlap)
+        if len(paths) < FEWEST:
+            return kept, overlaps
         strength, visited = self.bounds(paths, beam), self._visited(paths)
         area, far = self._heads(paths.length_m)
         near, everywhere, limit = np.zeros(RANGE_BINS), np.zeros(1), self._limit
-        kept, overlaps = np.ones(len(paths), bool), np.zeros(len(paths), bool)
         whole = kept, PATHS_SHARE * limit, self._skirt, far + self._skirt[-1]
         heads = overlaps, limit, np.zeros_like(self._skirt), far
         for stays, most, skirt, away in (whole, heads):
@@ -73,24 +81,17 @@ class Weakest:
             weak = np.flatnonzero(stays & (strength * (skirt[0] + area) <= most.max()))
             order = weak[np.argsort(strength[weak], kind="stable")]
             _leave(stays, order, strength, visited, most, skirt, area, away, near, everywhere)
-            if stays is kept and self._effects.chirp_overlap:
-                overlaps[:] = kept
+            overlaps &= kept
         return kept, overlaps
 
     def bounds(self, paths: Paths, beam: int) -> np.ndarray:
         """Return a bound of each path's field in a beam at any instant of the sweep, sqrt(mW); float32 [P]."""
-        directions = (
-            (paths.azimuth_rad, paths.elevation_rad),
-            (paths.departure_azimuth_rad, paths.departure_elevation_rad),
-        )
-        amplitude = np.abs(paths.amplitude)
+        arrive, arrive_up, depart, depart_up = _angles(paths)
+        directions, amplitude = ((arrive, arrive_up), (depart, depart_up)), np.abs(paths.amplitude)
         for direction in directions:
             amplitude = amplitude * element_field(self._element, *direction)
         steered = directions if self._setup.array.steered_ways != 1 else directions[:1]
         sines = np.stack([np.sin(azimuth) * np.cos(up) for azimuth, up in steered])
-        total = float(amplitude.sum() + sines.sum() + paths.length_m.sum() + paths.radial_speed_mps.sum())
-        if not math.isfinite(total):
-            raise ValueError(f"paths of a beam must be finite, got {total!r}")
         # the sweep scales what the array sees of a direction (`sweep_ratio`); what comes in is late by the delay
         late = self._radar.chirp_slope_hz_per_s * paths.length_m / SPEED_OF_LIGHT_MPS / self._radar.carrier_hz
         least, most = 1.0 - self._band - late, 1.0 + self._band
@@ -121,6 +122,11 @@ class Weakest:
         far = np.where(beyond, 2.0 * area, far)
         # nearby is what is cut off, and what takes its place from afar
         return (area + far).astype(np.float32), far.astype(np.float32)
+
+
+def _angles(paths: Paths) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return azimuth and elevation of arrival, and of departure, [P] each."""
+    return paths.azimuth_rad, paths.elevation_rad, paths.departure_azimuth_rad, paths.departure_elevation_rad
 
 
 @lru_cache(maxsize=8)

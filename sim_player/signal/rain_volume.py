@@ -64,7 +64,7 @@ def _solid_angle(view: Snapshot, setup: RadarSetup, step_m: float) -> np.ndarray
     change = np.zeros((len(weight), CELLS + 1))
     for gain, first_m, last_m in _free_stretches(view, elevation_rad):
         _add_stretch(change, weight, ray, gain, first_m, last_m, step_m)
-    return np.maximum(np.cumsum(change, axis=1)[:, :CELLS], 0.0)
+    return np.asarray(_filled(change))
 
 
 def _weights(setup: RadarSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -175,6 +175,18 @@ def _free_m(view: Snapshot, distance_m: np.ndarray, before_m: np.ndarray, slope:
     `before_m`: how far it has come from the radar, [R].
     """
     return np.asarray(_nearest_high(distance_m, before_m, view.blockers.height_m - view.world.radar_height_m, slope))
+
+
+@compiled(error_model="numpy")
+def _filled(change):  # type: ignore[no-untyped-def]
+    """Return what is free in each cell from what begins and ends there, [directions, CELLS]."""
+    out = np.empty((len(change), change.shape[1] - 1))
+    for n in range(len(out)):
+        total = 0.0
+        for cell in range(out.shape[1]):
+            total += change[n, cell]
+            out[n, cell] = max(total, 0.0)
+    return out
 
 
 @compiled(error_model="numpy")

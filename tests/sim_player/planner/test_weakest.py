@@ -15,7 +15,7 @@ from sim_player.paths.ray_tracing import trace
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import MOVES, ROUNDS, WEAKEST, Plan, plan_world
 from sim_player.planner.purposes import Purpose
-from sim_player.planner.weakest import REACH, SQUINTED, Weakest
+from sim_player.planner.weakest import FEWEST, REACH, SQUINTED, Weakest
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.front_end import FrontEnd
@@ -170,6 +170,18 @@ def test_what_is_kept_whole() -> None:
         assert next(effect for effect in plan.effects if effect.name == "los_objects").reason.startswith(why + ":")
 
 
+def test_few_paths_are_not_asked() -> None:
+    """A wall and a car: the question costs more than it saves."""
+    plan = planned(prepare(scene(WALL, CAR)))
+    paths = paths_at(plan)
+    few = paths.take(np.arange(FEWEST - 1) % len(paths))
+    many = paths.take(np.arange(FEWEST) % len(paths))
+    kept, overlaps = selection(plan).chosen(few, 3)
+    assert kept.all()
+    assert overlaps.all()
+    assert not selection(plan).chosen(many, 3)[1].all()
+
+
 def test_same_bytes_in_any_order() -> None:
     asked = moving_place(0).scene
     one, other = (ScenePlayer(asked, effects="auto", purpose="peaks", chirps_per_beam=4) for _ in range(2))
@@ -199,4 +211,6 @@ def test_a_scene_without_overlap_gets_none() -> None:
     plan = planned(prepare(scene(WALL, CAR)))
     effects = msgspec.structs.replace(plan.signal, chirp_overlap=False)
     chooses = Weakest(plan.setup, effects, FrontEnd(), Purpose.PEAKS, 0.1)
-    assert not chooses.chosen(paths_at(plan), 12)[1].any()
+    for count in (FEWEST - 1, FEWEST):
+        paths = paths_at(plan)
+        assert not chooses.chosen(paths.take(np.arange(count) % len(paths)), 12)[1].any()
