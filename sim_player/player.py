@@ -198,7 +198,7 @@ class ScenePlayer:
             paths, weakest = self.beam_paths(scan, index), None if self.plan is None else self.plan.weakest
             overlaps = None
             if weakest is not None:
-                kept, overlaps = weakest.chosen(paths, index)
+                kept, overlaps = weakest.selected(paths, index)
                 paths, overlaps = paths.take(kept), overlaps[kept]
             front_end = self.scene.radar.front_end
             terms = echo_terms(self.setup, paths, self.signal, front_end, index, self._precision, overlaps)

@@ -59,7 +59,7 @@ class Weakest:
         #: Least |2 N sin(pi off / N)| between a range bin and what the last chirp leaves, a band away.
         self._away = max(2.0 * count * float(np.abs(np.sin(np.pi * off / count)).min()), 1.0)
 
-    def chosen(self, paths: Paths, beam: int) -> tuple[np.ndarray, np.ndarray]:
+    def selected(self, paths: Paths, beam: int) -> tuple[np.ndarray, np.ndarray]:
         """Return which paths a beam keeps, and which of them overlap, bool [P] each.
 
         Raises ValueError for paths that are not finite.
@@ -168,8 +168,8 @@ def _bounds(patterns, amplitude, sines, least, most):  # type: ignore[no-untyped
         out[path] = amplitude[path]
         if amplitude[path] == 0.0:
             continue
-        for way in range(len(sines)):
-            ends = sines[way, path] * least[path], sines[way, path] * most
+        for turn in range(len(sines)):
+            ends = sines[turn, path] * least[path], sines[turn, path] * most
             begin = max(int(np.floor((min(ends) + WIDEST_SINE) * scale)), 0)
             end = min(int(np.ceil((max(ends) + WIDEST_SINE) * scale)), steps - 1)
             level = 0

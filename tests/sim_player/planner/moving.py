@@ -32,5 +32,5 @@ def doppler_bins(
 def left_out(plan: Plan, paths: Paths, beam: int, chosen_at: Paths | None = None) -> np.ndarray:
     """What a beam's choice changes of its echoes, in the same bins; `chosen_at`: the paths at which it chooses."""
     assert plan.weakest is not None
-    kept, overlaps = plan.weakest.chosen(paths if chosen_at is None else chosen_at, beam)
+    kept, overlaps = plan.weakest.selected(paths if chosen_at is None else chosen_at, beam)
     return doppler_bins(plan, paths, beam) - doppler_bins(plan, paths.take(kept), beam, overlaps=overlaps[kept])

@@ -76,7 +76,7 @@ def test_the_law_holds_in_every_cell_of_a_scan(purpose: Purpose, index: int) -> 
         plan = planned(world, purpose, budget_db)
         track, beams = PathTrack(lambda at_s, plan=plan: paths_at(plan, at_s), step_s), range(len(plan.setup.beams))  # type: ignore[misc]
         times = [1e-9 * beam * plan.setup.beam_interval_ns for beam in beams]
-        kept = [selection(plan).chosen(track.at(times[beam]), beam)[0].mean() for beam in beams]
+        kept = [selection(plan).selected(track.at(times[beam]), beam)[0].mean() for beam in beams]
         left = np.stack([left_out(plan, track.at(times[beam]), beam) for beam in beams], axis=1)
         cells = cells_of(plan.setup)
         off[budget_db] = max(float((np.abs(cells.values(one)) / reference(plan)).max()) for one in left)
@@ -176,10 +176,10 @@ def test_few_paths_are_not_asked() -> None:
     paths = paths_at(plan)
     few = paths.take(np.arange(FEWEST - 1) % len(paths))
     many = paths.take(np.arange(FEWEST) % len(paths))
-    kept, overlaps = selection(plan).chosen(few, 3)
+    kept, overlaps = selection(plan).selected(few, 3)
     assert kept.all()
     assert overlaps.all()
-    assert not selection(plan).chosen(many, 3)[1].all()
+    assert not selection(plan).selected(many, 3)[1].all()
 
 
 def test_same_bytes_in_any_order() -> None:
@@ -197,12 +197,12 @@ def test_paths_that_are_not_finite_are_refused(name: str) -> None:
     paths = paths_at(plan)
     broken = replace(paths, **{name: np.full(len(paths), np.nan)})
     with pytest.raises(ValueError, match="paths of a beam must be finite, got nan"):
-        selection(plan).chosen(broken, 3)
+        selection(plan).selected(broken, 3)
 
 
 def test_nothing_at_all_is_nothing() -> None:
     plan = planned(prepare(scene(WALL, CAR)))
-    kept, overlaps = selection(plan).chosen(paths_at(plan).take(np.zeros(0, int)), 3)
+    kept, overlaps = selection(plan).selected(paths_at(plan).take(np.zeros(0, int)), 3)
     assert len(kept) == len(overlaps) == 0
 
 
@@ -213,4 +213,4 @@ def test_a_scene_without_overlap_gets_none() -> None:
     chooses = Weakest(plan.setup, effects, FrontEnd(), Purpose.PEAKS, 0.1)
     for count in (FEWEST - 1, FEWEST):
         paths = paths_at(plan)
-        assert not chooses.chosen(paths.take(np.arange(count) % len(paths)), 12)[1].any()
+        assert not chooses.selected(paths.take(np.arange(count) % len(paths)), 12)[1].any()
