@@ -43,7 +43,7 @@ class ScenePlayer:
     `effects`: "basic" (direct echoes and single mirrors), "auto" (the effects that the scene needs for a `purpose`
     under `budget_db`, planned once), "all", or names with commas between them. What moves is traced at instants between
     which it moves little (`sim_player.paths.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto"
-    leaves out its weakest paths, chosen from one instant to the next.
+    leaves out each beam's weakest paths.
 
     `drive` moves the radar in place of the scene's `ego`, which then must stand still; the planner knows no drive:
     ValueError for "auto". `walls_stop` false: drawn drives are played to their end, also the few that cross a wall.
@@ -124,6 +124,9 @@ class ScenePlayer:
         return self._traced[1]
 
     def _trace(self, time_s: float, effects: frozenset[str]) -> Paths:
+        if time_s == 0.0 and self._moves and self.drive is None and self.plan and effects == self.plan.present:
+            # a plan of a scene that moves holds all paths of its start
+            return self.plan.paths
         view = reachable_snapshot(self._world, time_s, self.radar(time_s))
         return as_paths(view, trace_echoes(view, effects), effects)
 
@@ -163,10 +166,9 @@ class ScenePlayer:
     def _track(self) -> PathTrack:
         """The paths of what moves."""
         used = BASIC_EFFECTS if self.plan is None else self.plan.used
-        kept = None if self.plan is None or self.plan.spans is None else self.plan.spans.kept
         own_mps = self.scene.ego.speed_mps if self.drive is None else self.drive.fastest_mps
         step_s = tracing_step_s(self._world, own_mps, self.setup.radar.scan_period_s)
-        return PathTrack(lambda time_s: self._trace(time_s, used), step_s, kept)
+        return PathTrack(lambda time_s: self._trace(time_s, used), step_s)
 
     def _elapsed_s(self, stamp_ns: int) -> float:
         """Return the time since the start; ValueError once the radar has met a wall."""
@@ -193,8 +195,13 @@ class ScenePlayer:
             unit = np.ones(self.setup.radar.chirps_per_beam)
             terms: Terms = self._still_beats[index : index + 1], unit, unit[None]
         else:
-            paths, front_end = self.beam_paths(scan, index), self.scene.radar.front_end
-            terms = echo_terms(self.setup, paths, self.signal, front_end, index, self._precision)
+            paths, weakest = self.beam_paths(scan, index), None if self.plan is None else self.plan.weakest
+            overlaps = None
+            if weakest is not None:
+                kept, overlaps = weakest.selected(paths, index)
+                paths, overlaps = paths.take(kept), overlaps[kept]
+            front_end = self.scene.radar.front_end
+            terms = echo_terms(self.setup, paths, self.signal, front_end, index, self._precision, overlaps)
         if not self.signal.rain_clutter:
             return terms
         clutter, cells = self._air(scan)

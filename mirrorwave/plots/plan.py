@@ -95,8 +95,8 @@ def _planned(plan: Plan) -> tuple[dict[str, float], np.ndarray]:
     asked()
     plan_s, again = _timed(asked)
     kept = np.ones(len(again.echoes), bool)
-    if again.spans is not None:
-        kept = again.spans.kept(again.paths, again.paths, again.holds_s)
+    if again.weakest is not None:
+        kept = np.any([again.weakest.selected(again.paths, beam)[0] for beam in range(len(setup.beams))], axis=0)
     signal()
     signal_s, planned = _timed(signal)
     whole_s = sum(again.timing_s.values())

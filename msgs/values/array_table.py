@@ -17,7 +17,8 @@ class ArrayTable:
 
     def take(self, selection: np.ndarray) -> Self:
         """Return the rows of an index or mask."""
-        return type(self)(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
+        index = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
+        return type(self)(**{field.name: getattr(self, field.name).take(index, axis=0) for field in fields(self)})
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:

@@ -9,7 +9,6 @@ Fresnel zone, and the scene moves by less than one from instant to instant.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -38,20 +37,13 @@ def scene_step_s(world: World) -> float:
     return tracing_step_s(world, world.scene.ego.speed_mps, world.radar.scan_period_s)
 
 
-#: Which paths [P] of a span are kept, given both of its ends and its length in seconds; bool [P].
-Kept = Callable[[Paths, Paths, float], np.ndarray]
-
-
 class PathTrack:
-    """Paths of one scene at any time, traced at multiples of `step_s` only; deterministic whatever the order asked.
+    """Paths of one scene at any time, traced at multiples of `step_s` only; deterministic whatever the order asked."""
 
-    `kept` chooses the paths of each span between two instants (`sim_player.planner.weakest`); None: all.
-    """
-
-    def __init__(self, trace: Callable[[float], Paths], step_s: float, kept: Kept | None = None) -> None:
+    def __init__(self, trace: Callable[[float], Paths], step_s: float) -> None:
         if not step_s > 0.0:
             raise ValueError(f"step_s must be positive, got {step_s!r}")
-        self._trace, self._step_s, self._kept = trace, step_s, kept
+        self._trace, self._step_s = trace, step_s
         self._knots: dict[int, Paths] = {}
         self._span: tuple[int, Span] | None = None
         self._last: tuple[float, Paths] | None = None
@@ -66,8 +58,7 @@ class PathTrack:
         index = int(np.floor(time_s / self._step_s))
         if self._span is None or self._span[0] != index:
             self._knots = {knot: self._knot(knot) for knot in (index, index + 1)}
-            span = Span(self._knots[index], self._knots[index + 1], self._step_s)
-            self._span = index, span if self._kept is None else span.take(self._kept(*span.ends(), self._step_s))
+            self._span = index, Span(self._knots[index], self._knots[index + 1], self._step_s)
         return self._span[1].at(time_s - index * self._step_s)
 
     def _knot(self, index: int) -> Paths:
@@ -87,19 +78,6 @@ class Span:
             first.take(_all_but(len(first), here[stays])),
             last.take(_all_but(len(last), there[stays])),
         )
-
-    def ends(self) -> tuple[Paths, Paths]:
-        """Return all paths at both instants, in the same order; those that come or go are nothing at one of them."""
-        gone, coming = _faded(self._goes, 0.0, self._step_s), _faded(self._comes, 0.0, -self._step_s)
-        return Paths.joined([self._first, self._goes, coming]), Paths.joined([self._last, gone, self._comes])
-
-    def take(self, kept: np.ndarray) -> Span:
-        """Return the span with some of its paths, bool [P] in the order of `ends`."""
-        stays, goes, comes = np.split(kept, np.cumsum([len(self._first), len(self._goes)]))
-        span = copy(self)
-        span._first, span._last = self._first.take(stays), self._last.take(stays)
-        span._goes, span._comes = self._goes.take(goes), self._comes.take(comes)
-        return span
 
     def at(self, since_s: float) -> Paths:
         """Return all paths so long after the first instant."""

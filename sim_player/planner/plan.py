@@ -11,8 +11,8 @@ for the same noise. Questions go from cheap to dear, and asking ends with the fi
    (`sim_player.planner.answer`), which is the map.
 
 Every caller asks the same questions, so what `sim effects` shows is what runs; a thorough plan only adds what each
-effect alone would change (`sim_player.planner.changes`). In a scene that moves the weakest paths are chosen anew from
-one instant of tracing to the next (`sim_player.planner.weakest`), and effects are left out only that it has nothing of.
+effect alone would change (`sim_player.planner.changes`). In a scene that moves each beam leaves out its weakest paths,
+and the overlap of others (`sim_player.planner.weakest`); effects are left out only that it has nothing of.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, WEIGHTS, check_effects
 from sim_player.paths.conversion import as_paths, weights
-from sim_player.paths.path_tracks import scene_step_s
 from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.paths.reach import reachable_snapshot
 from sim_player.paths.truth import may_be_seen
@@ -63,7 +62,7 @@ TERMS_SHARE = 0.1
 SINGLE = 3e-6
 #: Why nothing is left out that a scene has.
 MOVES = "kept, the scene moves"
-WEAKEST = "kept, the scene moves; its weakest paths go from instant to instant"
+WEAKEST = "kept, the scene moves; each beam leaves out its weakest paths"
 ROUNDS = "kept, rounding is no noise here and nothing bounds it"
 #: Bounds in JSON end here.
 MAX_DB = 200.0
@@ -111,10 +110,8 @@ class Plan:
     evaluated: np.ndarray | None = None
     #: Precision in which the beats of a scene at rest keep the law.
     precision: str = "float64"
-    #: What chooses the paths of a scene that moves, from one instant of tracing to the next; None: all of them.
-    spans: Weakest | None = None
-    #: How long what is left out stays so before it is chosen again: from one instant of tracing to the next.
-    holds_s: float = math.inf
+    #: What chooses the paths of each beam of a scene that moves; None: all of them.
+    weakest: Weakest | None = None
 
     @cached_property
     def used(self) -> frozenset[str]:
@@ -356,8 +353,7 @@ class _Planner:
             present=self.present,
             evaluated=self.profiles,
             precision=self.precision,
-            spans=Weakest(self.setup, self.flags, self.front_end, self.purpose, self.budget) if selects else None,
-            holds_s=scene_step_s(self.world) if selects else math.inf,
+            weakest=Weakest(self.setup, self.flags, self.front_end, self.purpose, self.budget) if selects else None,
         )
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:

@@ -30,8 +30,8 @@ class EchoWeights:
     """Recorded weights of the echoes of one beam in R slow-time terms, at instants [K] in chirps.
 
     Echoes that have no power in the beam are left out: each under `tolerance` of the strongest, shared by all.
-    `weights` of the kind of real numbers [2, K, R, P], real parts first; `length_m` [P] of those that are left, longest
-    first.
+    `weights` of the kind of real numbers [2, K, R, P], real parts first, of those that are left, longest first; `rows`
+    [P] says which these are.
     """
 
     def __init__(
@@ -56,10 +56,11 @@ class EchoWeights:
         table = _table(setup if effects.element_pattern else isotropic(setup), paths, effects.motion)
         # nothing comes from behind
         order = np.argsort(-paths.length_m, kind="stable")
-        self._table = table.take(order[(table[_RE] != 0.0)[order] | (table[_IM] != 0.0)[order]], axis=1)
+        order = order[(table[_RE] != 0.0)[order] | (table[_IM] != 0.0)[order]]
+        self._table = table.take(order, axis=1)
         factors, power = self._factors(instants)
         heard = np.flatnonzero(power > (tolerance / max(len(paths), 1)) ** 2 * power.max(initial=0.0))
-        self._table = self._table.take(heard, axis=1)
+        self.rows, self._table = order[heard], self._table.take(heard, axis=1)
         self.weights = self._in_terms(factors.take(heard, axis=2), instants)
 
     @property

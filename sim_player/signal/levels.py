@@ -326,49 +326,41 @@ def echo_terms(
     front_end: FrontEnd = NO_FAULTS,
     beam: int = 0,
     precision: str = "float64",
+    overlaps: np.ndarray | None = None,
 ) -> Terms:
     """Return the echoes of one beam alone, which stay the same from scan to scan while nothing moves.
 
-    In float32 to 1e-4 of the strongest echo. ValueError for an unknown precision.
+    In float32 to 1e-4 of the strongest echo. `overlaps`: the paths of which the last chirp's echoes count where
+    `effects` has them, bool [P]; None: all. ValueError for an unknown precision.
     """
-    return group_terms(setup, [(paths, effects)], front_end, beam, precision)
-
-
-def group_terms(
-    setup: RadarSetup,
-    groups: Sequence[Group],
-    front_end: FrontEnd = NO_FAULTS,
-    beam: int = 0,
-    precision: str = "float64",
-) -> Terms:
-    """Return the same of groups of paths that each have effects of their own, at the price of one."""
     check_precision(precision)
     radar = setup.radar
-    migrates = any(effects.range_migration for _, effects in groups)
-    speed_mps = np.concatenate([paths.radial_speed_mps * effects.motion for paths, effects in groups])
+    overlaps = np.full(len(paths), effects.chirp_overlap) if overlaps is None else overlaps & effects.chirp_overlap
     # along the sweep a migrating path's Doppler follows the frequency
-    margin = 1.0 + radar.bandwidth_hz / radar.carrier_hz * migrates
-    slow = slow_time_table(radar, doppler_turn_rad(radar, speed_mps), margin)
+    margin = 1.0 + radar.bandwidth_hz / radar.carrier_hz * effects.range_migration
+    slow = slow_time_table(radar, doppler_turn_rad(radar, paths.radial_speed_mps * effects.motion), margin)
     if precision == "float64":
+        steady = msgspec.structs.replace(effects, chirp_overlap=False)
+        parts = ((overlaps, effects), (~overlaps, steady))
+        groups = [(paths.take(mask), flags) for mask, flags in parts if mask.any()] or [(paths, steady)]
         with _one_thread():
             moving = [_moving_echoes(setup, group, front_end, beam, slow) for group in groups]
             return _summed(radar, moving, len(slow.basis)), slow.carrier, slow.basis
-    longest_m = max(float(paths.length_m.max(initial=0.0)) for paths, _ in groups)
-    sums, corrections = ToneSums(radar, longest_m, len(slow.basis), precision), []
-    for paths, effects in groups:
-        swing_rad = sweep_swing_rad(setup, paths, effects)
-        last = int(overlap_samples(radar, paths.length_m).max(initial=0)) if effects.chirp_overlap else 0
-        starts = StartSums(radar, last, swing_rad) if last else None
-        span = starts.span if starts else 1.0
-        instants = instants_of(swing_rad, span)
-        weigh = EchoWeights(setup, (paths, effects), front_end, beam, slow, instants, TOLERANCE[precision], np.float32)
-        cycles = beat_frequency_hz(radar, weigh.length_m) / radar.sample_rate_hz
-        sums.add(cycles, weigh.weights, span)
-        if starts:
-            ends = overlap_samples(radar, weigh.length_m)
-            corrections.append(starts.correction(weigh.weights, weigh.previous_chirp(), cycles, ends))
+    sums = ToneSums(radar, float(paths.length_m.max(initial=0.0)), len(slow.basis), precision)
+    swing_rad = sweep_swing_rad(setup, paths, effects)
+    last = int(overlap_samples(radar, paths.length_m[overlaps]).max(initial=0))
+    starts = StartSums(radar, last, swing_rad) if last else None
+    span = starts.span if starts else 1.0
+    instants = instants_of(swing_rad, span)
+    weigh = EchoWeights(setup, (paths, effects), front_end, beam, slow, instants, TOLERANCE[precision], np.float32)
+    cycles = beat_frequency_hz(radar, weigh.length_m) / radar.sample_rate_hz
+    sums.add(cycles, weigh.weights, span)
     beats = sums.beats()
-    for correction in corrections:
+    if starts:
+        rows = slice(None) if overlaps.all() else np.flatnonzero(overlaps[weigh.rows])
+        previous, ends = weigh.previous_chirp(), overlap_samples(radar, weigh.length_m[rows])
+        start = (previous[0][rows], previous[1][rows])
+        correction = starts.correction(weigh.weights[..., rows], start, cycles[rows], ends)
         beats[:, : correction.shape[1]] += correction
     return beats, slow.carrier, slow.basis
 

@@ -57,6 +57,20 @@ def _clutter(view: Snapshot, effects: SignalEffects) -> Clutter:
 
 def _solid_angle(view: Snapshot, setup: RadarSetup, step_m: float) -> np.ndarray:
     """Return the solid angle that is free times the power pattern of elements and rows, [directions, CELLS]."""
+    name = f"clutter weights of {setup.element}"
+    if name not in view.world.kept:
+        view.world.kept[name] = _weights(setup)
+    elevation_rad, weight, ray = view.world.kept[name]
+    change = np.zeros((len(weight), CELLS + 1))
+    for gain, first_m, last_m in _free_stretches(view, elevation_rad):
+        _add_stretch(change, weight, ray, gain, first_m, last_m, step_m)
+    return np.asarray(_filled(change))
+
+
+def _weights(setup: RadarSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the elevations of the integral, and for each direction and elevation the solid angle times the power
+    pattern, and the ray in plan; [E], [directions, E] each.
+    """
     sines = direction_sines(setup)
     edges = np.linspace(-1.0, 1.0, ELEVATIONS + 1)
     edges = 0.5 * math.pi * edges * np.abs(edges)
@@ -68,20 +82,33 @@ def _solid_angle(view: Snapshot, setup: RadarSetup, step_m: float) -> np.ndarray
     field = element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * rows
     # d azimuth d elevation cos(elevation) = d sine d elevation / cos(azimuth)
     weight = np.where(is_real, field**2 * (2.0 / len(sines)) * height_rad / np.cos(azimuth_rad), 0.0)
-    ray = np.clip(((azimuth_rad / math.pi + 0.5) * RAYS).astype(int), 0, RAYS - 1)
-    column = np.broadcast_to(np.arange(ELEVATIONS), ray.shape)
-    change = np.zeros(len(sines) * (CELLS + 1))
-    row = np.broadcast_to(np.arange(len(sines))[:, None] * (CELLS + 1), ray.shape)
-    for gain, first_m, last_m in _free_stretches(view, elevation_rad):
-        share = weight * gain[ray, column]
-        for sign, end_m in ((1.0, first_m[ray, column]), (-1.0, np.maximum(first_m, last_m)[ray, column])):
-            # a cell on the border counts by the share of it that is free
-            place = np.minimum(end_m / step_m + 0.5, CELLS)
-            cell = np.minimum(place.astype(int), CELLS - 1)
-            part = sign * share * (place - cell)
-            change += np.bincount((row + cell).ravel(), (sign * share - part).ravel(), len(change))
-            change += np.bincount((row + cell + 1).ravel(), part.ravel(), len(change))
-    return np.maximum(np.cumsum(change.reshape(len(sines), -1), axis=1)[:, :CELLS], 0.0)
+    return elevation_rad, weight, np.clip(((azimuth_rad / math.pi + 0.5) * RAYS).astype(int), 0, RAYS - 1)
+
+
+@compiled(error_model="numpy")
+def _add_stretch(change, weight, ray, gain, first_m, last_m, step_m):  # type: ignore[no-untyped-def]
+    """Add what a stretch begins and ends with to each cell; change [directions, CELLS + 1]."""
+    cells = change.shape[1] - 1
+    here, onward = np.empty(cells + 1), np.empty(cells + 1)
+    for n in range(len(weight)):
+        for end in range(2):
+            here[:], onward[:] = 0.0, 0.0
+            for e in range(weight.shape[1]):
+                r = ray[n, e]
+                share = weight[n, e] * gain[r, e]
+                end_m = first_m[r, e]
+                if end == 1:
+                    share, end_m = -share, max(end_m, last_m[r, e])
+                # a cell on the border counts by the share of it that is free
+                place = min(end_m / step_m + 0.5, float(cells))
+                cell = min(int(place), cells - 1)
+                part = share * (place - cell)
+                here[cell] += share - part
+                onward[cell + 1] += part
+            for cell in range(cells + 1):
+                change[n, cell] += here[cell]
+            for cell in range(cells + 1):
+                change[n, cell] += onward[cell]
 
 
 def _free_stretches(view: Snapshot, elevation_rad: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -148,6 +175,18 @@ def _free_m(view: Snapshot, distance_m: np.ndarray, before_m: np.ndarray, slope:
     `before_m`: how far it has come from the radar, [R].
     """
     return np.asarray(_nearest_high(distance_m, before_m, view.blockers.height_m - view.world.radar_height_m, slope))
+
+
+@compiled(error_model="numpy")
+def _filled(change):  # type: ignore[no-untyped-def]
+    """Return what is free in each cell from what begins and ends there, [directions, CELLS]."""
+    out = np.empty((len(change), change.shape[1] - 1))
+    for n in range(len(out)):
+        total = 0.0
+        for cell in range(out.shape[1]):
+            total += change[n, cell]
+            out[n, cell] = max(total, 0.0)
+    return out
 
 
 @compiled(error_model="numpy")

@@ -132,9 +132,8 @@ def _print_plan(plan: Plan, name: str) -> None:
         print_line(f"{name}: {used}; chosen by hand, nothing bounded")
         return
     if plan.view.world.scene.moves:
-        weakest = f"its weakest paths are, chosen again every {1e3 * plan.holds_s:.0f} ms"
-        paths = "nor a path" if plan.spans is None else weakest
-        print_line(f"{name}: {used}; no effect that the moving scene has is left out, {paths}")
+        paths = ", nor a path" if plan.weakest is None else "; each beam leaves out its weakest paths"
+        print_line(f"{name}: {used}; no effect that the moving scene has is left out{paths}")
         return
     spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
     budget = f"for {plan.purpose}, budget {plan.budget_db:g} dB"

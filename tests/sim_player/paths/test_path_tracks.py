@@ -114,42 +114,15 @@ def coming_and_going() -> Span:
     return Span(first.take(np.array([0, 1])), last.take(np.array([0, 2])), STEP_S)
 
 
-def test_ends_of_a_span_hold_the_same_paths() -> None:
-    """What goes is nothing at the end, what comes at the start, each where its rate carries it."""
+def test_what_goes_is_nothing_at_the_end_and_what_comes_at_the_start() -> None:
+    """Each where its rate carries it."""
     span = coming_and_going()
-    first, last = span.ends()
+    first, last = span.at(0.0), span.at(STEP_S)
     np.testing.assert_array_equal(first.chain, last.chain)
     assert ((first.amplitude == 0.0) == [False, False, True]).all()
     assert ((last.amplitude == 0.0) == [False, True, False]).all()
-    for end, since_s in ((first, 0.0), (last, STEP_S)):
-        at = span.at(since_s)
-        np.testing.assert_array_equal(at.chain, end.chain)
-        np.testing.assert_allclose(at.length_m, end.length_m, rtol=1e-12)
-        np.testing.assert_allclose(at.amplitude, end.amplitude, rtol=1e-12)
-
-
-@pytest.mark.parametrize("kept", [[True, False, True], [False, True, False], [False, False, False], [True, True, True]])
-def test_some_paths_of_a_span(kept: list[bool]) -> None:
-    span, mask = coming_and_going(), np.array(kept)
-    got, whole = span.take(mask).at(0.01), span.at(0.01)
-    np.testing.assert_array_equal(got.chain, whole.chain[mask])
-    np.testing.assert_array_equal(got.amplitude, whole.amplitude[mask])
-
-
-def test_a_track_keeps_what_it_is_asked_to() -> None:
-    """Chosen once for each span, with both of its ends, and not for a time within the same."""
-    asked = []
-
-    def kept(first: Paths, last: Paths, step_s: float) -> np.ndarray:
-        asked.append((len(first), len(last), step_s))
-        return np.arange(len(first)) == 1
-
-    world = driving()
-    path_track = PathTrack(lambda at_s: trace(world, at_s, USED), STEP_S, kept)
-    whole = PathTrack(lambda at_s: trace(world, at_s, USED), STEP_S)
-    for at_s in (0.001, 0.02, 0.031):
-        np.testing.assert_array_equal(path_track.at(at_s).chain, whole.at(at_s).chain[1:2])
-    assert asked == [(3, 3, STEP_S)] * 2
+    carried_m = 2.0 * STEP_S * first.radial_speed_mps[1:]
+    np.testing.assert_allclose(last.length_m[1:], first.length_m[1:] + carried_m, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +144,7 @@ def test_paths_of_a_span_are_paired_by_their_numbers(first: list[int], last: lis
     ]
     # lengths tell the rows of one number apart, within the jump that is allowed
     start, stop = (replace(end, length_m=end.length_m + 1e-6 * np.arange(len(end))) for end in ends)
-    got, _ = Span(start, stop, 1e-9).ends()
+    got = Span(start, stop, 1e-9).at(0.0)
     both, here, there = np.intersect1d(start.chain, stop.chain, return_indices=True)
     goes = np.setdiff1d(np.arange(len(first)), here)
     comes = np.setdiff1d(np.arange(len(last)), there)

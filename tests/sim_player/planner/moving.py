@@ -19,9 +19,18 @@ def reference(plan: Plan) -> np.ndarray:
     return cells_of(plan.setup).floor(nothing, noise_rms(plan.setup, plan.signal, front_end), purpose=plan.purpose)
 
 
-def doppler_bins(plan: Plan, paths: Paths, beam: int, precision: str = "float32") -> np.ndarray:
+def doppler_bins(
+    plan: Plan, paths: Paths, beam: int, precision: str = "float32", overlaps: np.ndarray | None = None
+) -> np.ndarray:
     """Echoes of paths in the Doppler and range bins of a beam, complex [8, bins]."""
     front_end = plan.view.world.scene.radar.front_end
     edges = group_edges(plan.setup.radar.chirps_per_beam, 8)
-    terms = echo_terms(plan.setup, paths, plan.signal, front_end, beam, precision)
+    terms = echo_terms(plan.setup, paths, plan.signal, front_end, beam, precision, overlaps)
     return np.fft.fft(group_profiles(plan.setup, terms, edges, plan.signal, front_end), axis=0)
+
+
+def left_out(plan: Plan, paths: Paths, beam: int, chosen_at: Paths | None = None) -> np.ndarray:
+    """What a beam's choice changes of its echoes, in the same bins; `chosen_at`: the paths at which it chooses."""
+    assert plan.weakest is not None
+    kept, overlaps = plan.weakest.selected(paths if chosen_at is None else chosen_at, beam)
+    return doppler_bins(plan, paths, beam) - doppler_bins(plan, paths.take(kept), beam, overlaps=overlaps[kept])

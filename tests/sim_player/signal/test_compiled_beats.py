@@ -11,7 +11,7 @@ from msgs.values.radar import ArrayParams, RadarParams, RadarSetup
 from sim_player.planner.plan import SINGLE
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.signal.compiled_beats import decimation
-from sim_player.signal.levels import Terms, echo_terms, group_beats, group_terms, hann_profiles
+from sim_player.signal.levels import Terms, echo_terms, group_beats, hann_profiles
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.swept_echoes import TOLERANCE
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
@@ -126,14 +126,24 @@ def in_groups(paths: Paths) -> list[tuple[Paths, SignalEffects]]:
 
 
 def test_groups_with_effects_of_their_own_add_up() -> None:
-    """One sum of four groups against a sum of each: at rest 1e-11, in motion the tolerance of slow time."""
+    """One sum of four groups against a sum of each, at rest: 1e-11."""
     paths = some_paths(40, chirp_span_m(SMALL, OVERLAP), speed_mps=20.0)
     groups = in_groups(paths)
     alone = [group_beats(SMALL, [group], FAULTS) for group in groups]
     assert apart(group_beats(SMALL, groups, FAULTS), np.sum(alone, axis=0)) < 1e-11
-    literal = sum(literal_echoes(SMALL, some, effects, FAULTS, BEAM, range(4)) for some, effects in groups)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_some_paths_overlap(share: float) -> None:
+    """In motion, against the literal sum of both kinds: the tolerance of slow time."""
+    paths = some_paths(40, chirp_span_m(SMALL, OVERLAP), speed_mps=20.0)
+    overlaps = np.arange(len(paths)) % 10 < 10 * share
+    steady = msgspec.structs.replace(ALL, chirp_overlap=False)
+    kinds = ((paths.take(overlaps), ALL), (paths.take(~overlaps), steady))
+    literal = sum(literal_echoes(SMALL, some, effects, FAULTS, BEAM, range(4)) for some, effects in kinds if len(some))
     for precision, most in (("float32", 1e-4), ("float64", 2e-5)):
-        assert error_over_largest(samples_of(group_terms(SMALL, groups, FAULTS, BEAM, precision)), literal) < most
+        terms = echo_terms(SMALL, paths, ALL, FAULTS, BEAM, precision, overlaps)
+        assert error_over_largest(samples_of(terms), literal) < most
 
 
 @pytest.mark.parametrize("paths", [1, 40])
