@@ -126,8 +126,9 @@ def test_a_stopped_run_goes_on_to_the_same_weights(
     with pytest.raises(KeyboardInterrupt):
         train(places, judges, work, stop)
     train(places, judges, work)
-    whole, again = (load_state(folder / "evidence" / BEST)["network"] for folder in (trained, work))
-    assert all((whole[name] == again[name]).all() for name in whole)
+    for network in ("fields", "evidence"):
+        whole, again = (load_state(folder / network / BEST)["network"] for folder in (trained, work))
+        assert all((whole[name] == again[name]).all() for name in whole)
 
 
 def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, trained: Path) -> None:
