@@ -22,6 +22,10 @@ from tests.scheduling import Beats, FromBothEnds, in_order
 
 # before a test imports what looks for a home
 move_in()
+# where a machine forbids it (containers often do) every worker, and every process that a test starts, would compile all
+# modules again; more than half of the time of collecting
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # tests in the background of a shell: what they start would not hear the Ctrl-C that ends it
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -417,7 +417,7 @@ def small_setup() -> RadarSetup:
     return RadarSetup(radar=RadarParams(chirps_per_beam=8), beams=BeamGrid(azimuth_deg=(-10.0, 0.0, 10.0)))
 
 
-@slow
+@settings(slow, max_examples=10)
 @given(st.integers(1, 4), seeds)
 def test_map_of_louder_samples_is_louder_by_as_much(gain: int, seed: int) -> None:
     """Codes times a power of two, window, transform, Doppler, co-array: the same bits with another exponent."""
@@ -460,7 +460,7 @@ def detectors() -> list[Callable[[RangeAzimuthMap], Peaks]]:
 
 
 @pytest.mark.slow
-@slow
+@settings(slow, max_examples=10)
 @given(st.floats(-60.0, 60.0))
 def test_gain_of_signal_and_noise_moves_no_peak(gain_db: float) -> None:
     """Levels are over the noise: places and classes stay, whoever detects."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -56,7 +57,7 @@ def run(out: Path, *options: str) -> Report:
     return msgspec.json.decode(result.stdout, type=Report)
 
 
-#: Rows over two profiles, and one of a network that is not there.
+#: Rows over two profiles, one of each; that of `fast` is of a network that is not there.
 MADE = ("--row", "beams", "--row", "network: UNet")
 
 
@@ -65,7 +66,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Repor
     out = tmp_path_factory.mktemp("tradeoff")
     settings = out / "rows.yaml"
     absent = "{switch: network, value: UNet, over: fast, params: {dense_predictor: {model: none/here/unet.onnx}}}"
-    settings.write_text(f"{DEFAULT_SETTINGS.read_text()}\n  - {absent}\n")
+    one = re.sub(r".*value: (13|9) of 25.*\n", "", DEFAULT_SETTINGS.read_text())
+    settings.write_text(f"{one}\n  - {absent}\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lab.tradeoff.rows.DEFAULT_SETTINGS", settings)
         yield out, run(out, *MADE)
@@ -86,14 +88,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     """Fewer beams fold in less time; a network that is not there leaves a row without numbers."""
     out, report = made
     rows = {row.name: row for row in report.rows}
-    assert list(rows) == [
-        "default",
-        "fast",
-        "beams: 13 of 25",
-        "beams: 9 of 25",
-        "beams: 7 of 25",
-        "network: UNet",
-    ]
+    assert list(rows) == ["default", "fast", "beams: 7 of 25", "network: UNet"]
     failed = rows["network: UNet"]
     assert failed.failed is not None
     assert "none/here/unet.json" in failed.failed

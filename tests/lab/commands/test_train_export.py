@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import shutil
 from pathlib import Path
@@ -20,14 +22,22 @@ from sim_player.dataset.shards import Recipe
 from sim_player.dataset.writer import write_dataset
 
 
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six scenes and one epoch."""
+    folder, said = tmp_path_factory.mktemp("simulated"), io.StringIO()
+    write_dataset(folder / "data", count=6, seed=1)
+    with contextlib.redirect_stdout(said):
+        dense(folder / "data", folder / "run", inputs="log", epochs=1, batch_size=4, seed=3, threads=1)
+    assert "best Macro-F1 0." in said.getvalue()
+    return folder / "run"
+
+
 @pytest.mark.slow
-def test_from_data_set_to_a_model_that_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Six scenes and one epoch: the verbs fit together, and what they leave loads on the vehicle's side."""
-    write_dataset(tmp_path / "data", count=6, seed=1)
-    dense(tmp_path / "data", tmp_path / "run", epochs=1, batch_size=4, seed=3, threads=1)
-    assert "best Macro-F1 0." in capsys.readouterr().out
+def test_from_data_set_to_a_model_that_loads(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The verbs fit together, and what they leave loads on the vehicle's side."""
     model = tmp_path / "net.onnx"
-    export(tmp_path / "run", model, precision="int8", as_json=True)
+    export(run, model, precision="int8", as_json=True)
     printed = json.loads(capsys.readouterr().out)
     card = DensePredictor(model).card
     assert printed["sha256"] == card.sha256
@@ -50,19 +60,19 @@ def write_capture(folder: Path, seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_fine_tuning_on_real_captures_by_sequence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A simulated run, then the released fine-tuning from its weights on four drives of two captures: whole drives are
+def test_fine_tuning_on_real_captures_by_sequence(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After a simulated run the released fine-tuning from its weights on four drives of two captures: whole drives are
     held out, the backbone hardly moves (5e-6), the head ten times as fast, and the result exports on the real grid."""
-    write_dataset(tmp_path / "data", count=6, seed=1)
-    dense(tmp_path / "data", tmp_path / "run", inputs="log", epochs=1, batch_size=4)
     for drive, capture in np.ndindex(4, 2):
         write_capture(tmp_path / "captures" / f"drive_{drive}" / f"capture_{capture}", 2 * drive + capture)
     import_folder(tmp_path / "captures", tmp_path / "real", "real")
-    arguments = {"inputs": "log", "schedule": "fine_tuning", "epochs": 1, "init": tmp_path / "run" / "best.pt"}
+    arguments = {"inputs": "log", "schedule": "fine_tuning", "epochs": 1, "init": run / "best.pt"}
     dense(tmp_path / "real", tmp_path / "tuned", **arguments)  # type: ignore[arg-type]
     splits = fixed_splits(tmp_path / "real")
     assert sorted(len(splits.of(name)) for name in ("train", "validation", "test")) == [2, 2, 4]
-    before, after = (load_best(tmp_path / run)[0].state_dict() for run in ("run", "tuned"))
+    before, after = (load_best(folder)[0].state_dict() for folder in (run, tmp_path / "tuned"))
     moved = {name: (after[name] - before[name]).abs().max().item() for name in ("head.weight", "context.position")}
     assert 0.0 < moved["context.position"] < 1.5e-5 < moved["head.weight"] < 1.5e-4
     export(tmp_path / "tuned", tmp_path / "tuned.onnx", as_json=True)

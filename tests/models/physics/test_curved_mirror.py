@@ -168,14 +168,14 @@ def near_caustic(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.n
 
 @pytest.mark.slow
 def test_no_fermat_point_is_lost() -> None:
-    """2100 layouts, a third of them at a caustic, against a grid of 5000 points on each arc.
+    """900 layouts, a third of them at a caustic, against a grid of 5000 points on each arc.
 
     Every point of the grid is found within a cell; what is found besides are pairs nearer than a cell, which the grid
     cannot see.
     """
     rng = np.random.default_rng([40, 3])
     total, missed, pairs, other, most = 0, 0, 0, 0, 0
-    for layout in range(2100):
+    for layout in range(900):
         if layout % 3 == 0:
             origin, target, a, b, curvature = near_caustic(rng)
         else:
@@ -194,7 +194,7 @@ def test_no_fermat_point_is_lost() -> None:
     assert missed == 0
     assert other == 0
     assert pairs % 2 == 0
-    assert total > 1000
+    assert total > 450
     assert most >= 3
 
 

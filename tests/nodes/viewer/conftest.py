@@ -16,6 +16,9 @@ CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := s
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    # one process shows one server's page after the other's: a new one computes for a second
+    "--disable-site-isolation-trials",
+    "--disable-features=SpareRendererForSitePerProcess,OriginKeyedProcessesByDefault,IsolateOrigins,site-per-process",
 ]  # fmt: skip
 PATIENCE_S = 60.0
 #: Opens the page of a server.
@@ -43,37 +46,67 @@ def until(page: Any, condition: str) -> None:
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
+def leave(page: Any) -> None:
+    """Have a page's tab forget it; its process stays, which it would not if the browser were asked."""
+    if page.url != "about:blank":
+        page.evaluate("localStorage.clear(); location.replace('about:blank')")
+        page.wait_for_url("about:blank")
+
+
+@pytest.fixture(scope="module")
+def tabs(browser: Any) -> dict[str, list[Any]]:
+    """Empty tabs, each with a store of its own, by the plots that their pages open with."""
+    return {}
+
+
 @pytest.fixture
-def open_page(browser: Any) -> Iterator[Open]:
-    contexts, trouble = [], []
+def open_page(browser: Any, tabs: dict[str, list[Any]]) -> Iterator[Open]:
+    lent, heard, trouble = [], [], []
 
     def is_trouble(server: ViewerServer, message: Any) -> bool:
         # looking for a server that has gone is none
         is_search = not server.alive and "ERR_CONNECTION_REFUSED" in message.text
         return bool(message.type == "error") and not is_search
 
+    def new_tab(kept: str) -> Any:
+        context = browser.new_context()
+        keep = f"localStorage.getItem('mirrorwave.plots') || localStorage.setItem('mirrorwave.plots', '{kept}')"
+        if kept:
+            context.add_init_script(f"location.protocol === 'http:' && ({keep})")
+        return context.new_page()
+
     def open_it(
         server: ViewerServer, scheme: str = "light", width: int = 1440, height: int = 900, *,
-        motion: str = "no-preference", context: Any = None, kept: str = "",
+        motion: str = "no-preference", beside: Any = None, kept: str = "",
     ) -> Any:  # fmt: skip
-        if context is None:
-            size = {"width": width, "height": height}
-            context = browser.new_context(viewport=size, color_scheme=scheme, reduced_motion=motion)
-            contexts.append(context)
-            keep = f"localStorage.getItem('mirrorwave.plots') || localStorage.setItem('mirrorwave.plots', '{kept}')"
-            if kept:
-                context.add_init_script(keep)
-        page, own = context.new_page(), (f":{server.port}/", "data:,")
-        page.on("console", lambda message: trouble.append(message.text) if is_trouble(server, message) else None)
-        page.on("pageerror", lambda error: trouble.append(str(error)))
-        page.on("request", lambda one: None if any(part in one.url for part in own) else trouble.append(one.url))
+        """Open a page, in the store of one `beside` it or in one of its own."""
+        free = tabs.setdefault(kept, [])
+        page = beside.context.new_page() if beside else free.pop() if free else new_tab(kept)
+        lent.append((page, None if beside else free))
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=scheme, reduced_motion=motion)
+        own = (f":{server.port}/", "data:,", "about:blank")
+        for event, listener in (
+            ("console", lambda message: trouble.append(message.text) if is_trouble(server, message) else None),
+            ("pageerror", lambda error: trouble.append(str(error))),
+            ("request", lambda one: None if any(part in one.url for part in own) else trouble.append(one.url)),
+        ):
+            page.on(event, listener)
+            heard.append((page, event, listener))
         page.goto(server.url)
         until(page, "mirrorwave.state.connection === 'live'")
         return page
 
     yield open_it
-    for context in contexts:
-        context.close()
+    for page, event, listener in heard:
+        page.remove_listener(event, listener)
+    for page, free in lent:
+        if free is None:
+            # before the other is used again: what is not in front is drawn late
+            page.close()
+        else:
+            leave(page)
+            free.append(page)
     assert trouble == []
 
 

@@ -14,7 +14,7 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
 from tests.nodes.viewer import test_page
-from tests.nodes.viewer.conftest import Open, until
+from tests.nodes.viewer.conftest import Open, leave, until
 
 pytestmark = pytest.mark.graph
 PHONE, TABLET, DESK = 400, 800, 1440
@@ -128,7 +128,7 @@ def test_what_stays_in_place_leaves_a_phone_its_picture(tmp_path: Path, open_pag
         page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
         last = page.locator("#loop").bounding_box()
         assert last["y"] + last["height"] <= height
-        page.goto("about:blank")
+        leave(page)
 
 
 def test_nodes_stand_above_the_fold_of_a_desk(open_page: Open) -> None:
@@ -198,7 +198,7 @@ def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, sc
             assert button.bounding_box()["y"] >= seek["y"] + seek["height"] - 1.0
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.evaluate(CUT) == []
-        page.goto("about:blank")
+        leave(page)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -28,7 +28,7 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
 from tests.builders import example_map, example_view
-from tests.nodes.viewer.conftest import Open, until
+from tests.nodes.viewer.conftest import Open, leave, until
 from tests.side_sensors import cloud
 
 pytestmark = pytest.mark.graph
@@ -458,7 +458,7 @@ def test_the_page_says_when_the_graph_has_gone(board: Board, open_page: Open) ->
     page = open_page(server)
     server.close()
     until(page, "document.getElementById('link').textContent === 'the graph has ended'")
-    page.goto("about:blank")
+    leave(page)
 
 
 @contextlib.contextmanager
@@ -508,7 +508,7 @@ def test_a_recording_is_moved_by_keys_and_slider(tmp_path: Path, open_page: Open
         assert page.locator("#loop").get_attribute("aria-pressed") == "true"
         page.keyboard.press("Space")
         until(page, "mirrorwave.state.timeline.loop && mirrorwave.state.timeline.playing")
-        page.goto("about:blank")
+        leave(page)
 
 
 def test_a_recording_shows_where_its_warnings_are(tmp_path: Path, open_page: Open) -> None:
@@ -537,7 +537,7 @@ def test_a_recording_shows_where_its_warnings_are(tmp_path: Path, open_page: Ope
         page.mouse.up()
         until(page, f"mirrorwave.state.view.scan_id === {REST_SCANS + DRIVE_SCANS - 1}")
         assert "first at" in page.locator("#warning-list").inner_text()
-        page.goto("about:blank")
+        leave(page)
 
 
 def road_user(identity: int, x_m: float, y_m: float, **changes: Any) -> Track:
@@ -674,7 +674,7 @@ def test_warnings_that_nobody_renews_are_called_out_of_date(board: Board, open_p
     server.close()
     until(page, "document.getElementById('warning-list').textContent.includes('Warnings are out of date')")
     assert page.locator("#warning-list li").count() == 1
-    page.goto("about:blank")
+    leave(page)
 
 
 def test_peaks_are_drawn_only_with_their_scan() -> None:
@@ -732,13 +732,12 @@ def test_what_peers_say_is_text_and_never_markup(board: Board, open_page: Open) 
         assert page.evaluate("window.evil") is None
         for place in ("#title", "#nodes", "#warning-list"):
             assert evil in page.locator(place).inner_text().replace("\n", " "), place
-        page.goto("about:blank")
+        leave(page)
 
 
 def test_the_page_could_not_make_markup_of_text_if_it_tried(server: ViewerServer, browser: Any) -> None:
-    context = browser.new_context()
-    page = context.new_page()
+    page = browser.new_page()
     page.goto(server.url)
     attempt = "(() => { try { document.body.innerHTML = 'x'; return ''; } catch (error) { return error.name; } })()"
     assert page.evaluate(attempt) == "TypeError"
-    context.close()
+    page.close()

@@ -161,12 +161,12 @@ def test_plots_are_kept_and_a_field_that_is_not_there_is_named_so(
     plot(page, "vehicle/state", "speed_mps")
     kept = json.dumps([["vehicle/state", "speed_mps"], ["gone", "x"]])
     page.evaluate(f"localStorage.setItem('mirrorwave.plots', '{kept}')")
-    again = open_page(server, context=page.context)
+    again = open_page(server, beside=page)
     until(again, "mirrorwave.plots.shown.length === 2 && mirrorwave.plots.shown[0].data")
     assert again.locator("#plots .plot-name").all_inner_texts() == ["vehicle/state speed_mps", "gone x"]
     assert again.locator("#plots .plot-value").all_inner_texts() == ["4", "not measured"]
     again.evaluate("localStorage.setItem('mirrorwave.plots', '{\"no\": [list')")
-    third = open_page(server, context=page.context)
+    third = open_page(server, beside=page)
     assert third.locator("#plots li").count() == 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from scipy.special import expit
 
 from lab.training.data.evidence_store import load_objects, load_truths
 from lab.training.data.frames import DataSet
-from lab.training.evidence.grid_training import GridSchedule
-from lab.training.evidence.runs import CHANNELS, EVIDENCE, EVIDENCE_FILE, FIELDS_FILE, GRID, EvidenceRun
+from lab.training.evidence.grid_training import GridEpoch, GridSchedule
+from lab.training.evidence.runs import CHANNELS, EVIDENCE, EVIDENCE_FILE, FIELDS_FILE, GRID, EvidenceRun, Report
 from lab.training.evidence.train_evidence import EvidenceTraining
 from lab.training.evidence.train_fields import FieldTraining
 from lab.training.export.evidence import quantize_evidence
@@ -48,17 +49,17 @@ def judges(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def train(places: Path, judges: Path, work: Path, epochs: int) -> Path:
-    """Both networks; the folder of the exported files."""
+def train(places: Path, judges: Path, work: Path, report: Report = lambda *_: None) -> Path:
+    """One epoch of the field network, two of the evidence network; the folder of the exported files."""
     run = EvidenceRun(data=[places], validation=[judges], folder=work)
-    run.train_fields(GridSchedule(epochs=1, batch_size=2))
-    run.train_evidence(GridSchedule(epochs=epochs, batch_size=2))
+    run.train_fields(GridSchedule(epochs=1, batch_size=2), report)
+    run.train_evidence(GridSchedule(epochs=2, batch_size=2), report)
     return work
 
 
 @pytest.fixture(scope="module")
 def trained(places: Path, judges: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return train(places, judges, tmp_path_factory.mktemp("work"), 2)
+    return train(places, judges, tmp_path_factory.mktemp("work"))
 
 
 def test_samples_hold_what_the_scans_show(places: Path, trained: Path) -> None:
@@ -113,11 +114,21 @@ def test_a_field_network_begins_with_the_answers_of_a_detector(places: Path, tra
 def test_a_stopped_run_goes_on_to_the_same_weights(
     places: Path, judges: Path, trained: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """One epoch of two, then the rest: the samples, made already, are those of the whole run."""
+    """One epoch of two, then the rest, by samples that are there already."""
     work = tmp_path_factory.mktemp("again")
-    train(places, judges, work, 2)
-    whole, again = (load_state(folder / "evidence" / BEST)["network"] for folder in (trained, work))
-    assert all((whole[name] == again[name]).all() for name in whole)
+    for path in trained.glob("*-samples"):
+        shutil.copytree(path, work / path.name)
+
+    def stop(network: str, epoch: GridEpoch) -> None:
+        if network == "evidence":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(places, judges, work, stop)
+    train(places, judges, work)
+    for network in ("fields", "evidence"):
+        whole, again = (load_state(folder / network / BEST)["network"] for folder in (trained, work))
+        assert all((whole[name] == again[name]).all() for name in whole)
 
 
 def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, trained: Path) -> None:
@@ -147,8 +158,8 @@ def test_networks_that_do_not_belong_together_are_refused(trained: Path, tmp_pat
 
 
 def test_whole_numbers_answer_like_the_network_they_are_made_of(places: Path, trained: Path, tmp_path: Path) -> None:
-    """Both networks of two epochs, rounded on the three scans: probabilities within 0.1, cards that belong together."""
-    card = quantize_evidence(trained / EVIDENCE_FILE, DataSet(places), 3, tmp_path / "evidence_unet.int8.onnx")
+    """Both networks, rounded on the first scan: probabilities within 0.1, cards that belong together."""
+    card = quantize_evidence(trained / EVIDENCE_FILE, DataSet(places), 1, tmp_path / "evidence_unet.int8.onnx")
     assert card.scores["largest_probability_difference"] < 0.1
     assert card.data["fields"] == "field_unet.int8.onnx"
     assert EvidencePredictor(tmp_path / "evidence_unet.int8.onnx").card == card
