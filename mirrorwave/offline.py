@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from mirrorwave.convert.result_lines import bev_to_json, track_to_json
-from mirrorwave.pipeline import Pipeline, played
+from mirrorwave.pipeline import Pipeline, for_sensors, played
 from mirrorwave.plots.bird_eye_view import draw_bev
 from mirrorwave.plots.scoreboard import Scoreboard
 from mirrorwave.profiles import checked_profile, with_profile
-from mirrorwave.raw_data import require_raw
+from mirrorwave.raw_data import require_raw, sensors_in
 from mirrorwave.replay.result_recording import ResultRecording
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
@@ -80,7 +80,7 @@ class Results:
 def launch_for(capture: Path, profile: str, overrides: list[str], **player: Any) -> LaunchFile:
     """The offline graph with a profile and overrides; ValueError names what is unknown."""
     checked_profile(profile)
-    launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
+    launch = with_profile(for_sensors(read_launch_file(LAUNCH / "process.yaml"), sensors_in(capture)), profile)
     launch = with_params(launch, {"player": {"capture": str(capture), **player}}, "process")
     return with_overrides(launch, overrides)
 

@@ -43,7 +43,8 @@ def ego_meeting(scene: Scene) -> tuple[float, int] | None:
     # after a whole circle it drives where it drove
     period_s = 2.0 * math.pi / abs(yaw_rate_rps) if yaw_rate_rps else math.inf
     time_s = np.linspace(0.0, min(period_s, straight_s), _CHORDS + 1 if period_s < straight_s else 2)
-    poses = [ego_motion(speed_mps, yaw_rate_rps, float(at_s)) for at_s in time_s]
+    mounted = scene.radar.mounting.vehicle_from_radar
+    poses = [ego_motion(speed_mps, yaw_rate_rps, float(at_s)) @ mounted for at_s in time_s]
     return first_meeting(scene, time_s, np.array([(pose.x_m, pose.y_m) for pose in poses]))
 
 
