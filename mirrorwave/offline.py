@@ -49,6 +49,7 @@ class Results:
     ) -> None:  # fmt: skip
         self._objects, self._tracks, self._timing = files
         self._pipeline, self._on_scan, self._recording = pipeline, on_scan, recording
+        self._axes = "vehicle" if pipeline.sensors else "radar"
         self.scoreboard = Scoreboard()
         self.last: ScanView | None = None
         #: Maps, and those that lack beams.
@@ -66,8 +67,8 @@ class Results:
             self._recording.add_view(result)
         frame = result.frame
         self.scoreboard.add_frame(frame)
-        self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
-        scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
+        self._objects.write(json.dumps(bev_to_json(frame, self._axes)) + "\n")
+        scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": self._axes}
         self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(track) for track in frame.tracks]}) + "\n")
         stages = {
             name: {"count": stage.count, "mean_ms": stage.mean_ms, "max_ms": stage.max_ms}

@@ -10,7 +10,7 @@ import msgspec
 from models.perception.chain import ScanView
 from models.perception.track.view_fusion import RADAR_LOST
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.local import LocalNetwork
+from msgs.bus.local import LocalBus, LocalNetwork
 from msgs.bus.topics import plain_topic, topic_facts
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import StageTime
@@ -55,6 +55,8 @@ class Pipeline:
         }
         self._formers = _of_module(launch, "nodes.ra_former")
         self._judges = (*_of_module(launch, "nodes.dense_predictor"), *_of_module(launch, "nodes.geometry"))
+        #: Names of its sensors where there are several: views are then of the vehicle.
+        self.sensors = launch.sensors
         self._views = _Views(launch.sensors)
         self._network = LocalNetwork(lossless=True)
         self._graph = InProcessGraph(self._network, {**self._nodes, "views": self._views})
@@ -94,6 +96,13 @@ class Pipeline:
             self._count(message.lost > 0)
         return self._taken()
 
+    def listener(self, topics: Sequence[str]) -> LocalBus:
+        """Return a connection that receives topics of its nodes from now on."""
+        bus = self._network.bus("listener")
+        for topic in topics:
+            bus.subscribe(topic)
+        return bus
+
     def finish(self) -> list[ScanView]:
         """Return the view of a scan whose last beams never came, if one was begun."""
         self._graph.run()
@@ -108,7 +117,7 @@ class Pipeline:
         """Return the views since the last call, and log in what the radar is not the one that networks know."""
         for ra_map in self._views.new_maps:
             self._count(bool(ra_map.missing_beams))
-        if self._views.sensors:
+        if self.sensors:
             for view in self._views.taken:
                 self._count(not {"missing_beams", RADAR_LOST}.isdisjoint(view.frame.flags))
         taken, self._views.taken, self._views.new_maps = self._views.taken, [], []

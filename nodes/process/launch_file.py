@@ -15,7 +15,7 @@ from msgs.bus.topics import TOPICS, Declaration, require_facts, require_topic_na
 from msgs.files.former_modules import present_name
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
-from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
+from msgs.files.yaml_loader import PlainDumper, StrictLoader, in_words
 from msgs.values.arrays import require_sensor_name
 from msgs.values.wording import as_utf8, did_you_mean
 from nodes.node import NODE_NAME
@@ -290,7 +290,7 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
     if isinstance(text, str) and as_utf8(text) != text:
         return _with_bytes(parse_yaml(text.translate(_STAND_IN), where))
     try:
-        return yaml.load(text, Loader=_StrictLoader)
+        return yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"{where}: {_yaml_reason(error)}") from None
     except (ValueError, RecursionError, UnicodeError) as error:
@@ -429,18 +429,3 @@ def _yaml_reason(error: yaml.YAMLError) -> str:
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
     position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
     return " ".join(f"{position}{problem or error}".split())
-
-
-class _StrictLoader(BoundedLoader):
-    """`BoundedLoader` that refuses features that a launch file never needs and a slip would use."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        keys: set[str] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise yaml.MarkedYAMLError(problem=f"key {key!r} must be text", problem_mark=key_node.start_mark)
-            if key in keys:
-                raise yaml.MarkedYAMLError(problem=f"duplicate key {key!r}", problem_mark=key_node.start_mark)
-            keys.add(key)
-        return super().construct_mapping(node, deep)

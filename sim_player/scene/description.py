@@ -25,7 +25,7 @@ from models.physics.mirror import SHORTEST_WALL_M, crosses
 from models.physics.plane import segment_distance_m
 from msgs.files.shipped import shipped_path
 from msgs.files.text_files import decode_text
-from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
+from msgs.files.yaml_loader import PlainDumper, StrictLoader, in_words
 from msgs.values.arrays import require_sensor_name
 from msgs.values.frames import Pose2
 from msgs.values.known_names import with_known_names
@@ -360,7 +360,7 @@ def load_scene(path: Path) -> Scene:
 def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     """Return a checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
-        content = yaml.load(text, Loader=BoundedLoader)
+        content = yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):

@@ -168,8 +168,9 @@ def covariance_intersection(
         return np.asarray(np.linalg.inv(share * first + (1.0 - share) * second))
 
     least = minimize_scalar(lambda share: float(np.trace(covariance(share))), bounds=(0.0, 1.0), method="bounded")
-    # the search leaves out the ends
-    share = min((0.0, float(least.x), 1.0), key=lambda at: float(np.trace(covariance(at))))
+    # the search leaves out the ends; of shares that are alike the middle one
+    even_m2 = float(np.trace(covariance(0.5)))
+    share = min((0.5, float(least.x), 0.0, 1.0), key=lambda at: round(float(np.trace(covariance(at))) / even_m2, 9))
     joint = covariance(share)
     position_m = joint @ (share * first @ first_m + (1.0 - share) * second @ second_m)
     return position_m, symmetric(joint)
