@@ -40,7 +40,7 @@ from sim_player.rig import RadarRig
 from sim_player.scene.clear_path import ego_meeting
 from sim_player.scene.description import Mounting
 
-SCANS = 8
+SCANS = 6
 #: Heading of the corner radars.
 YAW_DEG = 35.0
 RADARS = {
