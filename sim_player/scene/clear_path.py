@@ -33,9 +33,12 @@ def first_meeting(scene: Scene, time_s: np.ndarray, position_m: np.ndarray) -> t
 
 
 def ego_meeting(scene: Scene) -> tuple[float, int] | None:
-    """Return when the radar of a scene that drives on as it does meets the first wall, and the number of its surface;
-    None where it never does.
+    """Return when the radar of a scene, or one of several, that drives on as it does meets the first wall, and the
+    number of its surface; None where it never does.
     """
+    if scene.radars:
+        meetings = (ego_meeting(scene.of_radar(name)) for name in scene.radars)
+        return min((meeting for meeting in meetings if meeting is not None), default=None)
     speed_mps, yaw_rate_rps = scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)
     if not speed_mps:
         return None

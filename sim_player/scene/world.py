@@ -234,6 +234,9 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     """Draw a scene's scatterers (phases fixed by `seed`) and flatten it for `trace`; ValueError from `check_scene`."""
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed!r}")
+    if scene.radars:
+        names = ", ".join(scene.radars)
+        raise ValueError(f"radars: must be none where one is simulated, which radar.mounting places, got {names}")
     check_scene(scene)
     setup = scene.setup if setup is None else setup
     pieces = [

@@ -125,6 +125,19 @@ def test_bad_radars_are_one_line(radars: str, refusal: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_what_simulates_one_radar_says_so() -> None:
+    """A plan, paths and effects are of one radar."""
+    with pytest.raises(ValueError, match=r"radars: must be none where one is simulated, .* got left, right"):
+        ScenePlayer(scene_from_yaml(CORNER))
+
+
+def test_the_first_corner_that_meets_a_wall_ends_the_drive() -> None:
+    """Of all radars, whatever the vehicle's origin does."""
+    scene = scene_from_yaml(CORNER)
+    meetings = [ego_meeting(scene.of_radar(name)) for name in scene.radars]
+    assert ego_meeting(scene) == min(meeting for meeting in meetings if meeting is not None)
+
+
 def test_a_lidar_has_no_radars() -> None:
     """Its preset is one of a LiDAR."""
     with pytest.raises(ValueError, match="radars: must be radars, and preset 'spad' is a LiDAR"):
