@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from lab.measures.object_metrics import ObjectScores, object_report
-from lab.measures.object_rows import ImageTruth, ScanRow, is_false, scan_row
+from lab.measures.object_rows import FALSE_M, ImageTruth, ReportRow, ScanRow, is_false, scan_row
 from mirrorwave.pipeline import Pipeline, for_sensors
 from mirrorwave.profiles import with_profile
 from models.perception.track.odometry import MAX_GAP_S
@@ -38,7 +38,7 @@ from sim_player.generate.places import draw_place
 from sim_player.paths.truth import object_images
 from sim_player.rig import RadarRig
 from sim_player.scene.clear_path import ego_meeting
-from sim_player.scene.description import Mounting
+from sim_player.scene.description import Mounting, scene_to_yaml
 
 SCANS = 6
 #: Heading of the corner radars.
@@ -48,6 +48,8 @@ RADARS = {
     "left": Mounting(y_m=0.8, yaw_deg=YAW_DEG),
     "right": Mounting(y_m=-0.8, yaw_deg=-YAW_DEG),
 }
+#: Kept of the radar ahead, to see its scans again with walls from a map (`map_walls`).
+FRONT_SETUP, FRONT_MAP = "radar/front/setup", "radar/front/ra_map"
 TOPICS = ("perception/peaks", "perception/hidden_objects")
 
 
@@ -76,7 +78,8 @@ def play_drive(rig: RadarRig, path: Path) -> None:
     """Record one drive as `path`.mcap, and what mirrors show of its objects as `path`.json."""
     launch = with_profile(for_sensors(read_launch_file(LAUNCH / "process.yaml"), tuple(RADARS)), "default")
     pipeline = Pipeline(launch)
-    listener = pipeline.listener([sensor_topic(topic, radar) for topic in TOPICS for radar in RADARS])
+    heard = [sensor_topic(topic, radar) for topic in TOPICS for radar in RADARS]
+    listener = pipeline.listener([*heard, FRONT_MAP])
     images = []
     with RecordingWriter(path.with_suffix(".mcap"), {"scene": rig.scene.name}) as writer:
         for event in scene_events(rig, SCANS):
@@ -86,10 +89,11 @@ def play_drive(rig: RadarRig, path: Path) -> None:
                 writer.write(topic, message, publisher="player", sent_ns=event.offset_ns)
                 continue
             pipeline.feed(message, event.offset_ns, topic)
-            if topic == "vehicle/state":
+            if topic in ("vehicle/state", FRONT_SETUP):
                 writer.write(topic, message, publisher="player", sent_ns=event.offset_ns)
             for received in listener.receive(0.0):
                 writer.write(received.topic, received.message, publisher="graph", sent_ns=event.offset_ns)
+    path.with_suffix(".yaml").write_text(scene_to_yaml(rig.scene))
     path.with_suffix(".json").write_text(json.dumps(images))
 
 
@@ -174,26 +178,25 @@ def score(folder: Path) -> None:
         ("the same, left silent from the middle on", every, "left", True),
         ("all three", tuple(RADARS), "", False),
     ):
-        found = list(rows(folder, radars, silent, last_half))
-        scores = ObjectScores(found)
+        scans = list(rows(folder, radars, silent, last_half))
+        scores = ObjectScores(scans)
         weights = np.random.default_rng(0).multinomial(
             len(scores.places), np.full(len(scores.places), 1.0 / len(scores.places)), 1000
         )
         report = object_report(scores, weights, 1.0)
-        double = sum(len(duplicates(row)) for row in found)
-        false_a_scan = sum(is_false(item) for row in found for item in row.reports) / max(len(found), 1)
-        tracked = [item.track_id is not None for row in found for item in row.hidden if item.image.mirrored]
-        false_tracks = sum(is_false(item) for row in found for item in row.tracks) / max(len(found), 1)
+        double = sum(is_double(item) for row in scans for item in row.reports)
+        false_a_scan = sum(is_false(item) for row in scans for item in row.reports) / len(scans)
+        tracked = [item.track_id is not None for row in scans for item in row.hidden if item.image.mirrored]
+        false_tracks = sum(is_false(item) for row in scans for item in row.tracks) / len(scans)
         print(
             f"{name:42} recall {report.recall}  false a scan {false_a_scan:.2f}  reports {report.reports}  "
             f"twice {double}  tracked {np.mean(tracked):.2f}  false tracks a scan {false_tracks:.2f}"
         )
 
 
-def duplicates(row: ScanRow) -> list[int]:
-    """Return the objects of a scan that several reports lie within 2 m of, once for each report too many."""
-    near = [item for item in row.reports if not item.found and item.error_m is not None and item.error_m < 2.0]
-    return [0 for _ in near]
+def is_double(report: ReportRow) -> bool:
+    """Return whether a report lies at a hidden object that another report has found, or is nearer to."""
+    return not report.found and report.error_m is not None and report.error_m < FALSE_M
 
 
 def main() -> None:

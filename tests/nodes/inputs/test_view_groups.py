@@ -95,6 +95,37 @@ def test_clocks_that_differ_are_named_and_nothing_is_lost(ahead_s: float, wrong:
     assert groups.left_out == 0
 
 
+def test_a_busy_machine_is_no_clock() -> None:
+    """A first view of the left radar that takes 0.8 s longer than any other delays its group; no later one is moved or
+    left out.
+    """
+    groups = ViewGroups(("left", "right"))
+    groups.hear_state(0, 2_000_000)
+    play(groups, "right", 0)
+    now_ns = play(groups, "left", 0, 800_000_000)
+    assert groups.take(now_ns) is not None
+    for scan in range(3, 9):
+        play(groups, "right", scan)
+        group = groups.take(play(groups, "left", scan, 50_000_000))
+        assert group is not None
+        assert [item.frame.stamp_ns for item in group[0]] == [scan * PERIOD_NS] * 2
+    assert (groups.left_out, groups.trouble(9 * PERIOD_NS)) == (0, "")
+
+
+def test_a_clock_that_is_set_back_is_named_after_some_scans() -> None:
+    """A clock of the right radar that is set back by a second in the middle of a drive."""
+    groups = ViewGroups(("left", "right"))
+    for scan in range(20):
+        groups.hear_state(scan * PERIOD_NS, scan * PERIOD_NS + 2_000_000)
+        play(groups, "left", scan)
+        group = groups.take(play(groups, "right", scan, clock_ns=-SECOND_NS if scan > 5 else 0))
+        assert group is not None
+        assert max(item.frame.stamp_ns for item in group[0]) == scan * PERIOD_NS
+    assert {item.frame.stamp_ns for item in group[0]} == {19 * PERIOD_NS}
+    assert "radar right: its clock is 1.0 s behind" in groups.trouble(20 * PERIOD_NS)
+    assert groups.left_out == 0
+
+
 def test_objects_are_moved_with_the_clock_of_their_radar() -> None:
     """Those without a time of their own have none afterwards."""
     from tests.models.perception.track.test_view_fusion import hidden
