@@ -25,7 +25,7 @@ def require_raw(capture: Path) -> None:
     with RecordingReader(capture) as reader:
         held = reader.types
         loss = f" ({reader.loss})" if reader.loss else ""
-        setups = [item for item in first_setups(reader).values() if isinstance(item.message, RadarSetup)]
+        setups = [(item.topic, item.message) for item in first_setups(reader).values()]
     for raw in held:
         for setup, measured in SENSOR_TOPICS:
             setup = sensor_topic(setup, sensor_of(raw))
@@ -34,9 +34,9 @@ def require_raw(capture: Path) -> None:
     if not any(plain_topic(raw) in RAW_TOPICS for raw in held):
         content = "holds no radar/beam, no lidar/histograms and no radar/detections to process"
         raise ValueError(f"{capture}: {content}; {_use_of(capture, held)}{loss}")
-    for setup_message in setups:
-        if sensor_topic("radar/beam", sensor_of(setup_message.topic)) in held:
-            _require_bearings(capture, setup_message.message)
+    for topic, message in setups:
+        if isinstance(message, RadarSetup) and sensor_topic("radar/beam", sensor_of(topic)) in held:
+            _require_bearings(capture, message)
 
 
 def sensors_in(capture: Path) -> tuple[str, ...]:

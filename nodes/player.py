@@ -389,7 +389,7 @@ def _radar_events(player: ScenePlayer | RadarRig, scans: int | None, backlog: Ba
 
 def radars_of(player: ScenePlayer | RadarRig) -> dict[str, ScenePlayer]:
     """Return the radars of a scene by their names; the only one has none."""
-    return getattr(player, "players", None) or {"": player}  # type: ignore[dict-item]
+    return getattr(player, "players", None) or {"": player}
 
 
 def _beam_events(

@@ -152,6 +152,9 @@ def joined(path: Path, radars: Sequence[str], silent: str = "", from_ns: int = 0
 def rows(folder: Path, radars: Sequence[str], silent: str = "", last_half: bool = False) -> Iterator[ScanRow]:
     """Yield the rows of all drives."""
     for place, path in enumerate(sorted(folder.glob("*.mcap"))):
+        if not path.with_suffix(".json").exists():
+            # it is being played
+            continue
         with RecordingReader(path) as reader:
             truths: list[SceneTruth] = [item.message for item in reader.messages(("sim/truth",))]  # type: ignore[misc]
         images = json.loads(path.with_suffix(".json").read_text())
