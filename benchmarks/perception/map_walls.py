@@ -18,10 +18,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks.perception.two_radars import FRONT_MAP, FRONT_SETUP, Sink
+from benchmarks.perception.two_radars import FRONT_MAP, FRONT_SETUP, RADARS, Sink
 from lab.measures.object_metrics import ObjectScores, object_report
 from lab.measures.object_rows import ImageTruth, ScanRow, is_false, scan_row
 from mirrorwave.profiles import with_profile
+from models.perception.track.view_fusion import RadarView, in_vehicle
 from msgs.bus.local import LocalNetwork
 from msgs.bus.topics import plain_topic
 from msgs.files.shipped import LAUNCH
@@ -93,11 +94,15 @@ def rows(folder: Path, has_map: bool, exact: bool, std_m: float) -> Iterator[Sca
                 bus.publish(plain_topic(recorded.topic), message)
                 graph.run(until_ns=network.now_ns)
             graph.run()
-        frames = {frame.stamp_ns: frame for frame in sink.frames}
+        mounted = RADARS["front"].vehicle_from_radar
+        frames = {
+            frame.stamp_ns: in_vehicle(RadarView(frame, mounted), frame.stamp_ns, None, lambda at_ns: None).frame
+            for frame in sink.frames
+        }
         for truth, image in zip(truths, json.loads(path.with_suffix(".json").read_text()), strict=True):
             frame = frames.get(truth.stamp_ns)
-            objects, tracks = ((), ()) if frame is None else (frame.objects, frame.tracks)
-            yield scan_row(place, objects, truth, msgspec.convert(image, list[ImageTruth]), tracks)
+            objects = () if frame is None else frame.objects
+            yield scan_row(place, objects, truth, msgspec.convert(image, list[ImageTruth]))
 
 
 def main() -> None:
