@@ -19,10 +19,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mirrorwave.pipeline import Pipeline, played
+from mirrorwave.pipeline import Pipeline, for_sensors, played
 from mirrorwave.plots.notebook import show_values_as_pictures
 from mirrorwave.profiles import checked_profile, with_profile
-from mirrorwave.raw_data import require_raw
+from mirrorwave.raw_data import require_raw, sensors_in
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
@@ -38,9 +38,9 @@ class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """One scan: what is hidden, what it was found in, and the truth where the capture holds it."""
 
     frame: BevFrame
-    #: None of a radar that gives detections.
+    #: None of a radar that gives detections, and of several radars.
     ra_map: RangeAzimuthMap | None
-    peaks: Peaks
+    peaks: Peaks | None
     truth: SceneTruth | None = None
 
     @property
@@ -57,7 +57,8 @@ class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     def __repr__(self) -> str:
         counts = ((self.frame.objects, "hidden object"), (self.frame.tracks, "track"), (self.frame.walls, "wall"))
         parts = [f"scan {self.scan_id}", *(counted(len(items), name) for items, name in counts)]
-        parts.append(counted(len(self.peaks.range_m), "peak"))
+        if self.peaks is not None:
+            parts.append(counted(len(self.peaks.range_m), "peak"))
         return f"View({', '.join([*parts, *(['truth'] if self.truth is not None else [])])})"
 
     def _repr_png_(self) -> bytes:
@@ -128,7 +129,7 @@ def views(capture: str | PathLike[str], profile: str = "default", overrides: Seq
 
     Raises `ValueError` naming the file where it is no capture, holds no set-up, no beam, or beams of one direction.
     """
-    pipeline = _pipeline(profile, overrides)
+    pipeline = _pipeline(profile, overrides, sensors_in(Path(capture)))
     truth: dict[int, SceneTruth] = {}
     waiting: ScanView | None = None
     # truth stands behind the beams it belongs to: a view goes out when the next one comes
@@ -168,9 +169,9 @@ def scan_beams(
     ]
 
 
-def _pipeline(profile: str, overrides: Sequence[str]) -> Pipeline:
+def _pipeline(profile: str, overrides: Sequence[str], sensors: Sequence[str] = ()) -> Pipeline:
     checked_profile(profile)
-    launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
+    launch = with_profile(for_sensors(read_launch_file(LAUNCH / "process.yaml"), sensors), profile)
     return Pipeline(with_overrides(launch, overrides))
 
 

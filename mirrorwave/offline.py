@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from mirrorwave.convert.result_lines import bev_to_json, track_to_json
-from mirrorwave.pipeline import Pipeline, played
+from mirrorwave.pipeline import Pipeline, for_sensors, played
 from mirrorwave.plots.bird_eye_view import draw_bev
 from mirrorwave.plots.scoreboard import Scoreboard
 from mirrorwave.profiles import checked_profile, with_profile
-from mirrorwave.raw_data import require_raw
+from mirrorwave.raw_data import require_raw, sensors_in
 from mirrorwave.replay.result_recording import ResultRecording
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
@@ -49,6 +49,7 @@ class Results:
     ) -> None:  # fmt: skip
         self._objects, self._tracks, self._timing = files
         self._pipeline, self._on_scan, self._recording = pipeline, on_scan, recording
+        self._axes = "vehicle" if pipeline.sensors else "radar"
         self.scoreboard = Scoreboard()
         self.last: ScanView | None = None
         #: Maps, and those that lack beams.
@@ -66,8 +67,8 @@ class Results:
             self._recording.add_view(result)
         frame = result.frame
         self.scoreboard.add_frame(frame)
-        self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
-        scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
+        self._objects.write(json.dumps(bev_to_json(frame, self._axes)) + "\n")
+        scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": self._axes}
         self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(track) for track in frame.tracks]}) + "\n")
         stages = {
             name: {"count": stage.count, "mean_ms": stage.mean_ms, "max_ms": stage.max_ms}
@@ -80,7 +81,7 @@ class Results:
 def launch_for(capture: Path, profile: str, overrides: list[str], **player: Any) -> LaunchFile:
     """The offline graph with a profile and overrides; ValueError names what is unknown."""
     checked_profile(profile)
-    launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
+    launch = with_profile(for_sensors(read_launch_file(LAUNCH / "process.yaml"), sensors_in(capture)), profile)
     launch = with_params(launch, {"player": {"capture": str(capture), **player}}, "process")
     return with_overrides(launch, overrides)
 

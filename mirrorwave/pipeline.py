@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import msgspec
 
 from models.perception.chain import ScanView
+from models.perception.track.view_fusion import RADAR_LOST
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.local import LocalNetwork
-from msgs.bus.topics import topic_facts
+from msgs.bus.local import LocalBus, LocalNetwork
+from msgs.bus.topics import plain_topic, topic_facts
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import StageTime
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RangeAzimuthMap
 from nodes.node import InProcessGraph, Node, StageClock, load_node
 from nodes.player import SENSED_TOPICS, Event
-from nodes.process.launch_file import LaunchFile
+from nodes.process.launch_file import FUSION_MODULE, LaunchFile, NodeEntry
 
 _LOG = logging.getLogger(__name__)
 
@@ -25,19 +26,38 @@ _LOG = logging.getLogger(__name__)
 _TOPICS = {topic_facts(topic).type: topic for topic in SENSED_TOPICS if topic != "sim/truth"}
 
 
+def for_sensors(launch: LaunchFile, sensors: Sequence[str]) -> LaunchFile:
+    """Return `launch` with its nodes, but for the player, once for each of several sensors, and their views joined."""
+    if not sensors:
+        return launch
+    own = {
+        f"{name}_{sensor}": msgspec.structs.replace(entry, sensor=sensor)
+        for sensor in sensors
+        for name, entry in launch.nodes.items()
+        if name != "player"
+    }
+    fusion = NodeEntry(module=FUSION_MODULE, params={"radars": list(sensors)})
+    nodes = {name: entry for name, entry in launch.nodes.items() if name == "player"}
+    return msgspec.structs.replace(launch, nodes={**nodes, **own, "view_fusion": fusion})
+
+
 class Pipeline:
-    """The nodes of a launch file but its player, for a radar or a LiDAR whose set-up comes first.
+    """The nodes of a launch file but its player, for a radar or a LiDAR whose set-up comes first, or for several.
 
     What nodes cannot take they log and leave out, as in the live graph.
     """
 
     def __init__(self, launch: LaunchFile) -> None:
         self._nodes = {
-            name: load_node(entry.module, entry.params, name)
+            name: load_node(entry.module, entry.params, name, entry.sensor)
             for name, entry in launch.nodes.items()
             if name != "player"
         }
-        self._views = _Views()
+        self._formers = _of_module(launch, "nodes.ra_former")
+        self._judges = (*_of_module(launch, "nodes.dense_predictor"), *_of_module(launch, "nodes.geometry"))
+        #: Names of its sensors where there are several: views are then of the vehicle.
+        self.sensors = launch.sensors
+        self._views = _Views(launch.sensors)
         self._network = LocalNetwork(lossless=True)
         self._graph = InProcessGraph(self._network, {**self._nodes, "views": self._views})
         self._bus = self._network.bus("player")
@@ -50,7 +70,7 @@ class Pipeline:
     @property
     def refused_beams(self) -> int:
         """How many beams were refused so far."""
-        counts = self._nodes["ra_former"].shed.counts()
+        counts = (count for name in self._formers for count in self._nodes[name].shed.counts())
         return sum(item.count for item in counts if (item.what, item.reason) == ("beam", "refused"))
 
     @property
@@ -58,13 +78,15 @@ class Pipeline:
         """Why a node refused its last input; empty once all take theirs."""
         return next((reason for node in self._nodes.values() if (reason := node.shed.refusal)), "")
 
-    def feed(self, message: msgspec.Struct, offset_ns: int = 0) -> list[ScanView]:
+    def feed(self, message: msgspec.Struct, offset_ns: int = 0, topic: str | None = None) -> list[ScanView]:
         """Take in a message that was sent `offset_ns` after the first; return the views that it brings.
+
+        `topic`: None is that of its type, of the only sensor.
 
         A scan whose next beam is silent for as long as the live graph would wait is closed first.
         """
-        topic = _TOPICS.get(type(message))
-        if topic is None:
+        topic = topic or _TOPICS.get(type(message))
+        if topic is None or plain_topic(topic) not in _TOPICS.values():
             return []
         self._graph.run(until_ns=offset_ns - 1)
         self._network.advance(max(0, offset_ns - self._network.now_ns))
@@ -73,6 +95,13 @@ class Pipeline:
         if isinstance(message, RadarDetections):
             self._count(message.lost > 0)
         return self._taken()
+
+    def listener(self, topics: Sequence[str]) -> LocalBus:
+        """Return a connection that receives topics of its nodes from now on."""
+        bus = self._network.bus("listener")
+        for topic in topics:
+            bus.subscribe(topic)
+        return bus
 
     def finish(self) -> list[ScanView]:
         """Return the view of a scan whose last beams never came, if one was begun."""
@@ -88,9 +117,12 @@ class Pipeline:
         """Return the views since the last call, and log in what the radar is not the one that networks know."""
         for ra_map in self._views.new_maps:
             self._count(bool(ra_map.missing_beams))
+        if self.sensors:
+            for view in self._views.taken:
+                self._count(not {"missing_beams", RADAR_LOST}.isdisjoint(view.frame.flags))
         taken, self._views.taken, self._views.new_maps = self._views.taken, [], []
         if taken:
-            doubts = (self._nodes[name].health()[1] for name in ("dense_predictor", "geometry"))
+            doubts = (self._nodes[name].health()[1] for name in self._judges)
             doubt = next(filter(None, doubts), "")
             if doubt not in ("", self._doubt):
                 _LOG.warning("%s", doubt)
@@ -103,13 +135,15 @@ class Pipeline:
 
 
 class _Views(Node):
-    """Keeps each view with the map and the peaks that it was found in."""
+    """Keeps each view with the map and the peaks that it was found in; that of several sensors with neither."""
 
-    inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects")
     wants_all = True
 
-    def __init__(self) -> None:
+    def __init__(self, sensors: Sequence[str]) -> None:
         super().__init__()
+        self.sensors = sensors
+        alone = () if sensors else ("radar/ra_map", "perception/peaks")
+        self.inputs: tuple[str, ...] = (*alone, "perception/hidden_objects")
         self.taken: list[ScanView] = []
         self.new_maps: list[RangeAzimuthMap] = []
         self._map: RangeAzimuthMap | None = None
@@ -124,12 +158,18 @@ class _Views(Node):
                     self._map = ra_map
                 case Peaks() as peaks:
                     self._peaks = peaks
+                case BevFrame() as frame if self.sensors:
+                    self.taken.append(ScanView(frame, None, None))
                 case BevFrame() as frame:
                     assert self._peaks is not None
                     # a radar of detections gives none
                     own_map = None if self._peaks.sensor is not None else self._map
                     self.taken.append(ScanView(frame, own_map, self._peaks))
         return []
+
+
+def _of_module(launch: LaunchFile, module: str) -> tuple[str, ...]:
+    return tuple(name for name, entry in launch.nodes.items() if entry.module == module)
 
 
 def played(events: Iterable[Event], pipeline: Pipeline) -> Iterator[ScanView | SceneTruth]:
@@ -139,5 +179,5 @@ def played(events: Iterable[Event], pipeline: Pipeline) -> Iterator[ScanView | S
         if isinstance(message, SceneTruth):
             yield message
         else:
-            yield from pipeline.feed(message, event.offset_ns)
+            yield from pipeline.feed(message, event.offset_ns, event.outgoing.topic)
     yield from pipeline.finish()

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from msgs.bus.topics import RAW_TOPICS, SENSOR_TOPICS
+from msgs.bus.topics import RAW_TOPICS, SENSOR_TOPICS, plain_topic, sensor_of, sensor_topic
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture
 from msgs.values.radar import RadarSetup
+from nodes.player import first_setups
 
 
 def require_raw(capture: Path) -> None:
@@ -24,15 +25,27 @@ def require_raw(capture: Path) -> None:
     with RecordingReader(capture) as reader:
         held = reader.types
         loss = f" ({reader.loss})" if reader.loss else ""
-        first = next((message.message for message in reader.messages(("radar/setup",))), None)
-    for setup, raw in SENSOR_TOPICS:
-        if raw in held and setup not in held:
-            raise ValueError(f"{capture}: holds no {setup}, which says how to read its {raw}")
-    if not any(raw in held for raw in RAW_TOPICS):
+        setups = [(item.topic, item.message) for item in first_setups(reader).values()]
+    for raw in held:
+        for setup, measured in SENSOR_TOPICS:
+            setup = sensor_topic(setup, sensor_of(raw))
+            if plain_topic(raw) == measured and setup not in held:
+                raise ValueError(f"{capture}: holds no {setup}, which says how to read its {raw}")
+    if not any(plain_topic(raw) in RAW_TOPICS for raw in held):
         content = "holds no radar/beam, no lidar/histograms and no radar/detections to process"
         raise ValueError(f"{capture}: {content}; {_use_of(capture, held)}{loss}")
-    if "radar/beam" in held and isinstance(first, RadarSetup):
-        _require_bearings(capture, first)
+    for topic, message in setups:
+        if isinstance(message, RadarSetup) and sensor_topic("radar/beam", sensor_of(topic)) in held:
+            _require_bearings(capture, message)
+
+
+def sensors_in(capture: Path) -> tuple[str, ...]:
+    """Return the names of the sensors whose raw data a capture holds; none where there is one without a name."""
+    if capture.suffix != ".mcap" or not capture.is_file():
+        return ()
+    with RecordingReader(capture) as reader:
+        raw = [topic for topic in reader.types if plain_topic(topic) in RAW_TOPICS]
+    return tuple(sorted({sensor_of(topic) for topic in raw} - {""}))
 
 
 def _require_bearings(capture: Path, setup: RadarSetup) -> None:

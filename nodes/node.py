@@ -35,9 +35,10 @@ import msgspec
 import psutil
 
 from msgs.bus.interface import Bus, Forwarded, GraphBus, Outgoing, Received, WaitingBus
-from msgs.bus.topics import TOPICS, topic_facts
+from msgs.bus.topics import TOPICS, plain_topic, sensor_topic, topic_facts
 from msgs.files.open_files import open_files_line, require_open_files
 from msgs.files.plugins import MODULE_NAME, NODES, import_named, plugins
+from msgs.values.arrays import require_sensor_name
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from nodes.inputs.publishers import BoundInputs
 from nodes.process.interpreter import start_again_if_compiled
@@ -147,6 +148,8 @@ class Node:
     max_origins: int = 1
     #: Priority of the node's process on busy cores: Unix niceness, 0..19.
     nice: int = 0
+    #: Name of the sensor that it works for where a graph has several: its topics are that sensor's on the bus.
+    sensor: str = ""
 
     def __init__(self) -> None:
         self.stages = StageClock()
@@ -157,6 +160,16 @@ class Node:
         self.open_since_s: float | None = None
         #: What `load_node` made it with; None of a node made by hand.
         self.made_with: msgspec.Struct | None = None
+
+    @property
+    def bus_inputs(self) -> tuple[str, ...]:
+        """The topics that it takes, as they are called on the bus."""
+        return tuple(sensor_topic(topic, self.sensor) for topic in self.inputs)
+
+    @property
+    def bus_outputs(self) -> tuple[str, ...]:
+        """The topics that it publishes, as they are called on the bus."""
+        return tuple(sensor_topic(topic, self.sensor) for topic in self.outputs)
 
     def step(self, inputs: list[Received], now_ns: int) -> Sequence[Outgoing | Forwarded]:
         """Answer the inputs, in order of arrival; empty when the node is called because it was due."""
@@ -209,8 +222,8 @@ class Stop:
         self.requested = True
 
 
-def load_node(module_name: str, params: Mapping[str, Any], name: str | None = None) -> Node:
-    """Import a node's module and create the node with `params`.
+def load_node(module_name: str, params: Mapping[str, Any], name: str | None = None, sensor: str = "") -> Node:
+    """Import a node's module and create the node with `params`, for the `sensor` of a name where there are several.
 
     Raises `ValueError` naming the node's field as `node_module` does, for wrong parameters and for a `create` that
     makes something else.
@@ -223,7 +236,9 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     if not isinstance(node, Node):
         raise ValueError(f"{name}.module: create(params) of {module.__name__} must return a Node, got {node!r}")
     _require_known(node, name)
-    node.made_with = checked
+    if sensor:
+        require_sensor_name(sensor)
+    node.made_with, node.sensor = checked, sensor
     return node
 
 
@@ -328,7 +343,7 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat, para
     """
     receive = bus.receive if params is None else params.receive
     inputs = bound_inputs(node, bus)
-    for topic in node.inputs:
+    for topic in node.bus_inputs:
         bus.subscribe(topic)
     for source in node.watched():
         bus.watch(source)
@@ -369,7 +384,7 @@ def _keep_small(heap: FreeHeap | None) -> FreeHeap:
 
 def bound_inputs(node: Node, bus: GraphBus) -> BoundInputs:
     """Return the inputs of a node, bound to one publisher each unless it takes all."""
-    topics = () if node.takes_all_publishers else node.inputs
+    topics = () if node.takes_all_publishers else node.bus_inputs
     return BoundInputs(bus, topics, lambda topic: node.shed.add(f"{topic} message", "of another publisher"))
 
 
@@ -408,6 +423,8 @@ def _turn(node: Node, bus: Bus, inputs: list[Received]) -> bool:
 
 
 def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
+    if node.sensor:
+        inputs = [item._replace(topic=plain_topic(item.topic)) for item in inputs]
     for outgoing in node.step(inputs, now_ns):
         if outgoing[0] not in node.outputs:
             raise ValueError(
@@ -416,7 +433,7 @@ def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
         if isinstance(outgoing, Forwarded):
             bus.forward(outgoing)
         else:
-            bus.publish(*outgoing)
+            bus.publish(sensor_topic(outgoing.topic, node.sensor), outgoing.message)
 
 
 class InProcessGraph:
@@ -431,7 +448,7 @@ class InProcessGraph:
         self._nodes = dict(nodes)
         self._buses: dict[str, GraphBus] = {name: network.bus(name) for name in self._nodes}
         for name, node in self._nodes.items():
-            for topic in node.inputs:
+            for topic in node.bus_inputs:
                 self._buses[name].subscribe(topic)
         self._inputs = {name: bound_inputs(node, self._buses[name]) for name, node in self._nodes.items()}
 
@@ -532,7 +549,8 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler, words: 
     bus = ZmqBus(arguments.name, arguments.run_dir)
     try:
         heartbeat = Heartbeat(bus, arguments.name, log)
-        node = open_node(arguments.module, json.loads(arguments.params), arguments.name, bus, heartbeat)
+        params = json.loads(arguments.params)
+        node = open_node(arguments.module, params, arguments.name, bus, heartbeat, arguments.sensor)
         if isinstance(node, int):
             return node
         if not stop.requested:
@@ -548,22 +566,24 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler, words: 
     return EXIT_DONE
 
 
-def open_node(module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, heartbeat: Heartbeat) -> Node | int:
+def open_node(
+    module: str, params: Mapping[str, Any], name: str, bus: ZmqBus, heartbeat: Heartbeat, sensor: str = ""
+) -> Node | int:
     """Make a node and open the topics that it publishes; return the exit code of its process where it cannot be."""
     if not _has_its_name(heartbeat):
         return EXIT_FAILED
     start_ns = time.perf_counter_ns()
     # now, so that subscribers find them while the node is made
-    early = tuple(topic for topic in _outputs_of(module) if topic in TOPICS)
+    early = tuple(sensor_topic(topic, sensor) for topic in _outputs_of(module) if topic in TOPICS)
     for topic in early:
         bus.advertise(topic)
     open_since_s = time.monotonic()
-    node = _load_or_say_why(module, params, name, heartbeat)
+    node = _load_or_say_why(module, params, name, heartbeat, sensor)
     if node is None:
         return EXIT_BAD_INPUT
     node.stages.add("make", time.perf_counter_ns() - start_ns)
-    node.open_since_s = open_since_s if set(node.outputs) <= set(early) else time.monotonic()
-    for topic in node.outputs:
+    node.open_since_s = open_since_s if set(node.bus_outputs) <= set(early) else time.monotonic()
+    for topic in node.bus_outputs:
         bus.advertise(topic, node.max_origins)
     if node.wants_all:
         bus.want_all()
@@ -616,9 +636,11 @@ def _lower_priority(nice: int) -> None:
         os.setpriority(os.PRIO_PROCESS, thread.id, min(19, os.getpriority(os.PRIO_PROCESS, thread.id) + nice))
 
 
-def _load_or_say_why(module: str, params: Mapping[str, Any], name: str, heartbeat: Heartbeat) -> Node | None:
+def _load_or_say_why(
+    module: str, params: Mapping[str, Any], name: str, heartbeat: Heartbeat, sensor: str
+) -> Node | None:
     try:
-        return load_node(module, params, name)
+        return load_node(module, params, name, sensor)
     except (ValueError, FileNotFoundError, msgspec.MsgspecError) as error:
         reason = " ".join(str(error).split())
         _LOG.critical("%s", reason)
@@ -635,6 +657,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--name", required=True, help="the node's name in the graph")
     parser.add_argument("--run-dir", required=True, type=Path, help="directory of the graph's sockets")
     parser.add_argument("--params", default="{}", help="parameters as JSON")
+    parser.add_argument("--sensor", default="", help="name of its sensor, where there are several")
     parser.add_argument("--json-log", action="store_true", help="log JSON records, for the supervisor")
     parser.add_argument("--die-with", type=int, metavar="PID", help="end with this parent process")
     parser.add_argument("--wait", action="store_true", help="get ready, and begin when the standard input ends")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -15,7 +16,15 @@ import msgspec
 
 from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.topics import DETECTIONS_TOPIC, RAW_TOPICS, SENSOR_TOPICS, SIDE_TOPICS
+from msgs.bus.topics import (
+    DETECTIONS_TOPIC,
+    RAW_TOPICS,
+    SENSOR_TOPICS,
+    SIDE_TOPICS,
+    plain_topic,
+    sensor_of,
+    sensor_topic,
+)
 from msgs.recording.clock_steps import Bridged
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarSetup, PhotonHistograms
@@ -28,11 +37,15 @@ from nodes.process.validation import require_clock_offset, require_rest
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-    from msgs.recording.mcap import Recorded
+    from msgs.recording.mcap import Recorded, RecordingReader
     from msgs.values.radar import RadarBeam, RadarSetup
     from sim_player.lidar.player import LidarPlayer
     from sim_player.player import ScenePlayer
+    from sim_player.rig import RadarRig
     from sim_player.scene.description import Scene
+
+    #: What plays a scene.
+    SceneSource = ScenePlayer | LidarPlayer | RadarRig
 
 _LOG = logging.getLogger(__name__)
 
@@ -260,7 +273,9 @@ class Player(Node):
         out: list[Outgoing] = []
         # of a scene nothing was heard before its start
         latest_ns = 0 if self._restamp else MAX_AGE_NS
-        while self._made and self._made[0].offset_ns <= latest_ns and self._made[0].outgoing.topic in _KNOWN:
+        while (
+            self._made and self._made[0].offset_ns <= latest_ns and plain_topic(self._made[0].outgoing.topic) in _KNOWN
+        ):
             out.append(self._take())
         return out
 
@@ -272,7 +287,7 @@ class Player(Node):
             return lag_ns > LONGEST_LAG_NS
         if topic == "sim/truth":
             return message.scan_id in self._left_out.values()  # type: ignore[attr-defined]
-        if topic not in RAW_TOPICS:
+        if plain_topic(topic) not in RAW_TOPICS:
             return False
         scan: int = message.scan_id  # type: ignore[attr-defined]
         if self._left_out.get(topic) != scan and lag_ns > (
@@ -286,7 +301,7 @@ class Player(Node):
     def _take(self) -> Outgoing:
         """Return the next message; the one after it is made at once, after a beam in the next step."""
         outgoing = self._stamped(self._made.popleft().outgoing)
-        self._is_sent = outgoing.topic in RAW_TOPICS and not self._made
+        self._is_sent = plain_topic(outgoing.topic) in RAW_TOPICS and not self._made
         if not (self._is_sent or self._made):
             self._make_next()
         return outgoing
@@ -317,9 +332,7 @@ def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
     return msgspec.structs.replace(message, **stamps)
 
 
-def scene_events(
-    player: ScenePlayer | LidarPlayer, scans: int | None, backlog: Backlog | None = None
-) -> Iterator[Event]:
+def scene_events(player: SceneSource, scans: int | None, backlog: Backlog | None = None) -> Iterator[Event]:
     """Return what the sensor of a scene sends, vehicle states and truth, scan after scan, stamped from zero.
 
     Scans are not made where the `backlog` has them left out. Without `scans` they end before the sensor drives into a
@@ -331,10 +344,11 @@ def scene_events(
         scans = int(meeting[0] / s_from_ns(player.stamp_ns(1) - player.stamp_ns(0)))
         _LOG.warning("%s: its play ends with scan %d", meeting_text(meeting), scans - 1)
     backlog = backlog or Backlog(1.0)
-    return _lidar_events(player, scans, backlog) if _is_lidar(player) else _radar_events(player, scans, backlog)
+    return _lidar_events(player, scans, backlog) if is_lidar(player) else _radar_events(player, scans, backlog)
 
 
-def _is_lidar(player: ScenePlayer | LidarPlayer) -> TypeIs[LidarPlayer]:
+def is_lidar(player: SceneSource) -> TypeIs[LidarPlayer]:
+    """Return whether a scene is played as a LiDAR."""
     # by its set-up, not its class: to start a radar's player should not take bringing the LiDAR's along
     return isinstance(player.setup, LidarSetup)
 
@@ -361,37 +375,55 @@ def _lidar_events(player: LidarPlayer, scans: int | None, backlog: Backlog) -> I
         yield Event(end_ns, Outgoing("sim/truth", player.truth(scan)))
 
 
-def _radar_events(player: ScenePlayer, scans: int | None, backlog: Backlog) -> Iterator[Event]:
-    events = _beam_events(player, scans, backlog)
+def _radar_events(player: ScenePlayer | RadarRig, scans: int | None, backlog: Backlog) -> Iterator[Event]:
+    radars = radars_of(player)
+    events = _beam_events(player, radars, scans, backlog)
     # with the first beam, which loads kernels while the graph still waits: those of moving things made its views late
     first = next(events, None)
-    yield Event(0, Outgoing("radar/setup", player.setup))
+    for name, radar in radars.items():
+        yield Event(0, Outgoing(sensor_topic("radar/setup", name), radar.setup))
     if first is not None:
         yield first
         yield from events
 
 
-def _beam_events(player: ScenePlayer, scans: int | None, backlog: Backlog) -> Iterator[Event]:
-    """Yield beams, each after the vehicle's state at its time, and the truth of a scan after its last beam."""
+def radars_of(player: ScenePlayer | RadarRig) -> dict[str, ScenePlayer]:
+    """Return the radars of a scene by their names; the only one has none."""
+    return getattr(player, "players", None) or {"": player}
+
+
+def _beam_events(
+    player: ScenePlayer | RadarRig, radars: dict[str, ScenePlayer], scans: int | None, backlog: Backlog
+) -> Iterator[Event]:
+    """Yield beams, each after the vehicle's state at its time, and the truth of a scan after its last beams."""
     for scan in itertools.count() if scans is None else range(scans):
         if backlog.skips(player.stamp_ns(scan), player.stamp_ns(1) - player.stamp_ns(0)):
             continue
-        beams: Iterable[RadarBeam] = (player.beam(scan, index) for index in range(len(player.setup.beams)))
-        # those of a digital array are there at once: made before their time, not while they are due
-        for beam in list(beams) if player.setup.array.digital else beams:
-            due_ns = beam.stamp_ns + _wait_ns(player.setup, beam)
-            yield Event(due_ns, Outgoing("vehicle/state", player.vehicle_state(beam.stamp_ns)))
-            yield Event(due_ns, Outgoing("radar/beam", beam))
+        streams = [_beams_of(radar, scan, sensor_topic("radar/beam", name)) for name, radar in radars.items()]
+        first, due_ns = sensor_topic("radar/beam", next(iter(radars))), 0
+        for due_ns, outgoing in heapq.merge(*streams, key=lambda event: event.offset_ns):
+            if outgoing.topic == first:
+                stamp_ns: int = outgoing.message.stamp_ns  # type: ignore[attr-defined]
+                yield Event(due_ns, Outgoing("vehicle/state", player.vehicle_state(stamp_ns)))
+            yield Event(due_ns, outgoing)
         yield Event(due_ns, Outgoing("sim/truth", player.truth(scan)))
 
 
-def with_walls(events: Iterator[Event], player: ScenePlayer | LidarPlayer, params: Params) -> Iterator[Event]:
+def _beams_of(radar: ScenePlayer, scan: int, topic: str) -> Iterator[Event]:
+    """Yield the beams of one radar's scan."""
+    beams: Iterable[RadarBeam] = (radar.beam(scan, index) for index in range(len(radar.setup.beams)))
+    # those of a digital array are there at once: made before their time, not while they are due
+    for beam in list(beams) if radar.setup.array.digital else beams:
+        yield Event(beam.stamp_ns + _wait_ns(radar.setup, beam), Outgoing(topic, beam))
+
+
+def with_walls(events: Iterator[Event], player: SceneSource, params: Params) -> Iterator[Event]:
     """Yield the messages of a scene, with its walls at the start of each scan where `params.walls` asks for them."""
     if params.walls == "none":
         yield from events
         return
     from sim_player.scene.wall_priors import POOR, scene_walls
-    from sim_player.scene.world import radar_pose
+    from sim_player.scene.world import vehicle_pose
 
     errors = POOR if params.walls == "noisy" else None
     scan = 0
@@ -405,7 +437,7 @@ def with_walls(events: Iterator[Event], player: ScenePlayer | LidarPlayer, param
             scan += 1
         # a scan begins with the vehicle's state at its stamp
         if message.stamp_ns == (stamp_ns := player.stamp_ns(scan)):
-            pose = radar_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
+            pose = vehicle_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
             walls = scene_walls(player.scene, pose, stamp_ns, params.seed, errors)
             yield event._replace(outgoing=Outgoing(WALLS_TOPIC, walls))
             scan += 1
@@ -445,10 +477,12 @@ def _recording_events(path: Path) -> Iterator[Event]:
 
     with RecordingReader(path) as reader:
         start_ns: int | None = None
-        setup = next(reader.messages(SETUP_TOPICS), None)
-        for recorded, time_ns in in_time(setup_first(setup, reader.messages(topics=PLAYED_TOPICS)), path):
+        topics = played_topics(reader)
+        setups = first_setups(reader)
+        for recorded, time_ns in in_time(setups_first(setups, reader.messages(topics=topics)), path):
             start_ns = time_ns if start_ns is None else start_ns
             offset_ns = 0 if time_ns is None or start_ns is None else time_ns - start_ns
+            setup = setups.get(sensor_of(recorded.topic))
             if setup is not None:
                 offset_ns += _simulated_wait_ns(setup.message, recorded)
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
@@ -462,7 +496,7 @@ def in_time(messages: Iterator[Recorded], path: Path) -> Iterator[tuple[Recorded
     The set-ups at its start, which may have been sent long before all else, have none.
     """
     for recorded in messages:
-        if recorded.topic not in SETUP_TOPICS:
+        if plain_topic(recorded.topic) not in SETUP_TOPICS:
             sent = itertools.chain([recorded], messages)
             yield from Bridged(sent, lambda recorded: recorded.log_time_ns, f"{path}: the clock")
             return
@@ -479,20 +513,34 @@ def _simulated_wait_ns(setup: msgspec.Struct, recorded: Recorded) -> int:
     return _wait_ns(setup, beam)
 
 
-def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterator[Recorded]:
-    """Yield the `messages` of a recording with `setup`, the first set-up among them, before all others.
+def played_topics(reader: RecordingReader) -> tuple[str, ...]:
+    """Return what is played of a recording: `PLAYED_TOPICS`, and those of sensors with names."""
+    return *PLAYED_TOPICS, *(
+        topic for topic in reader.types if sensor_of(topic) and plain_topic(topic) in PLAYED_TOPICS
+    )
+
+
+def first_setups(reader: RecordingReader) -> dict[str, Recorded]:
+    """Return the first set-up of a recording by the name of its sensor, "" where the only one has none."""
+    setups: dict[str, Recorded] = {}
+    for sensor in dict.fromkeys(sensor_of(topic) for topic in played_topics(reader)):
+        topics = [sensor_topic(topic, sensor) for topic in SETUP_TOPICS]
+        if (setup := next(reader.messages(topics), None)) is not None:
+            setups[sensor] = setup
+    return setups
+
+
+def setups_first(setups: Mapping[str, Recorded], messages: Iterator[Recorded]) -> Iterator[Recorded]:
+    """Yield the `messages` of a recording with `setups`, the first ones among them, before all others.
 
     A part of a recording begins with the set-up, sent again with the part's first message; a beam that was sent a
     moment before and took longer on its way stands before both.
     """
-    if setup is None:
-        yield from messages
-        return
-    yield setup
-    is_first = True
+    yield from setups.values()
+    first = {setup.topic for setup in setups.values()}
     for recorded in messages:
-        if is_first and recorded.topic == setup.topic:
-            is_first = False
+        if recorded.topic in first:
+            first.remove(recorded.topic)
         else:
             yield recorded
 
@@ -541,8 +589,8 @@ def scene_of(params: Params) -> Scene:
     return scene
 
 
-def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
-    """Return the simulator that plays `params.scene`: of a radar, or of a LiDAR where its preset is "spad"."""
+def scene_player(params: Params) -> SceneSource:
+    """Return the simulator that plays `params.scene`: of its radars, or of a LiDAR where its preset is "spad"."""
     scene = scene_of(params)
     if scene.radar.preset == "spad":
         from sim_player.lidar.player import LidarPlayer
@@ -557,8 +605,9 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
         return LidarPlayer(scene, seed=params.seed)
 
     from sim_player.player import ScenePlayer
+    from sim_player.rig import RadarRig
 
-    return ScenePlayer(
+    return (RadarRig if scene.radars else ScenePlayer)(
         scene,
         seed=params.seed,
         phase_jitter_rad=params.phase_jitter_rad,
@@ -590,15 +639,22 @@ def create(params: Params) -> Player:
     """Return the node with its parameters; the first message is made here: compiling ends before it is ready."""
     backlog = Backlog(params.rate)
     player = Player(events_of(params, backlog), params.rate, params.settle_s, params.scene is not None, backlog)
-    player.outputs += _side_topics(Path(params.capture or ""))
+    player.outputs += _more_topics(params)
     return player
 
 
-def _side_topics(capture: Path) -> tuple[str, ...]:
-    """Return which sensors beside the radar a capture holds; only those are announced."""
+def _more_topics(params: Params) -> tuple[str, ...]:
+    """Return the topics of sensors with names, and which sensors beside the radar a capture holds: these alone are
+    announced.
+    """
     from msgs.recording.mcap import RecordingReader
 
+    capture = Path(params.capture or "")
+    if params.scene is not None:
+        sensors = scene_of(params).radars
+        return tuple(sensor_topic(topic, sensor) for sensor in sensors for topic in SENSOR_TOPICS[0])
     if capture.suffix != ".mcap":
         return ()
     with RecordingReader(capture) as reader:
-        return tuple(topic for topic in SIDE_TOPICS if topic in reader.types)
+        of_sensors = set(played_topics(reader)) - set(PLAYED_TOPICS)
+        return *(topic for topic in SIDE_TOPICS if topic in reader.types), *sorted(of_sensors)

@@ -43,7 +43,8 @@ class ScenePlayer:
     `effects`: "basic" (direct echoes and single mirrors), "auto" (the effects that the scene needs for a `purpose`
     under `budget_db`, planned once), "all", or names with commas between them. What moves is traced at instants between
     which it moves little (`sim_player.paths.path_tracks`), its echoes have `precision` ("float32", "float64"); "auto"
-    leaves out each beam's weakest paths.
+    leaves out each beam's weakest paths. `noise_seed` draws the receiver's noise of one of several radars that look at
+    one world; None: `seed` does.
 
     `drive` moves the radar in place of the scene's `ego`, which then must stand still; the planner knows no drive:
     ValueError for "auto". `walls_stop` false: drawn drives are played to their end, also the few that cross a wall.
@@ -63,6 +64,7 @@ class ScenePlayer:
         purpose: str = "samples",
         drive: Drive | None = None,
         walls_stop: bool = True,
+        noise_seed: int | None = None,
     ) -> None:
         check_precision(precision)
         if drive is not None and scene.ego != Ego():
@@ -81,7 +83,7 @@ class ScenePlayer:
         if walls_stop:
             self._meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
         self._moves = drive is not None or scene.moves
-        self._seed = seed
+        self._seed = seed if noise_seed is None else noise_seed
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
         self._precision = precision

@@ -330,7 +330,7 @@ def open_doors(module: str, source: str) -> list[str]:
         for target in node.targets
         if isinstance(target, ast.Name)
     }
-    safe = {"SafeLoader", "CSafeLoader", "BoundedLoader"}
+    safe = {"SafeLoader", "CSafeLoader", "BoundedLoader", "StrictLoader"}
     safe |= {
         node.name
         for node in nodes

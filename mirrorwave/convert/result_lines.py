@@ -7,12 +7,12 @@ import msgspec
 from msgs.values.perception import BevFrame, Track
 
 
-def bev_to_json(frame: BevFrame) -> dict[str, object]:
-    """Return the line of a view in `objects.jsonl`."""
+def bev_to_json(frame: BevFrame, axes: str = "radar") -> dict[str, object]:
+    """Return the line of a view in `objects.jsonl`, in the `axes` of a radar, or of the vehicle."""
     return {
         "scan_id": frame.scan_id,
         "stamp_ns": frame.stamp_ns,
-        "frame": "radar",
+        "frame": axes,
         "walls": [
             {
                 "normal": list(wall.normal),

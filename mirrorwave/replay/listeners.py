@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 
 from msgs.bus.interface import Received
+from msgs.bus.topics import plain_topic
 from msgs.bus.zmq import ZmqBus, list_publishers
 from msgs.recording.mcap import Recorded
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
@@ -80,8 +81,8 @@ class ReplayedGraph:
         self._bus, self._topics, self._stopped = bus, topics, stopped
         self._nodes = _heard_nodes(run_dir)
         #: The played topic that scans are counted on, and the last one that the graph makes of it.
-        self.head = next((topic for topic in CHAIN if topic in topics), None)
-        after = CHAIN[CHAIN.index(self.head) + 1 :] if self.head else ()
+        self.head = next((topic for plain in CHAIN for topic in topics if plain_topic(topic) == plain), None)
+        after = CHAIN[CHAIN.index(plain_topic(self.head)) + 1 :] if self.head else ()
         self.answer = next((topic for topic in reversed(after) if topic in living and topic not in topics), None)
         self._before: dict[str, NodeStatus] = {}
         self._now: dict[str, NodeStatus] = {}

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import NoReturn
 
 from mirrorwave.replay.view_log import overview_json, read_log
-from msgs.bus.topics import RAW_TOPICS, SIDE_TOPICS
+from msgs.bus.topics import RAW_TOPICS, SIDE_TOPICS, plain_topic
 from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.perception import BevFrame
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
@@ -32,7 +32,7 @@ POLL_S = 0.2
 
 
 def _source_of_views(reader: RecordingReader) -> str:
-    if any(raw in reader.types for raw in RAW_TOPICS):
+    if any(plain_topic(topic) in RAW_TOPICS for topic in reader.types):
         return f"of its raw data `mirrorwave process {reader.path} --view` makes some"
     return "record one: mirrorwave launch --record"
 

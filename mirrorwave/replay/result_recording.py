@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import msgspec
 
 from models.perception.chain import ScanView
-from msgs.bus.topics import RAW_TOPICS
+from msgs.bus.topics import RAW_TOPICS, plain_topic
 from msgs.recording.mcap import RecordingWriter
 from nodes.player import SETUP_TOPICS, Event
 
@@ -27,11 +27,11 @@ class ResultRecording:
         """Yield the events of a capture; write those that a page shows."""
         for event in events:
             topic, message = event.outgoing
-            if self._start_ns is None and topic not in SETUP_TOPICS:
+            if self._start_ns is None and plain_topic(topic) not in SETUP_TOPICS:
                 self._start_ns = max(0, message.stamp_ns - event.offset_ns)  # type: ignore[attr-defined]
             self._now_ns = (self._start_ns or 0) + event.offset_ns
             # these are too large to be recorded twice
-            if topic not in RAW_TOPICS:
+            if plain_topic(topic) not in RAW_TOPICS:
                 self._write(topic, message)
             yield event
 
@@ -39,7 +39,8 @@ class ResultRecording:
         """Write map, peaks and view of a scan."""
         if view.ra_map is not None:
             self._write("radar/ra_map", view.ra_map)
-        self._write("perception/peaks", view.peaks)
+        if view.peaks is not None:
+            self._write("perception/peaks", view.peaks)
         self._write("perception/hidden_objects", view.frame)
 
     def _write(self, topic: str, message: msgspec.Struct) -> None:

@@ -27,7 +27,7 @@ from msgs.recording.mcap import Recorded, RecordingReader
 from msgs.values.radar import RadarBeam
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.node import SETTLE_S, Stop
-from nodes.player import in_time, moved, setup_first
+from nodes.player import in_time, moved, setups_first
 
 if TYPE_CHECKING:
     from msgs.bus.zmq import ZmqBus
@@ -230,7 +230,8 @@ class Replay:
         is_cut = start_ns > self._params.first_ns
         messages = self._read(self._params.topics, start_ns, None)
         if self._latched and not self._latched_before(start_ns):
-            messages = setup_first(next(self._read(self._latched, start_ns, None), None), messages)
+            first = {topic: next(self._read([topic], start_ns, None), None) for topic in self._latched}
+            messages = setups_first({topic: said for topic, said in first.items() if said is not None}, messages)
         return whole_scans(messages, is_cut, self._params.end_ns)
 
     def _latched_before(self, end_ns: int) -> list[Recorded]:

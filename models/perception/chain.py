@@ -17,11 +17,13 @@ from msgs.values.vehicle import VehicleState
 
 
 class ScanView(NamedTuple):
-    """One scan: what is hidden, and the map and the peaks it was found in; a radar of detections gives no map."""
+    """One scan: what is hidden, and the map and the peaks it was found in; a radar of detections gives no map, the view
+    of several sensors has neither.
+    """
 
     frame: BevFrame
     ra_map: RangeAzimuthMap | None
-    peaks: Peaks
+    peaks: Peaks | None
 
 
 class Chain:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -21,15 +22,19 @@ class _Declared(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     #: What declares them, for errors.
     origin: str
     topics: dict[str, Declaration]
+    #: Names of sensors, each with topics of its own.
+    sensors: tuple[str, ...] = ()
 
 
-def write_declared(run_dir: Path, topics: Mapping[str, Declaration], origin: str) -> None:
-    """Write the topics of a graph that starts in `run_dir`; no file where there are none."""
+def write_declared(
+    run_dir: Path, topics: Mapping[str, Declaration], origin: str, sensors: tuple[str, ...] = ()
+) -> None:
+    """Write the topics and sensors of a graph that starts in `run_dir`; no file where there are none."""
     path = run_dir / NAME
     path.unlink(missing_ok=True)
-    if topics:
+    if topics or sensors:
         with open(path, "xb", opener=no_link) as file:
-            file.write(msgspec.json.encode(_Declared(origin, dict(topics))))
+            file.write(msgspec.json.encode(_Declared(origin, dict(topics), sensors)))
 
 
 def expect_declared(run_dir: Path) -> None:
@@ -45,3 +50,6 @@ def expect_declared(run_dir: Path) -> None:
         return
     for name, declaration in declared.topics.items():
         TOPICS.expect(name, declaration, declared.origin)
+    for sensor in declared.sensors:
+        with suppress(ValueError):
+            TOPICS.expect_sensor(sensor)

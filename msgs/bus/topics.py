@@ -17,6 +17,7 @@ import msgspec
 from msgs.bus.message_types import refusal_of
 from msgs.files.plugins import MODULE_NAME, Plugin, import_named, plugins
 from msgs.files.plugins import TOPICS as TOPIC_PLUGINS
+from msgs.values.arrays import is_sensor_name, require_sensor_name
 from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeStatus
@@ -38,6 +39,37 @@ _MAX_NAME = 48
 _MIN_BYTES, _MAX_BYTES, _MAX_HISTORY_BYTES = 1024, 1 << 28, 1 << 30
 _MAX_HZ = 1e6
 _SHIPPED_BY = "mirrorwave"
+
+
+#: First words of the shipped topics that each of several sensors has for itself: `radar/beam` of the sensor `left` is
+#: `radar/left/beam`. All others are of the vehicle.
+_SENSOR_ROOTS = ("radar", "lidar", "perception")
+
+
+def is_of_sensor(topic: str) -> bool:
+    """Return whether each of several sensors has a topic for itself."""
+    return topic.partition("/")[0] in _SENSOR_ROOTS and topic in SHIPPED
+
+
+def sensor_topic(topic: str, sensor: str) -> str:
+    """Return the topic of a sensor with a name, "": without; `ValueError` for what is no name of a sensor."""
+    if not (sensor and is_of_sensor(topic)):
+        return topic
+    require_sensor_name(sensor)
+    root, _, rest = topic.partition("/")
+    return f"{root}/{sensor}/{rest}"
+
+
+def plain_topic(topic: str) -> str:
+    """Return a topic without the name of its sensor."""
+    words = topic.split("/")
+    plain = f"{words[0]}/{words[-1]}"
+    return plain if len(words) == 3 and is_of_sensor(plain) else topic
+
+
+def sensor_of(topic: str) -> str:
+    """Return the name of a topic's sensor; "" where it has none."""
+    return "" if plain_topic(topic) == topic else topic.split("/")[1]
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True):
@@ -197,11 +229,20 @@ class Topics(Mapping[str, Topic]):
         finally:
             self._declared, self._expected, self._has_asked, self.refused = kept
 
+    def expect_sensor(self, sensor: str) -> None:
+        """Make the topics of a sensor with a name known, all that there may be; `ValueError` for what is no name."""
+        for topic in _SHIPPED:
+            if is_of_sensor(topic.name):
+                self._find(sensor_topic(topic.name, sensor))
+
     def _find(self, name: str) -> None:
         if name in self._expected and name not in self.refused:
             self._resolve(name)
         elif name not in self._declared:
             self._ask_packages()
+        if name not in self._declared and is_sensor_name(sensor_of(name)):
+            own = msgspec.structs.replace(self[plain_topic(name)], name=name)
+            self._declared[name] = _Declared(own, _SHIPPED_BY)
 
     def _resolve(self, name: str) -> None:
         declaration, origin = self._expected[name]

@@ -64,6 +64,22 @@ class BoundedLoader(_loader()):  # type: ignore[misc]
             self._depth -= 1
 
 
+class StrictLoader(BoundedLoader):
+    """`BoundedLoader` that refuses keys that are no text or stand twice, which are slips."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """Return a mapping; raises `yaml.MarkedYAMLError` for a refused key."""
+        keys: set[str] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                raise yaml.MarkedYAMLError(problem=f"key {key!r} must be text", problem_mark=key_node.start_mark)
+            if key in keys:
+                raise yaml.MarkedYAMLError(problem=f"duplicate key {key!r}", problem_mark=key_node.start_mark)
+            keys.add(key)
+        return super().construct_mapping(node, deep)
+
+
 class PlainDumper(yaml.SafeDumper):
     """`SafeDumper` that quotes text which YAML 1.1 or 1.2 would read as another value, and writes no aliases."""
 

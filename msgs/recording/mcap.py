@@ -33,7 +33,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
 from msgs.bus.codec import CodecError, decode_inline, encode_inline, json_schema
-from msgs.bus.topics import TOPICS, topic_facts
+from msgs.bus.topics import TOPICS, plain_topic, topic_facts
 from msgs.files.unpacking import UNPACKING_ERRORS, unpack
 from msgs.files.whole_files import whole
 from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, ZSTD_LEVEL, McapFile
@@ -267,7 +267,7 @@ class RecordingWriter:
                 MessageEncoding.MessagePack,
                 self._mcap.add_schema(message_type.__name__, SchemaEncoding.JSONSchema, schema),
                 {_PUBLISHER_KEY: publisher},
-                compressed=topic not in self._plain_topics,
+                compressed=plain_topic(topic) not in self._plain_topics,
             )
         return self._channels[key]
 

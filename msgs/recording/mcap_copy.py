@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from mcap.records import Channel, Message
 
-from msgs.bus.topics import TOPICS
+from msgs.bus.topics import TOPICS, plain_topic
 from msgs.files.whole_files import require_room
 from msgs.recording.mcap import METADATA_NAME, RAW_TOPIC, RecordingReader, new_file, publisher_of
 from msgs.recording.mcap_writer import McapFile
@@ -146,7 +146,7 @@ class _Source:
         if key not in self._channels:
             schema = self._reader.schema_of(channel)
             number = self._writer.add_schema(schema.name, schema.encoding, schema.data) if schema else 0
-            compressed = self._compress or channel.topic != RAW_TOPIC
+            compressed = self._compress or plain_topic(channel.topic) != RAW_TOPIC
             self._channels[key] = self._writer.add_channel(
                 channel.topic, channel.message_encoding, number, channel.metadata, compressed=compressed
             )
@@ -176,6 +176,7 @@ class _Repeats:
 def _latched_before(
     reader: RecordingReader, start_ns: int, topics: Collection[str] | None
 ) -> list[tuple[Channel, Message]]:
-    latched = [topic.name for topic in TOPICS.values() if topic.latched and (topics is None or topic.name in topics)]
+    held = (topic for topic in reader.types if topic in TOPICS and (topics is None or topic in topics))
+    latched = [topic for topic in held if TOPICS[topic].latched]
     last = {channel.id: (channel, raw) for channel, raw in reader.raw_messages(None, start_ns, latched)}
     return [(channel, dataclasses.replace(raw, log_time=start_ns)) for channel, raw in last.values()]

@@ -7,6 +7,7 @@ and writes into the JSON Schema of a recording; `Array` for arrays. `Checked` ho
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from functools import cache
 from operator import attrgetter
@@ -16,6 +17,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+#: Name of one of several sensors.
+_SENSOR_NAME, MAX_SENSOR_NAME = re.compile(r"[a-z][a-z0-9_]*"), 20
 #: Permitted dtypes. No object, no structured, no datetime dtype: nothing that could carry code or pointers.
 DTYPES = frozenset({"|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8", "<c8", "<c16"})
 MAX_NDIM = 6
@@ -252,6 +255,20 @@ def require_positive(name: str, value: float) -> None:
     """Raise `ValueError` naming the field unless `value` is finite and above zero."""
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} must be finite and positive, got {value!r}")
+
+
+def is_sensor_name(name: str) -> bool:
+    """Return whether a word can be the name of one of several sensors."""
+    return bool(_SENSOR_NAME.fullmatch(name)) and len(name) <= MAX_SENSOR_NAME
+
+
+def require_sensor_name(name: str) -> None:
+    """Raise `ValueError` for what cannot be the name of one of several sensors: it becomes a word of its topics."""
+    if not is_sensor_name(name):
+        raise ValueError(
+            f"a sensor's name must be of a-z, 0-9 and _, begin with a letter and have at most {MAX_SENSOR_NAME} "
+            f"characters, got {name!r}"
+        )
 
 
 def require_within(name: str, minimum: float, maximum: float, *values: float) -> None:

@@ -271,6 +271,8 @@ class RadarSetup(Checked, frozen=True, kw_only=True, eq=False):
     radar_height_m: Metres = 1.0
     #: Steering weights of the columns, complex64 [beams, columns]; None: computed from `array` and `beams`.
     steering_weights: Annotated[np.ndarray, Array("<c8", ("beams", "array.columns"))] | None = None
+    #: Place on the vehicle where the source knows it; None: it does not.
+    vehicle_from_radar: Pose2 | None = None
     #: Open-field background, one chirp a beam, complex64 [beams, samples] in units of the int16 codes.
     background: Annotated[np.ndarray, Array("<c8", ("beams", "radar.samples_per_chirp"))] | None = None
 

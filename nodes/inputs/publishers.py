@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 from msgs.bus.interface import GraphBus, Received
 from msgs.bus.sequencing import latch
-from msgs.bus.topics import SENSOR_TOPICS, topic_facts
+from msgs.bus.topics import SENSOR_TOPICS, plain_topic, sensor_of, sensor_topic, topic_facts
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.wording import counted
@@ -123,7 +123,8 @@ class BoundInputs:
 
     def _latched_publisher(self, stream: _Stream, now_ns: int) -> str:
         own, newest = stream.publisher, next(reversed(stream.kept))
-        measurements = self._streams.get(_MEASUREMENTS_OF.get(stream.topic, ""))
+        raw = _MEASUREMENTS_OF.get(plain_topic(stream.topic), "")
+        measurements = self._streams.get(sensor_topic(raw, sensor_of(stream.topic)))
         if measurements is not None and measurements.publisher in stream.kept:
             return measurements.publisher
         if not own:

@@ -135,4 +135,5 @@ def _command(name: str, entry: NodeEntry, run_dir: Path) -> list[str]:
     common = ["--run-dir", str(run_dir), "--die-with", str(os.getpid()), "--wait"]
     if entry.module == GROUP_MODULE:
         return [GROUP_MODULE, params, *common]
-    return ["nodes.node", entry.module, "--name", name, "--params", params, "--json-log", *common]
+    sensor = ["--sensor", entry.sensor] if entry.sensor else []
+    return ["nodes.node", entry.module, "--name", name, "--params", params, *sensor, "--json-log", *common]

@@ -53,6 +53,7 @@ class Member(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     module: str
     params: dict[str, Any] = {}
+    sensor: str = ""
 
 
 class _Hosted(NamedTuple):
@@ -123,7 +124,7 @@ class Group:
             bus = ZmqBus(name, self._run_dir, exchange=self._exchange)
             stack.callback(bus.close)
             heartbeat = Heartbeat(bus, name, log, time.thread_time)
-            node = open_node(member.module, member.params, name, bus, heartbeat)
+            node = open_node(member.module, member.params, name, bus, heartbeat, member.sensor)
         return node if isinstance(node, int) else _Hosted(name, node, bus, heartbeat)
 
     def _drive(self, hosted: _Hosted) -> None:

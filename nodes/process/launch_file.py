@@ -15,7 +15,8 @@ from msgs.bus.topics import TOPICS, Declaration, require_facts, require_topic_na
 from msgs.files.former_modules import present_name
 from msgs.files.plugins import MODULE_NAME
 from msgs.files.shipped import shipped_path
-from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
+from msgs.files.yaml_loader import PlainDumper, StrictLoader, in_words
+from msgs.values.arrays import require_sensor_name
 from msgs.values.wording import as_utf8, did_you_mean
 from nodes.node import NODE_NAME
 from nodes.process.validation import convert_at, merged
@@ -30,6 +31,8 @@ SUPERVISOR = "supervisor"
 RECORDER = "recorder"
 RECORDER_MODULE = "nodes.recorder"
 VIEWER_MODULE = "nodes.bev_viewer"
+#: Joins the views of several radars.
+FUSION_MODULE = "nodes.view_fusion"
 #: Hosts a group of nodes; its parameters are their modules and parameters by name.
 GROUP_MODULE = "nodes.process.group"
 #: Nodes that keep the token of their address while they are restarted.
@@ -95,11 +98,16 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     viewer: bool = False
     #: Process that it shares with all nodes that name the same, a thread each; empty: one of its own.
     process: str = ""
+    #: Name of the sensor that it works for where the graph has several: of the sensor `left` its topic `radar/beam` is
+    #: `radar/left/beam`. Empty: it is the only one.
+    sensor: str = ""
 
     def __post_init__(self) -> None:
         msgspec.structs.force_setattr(self, "module", present_name(self.module))
         if not MODULE_NAME.fullmatch(self.module):
             raise ValueError(f"module must be a dotted module name, got {self.module!r}")
+        if self.sensor:
+            require_sensor_name(self.sensor)
         for name in ("hang_timeout_s", "start_timeout_s"):
             _require_duration(name, getattr(self, name))
             if getattr(self, name) == 0.0:
@@ -123,7 +131,24 @@ class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError("nodes must name at least one node")
         for node, entry in self.nodes.items():
             self._check_node(node, entry)
+        self._check_sensors()
         processes(self)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of its sensors where there are several."""
+        return tuple(dict.fromkeys(entry.sensor for entry in self.nodes.values() if entry.sensor))
+
+    def _check_sensors(self) -> None:
+        """Raise `ValueError` for two sensors of one name: one module would publish its topics twice."""
+        first: dict[tuple[str, str], str] = {}
+        for node, entry in self.nodes.items():
+            other = first.setdefault((entry.module, entry.sensor), node)
+            if entry.sensor and other != node:
+                raise ValueError(
+                    f"nodes.{node}.sensor: must differ from that of {other}, which is {entry.module} too, "
+                    f"got {entry.sensor!r}"
+                )
 
     def _check_node(self, node: str, entry: NodeEntry) -> None:
         if not NODE_NAME.fullmatch(node):
@@ -177,7 +202,10 @@ def _process(process: str, launch: LaunchFile, names: list[str], home: Mapping[s
     return msgspec.structs.replace(
         first,
         module=GROUP_MODULE,
-        params={name: {"module": entry.module, "params": entry.params} for name, entry in nodes.items()},
+        params={
+            name: {"module": entry.module, "params": entry.params, "sensor": entry.sensor}
+            for name, entry in nodes.items()
+        },
         after=tuple(after),
         hang_timeout_s=max(entry.hang_timeout_s for entry in nodes.values()),
         # made one after the other
@@ -262,7 +290,7 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
     if isinstance(text, str) and as_utf8(text) != text:
         return _with_bytes(parse_yaml(text.translate(_STAND_IN), where))
     try:
-        return yaml.load(text, Loader=_StrictLoader)
+        return yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"{where}: {_yaml_reason(error)}") from None
     except (ValueError, RecursionError, UnicodeError) as error:
@@ -279,14 +307,21 @@ def _with_bytes(value: Any) -> Any:
 
 
 def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> LaunchFile:
-    """Return `launch` with the parameters of a params file (node -> params) merged over its own."""
+    """Return `launch` with the parameters of a params file (node -> params) merged over its own.
+
+    The name of a module, as `geometry`, stands for its nodes of all sensors where no node has this name.
+    """
     nodes = dict(launch.nodes)
     for name, changes in params.items():
-        if name not in nodes:
+        module = f"nodes.{name}"
+        of_sensors = [node for node, entry in nodes.items() if entry.sensor and entry.module == module]
+        meant = [name] if name in nodes else of_sensors
+        if not meant:
             raise ValueError(f"{where}: {_unknown(name, nodes)}")
         if not isinstance(changes, dict):
             raise ValueError(f"{where}: {name}: expected a mapping of parameters, got {in_words(changes)}")
-        nodes[name] = msgspec.structs.replace(nodes[name], params=merged(nodes[name].params, changes))
+        for node in meant:
+            nodes[node] = msgspec.structs.replace(nodes[node], params=merged(nodes[node].params, changes))
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
@@ -394,18 +429,3 @@ def _yaml_reason(error: yaml.YAMLError) -> str:
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
     position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
     return " ".join(f"{position}{problem or error}".split())
-
-
-class _StrictLoader(BoundedLoader):
-    """`BoundedLoader` that refuses features that a launch file never needs and a slip would use."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        keys: set[str] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise yaml.MarkedYAMLError(problem=f"key {key!r} must be text", problem_mark=key_node.start_mark)
-            if key in keys:
-                raise yaml.MarkedYAMLError(problem=f"duplicate key {key!r}", problem_mark=key_node.start_mark)
-            keys.add(key)
-        return super().construct_mapping(node, deep)

@@ -237,7 +237,8 @@ class Supervisor:
             run_folder = stack.enter_context(self._locked())
             self._log = JsonLog(run_folder / "log.jsonl")
             stack.callback(self._log.close)
-            write_declared(self._run_dir, self._launch.topics, f"launch file of graph {self._launch.name}")
+            origin = f"launch file of graph {self._launch.name}"
+            write_declared(self._run_dir, self._launch.topics, origin, self._launch.sensors)
             stack.callback(write_declared, self._run_dir, {}, "")
             self._bus = ZmqBus(SUPERVISOR, self._run_dir)
             stack.callback(self._bus.close)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import msgspec
 
-from msgs.bus.topics import TOPICS, topic_facts
+from msgs.bus.topics import TOPICS, plain_topic, topic_facts
 from msgs.recording.mcap import RAW_TOPIC
 
 _LOG = logging.getLogger(__name__)
@@ -63,7 +63,8 @@ class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     def selected_topics(self) -> tuple[str, ...]:
         """Topics to record, in the order of the topic table; the log says which declaration is left out."""
-        wanted = set(TOPICS) - {RAW_TOPIC} if self.topics is None else set(self.topics)
+        raw = {topic for topic in TOPICS if plain_topic(topic) == RAW_TOPIC}
+        wanted = set(TOPICS) - raw if self.topics is None else set(self.topics)
         for line in TOPICS.refused.values() if self.topics is None else ():
             _LOG.warning("not recorded: %s", line)
-        return tuple(topic for topic in TOPICS if topic in wanted or (self.raw and topic == RAW_TOPIC))
+        return tuple(topic for topic in TOPICS if topic in wanted or (self.raw and topic in raw))

@@ -137,10 +137,13 @@ def scene_truth(
 
 def hidden_objects(paths: Paths) -> frozenset[int]:
     """Return the objects seen in a mirror and not directly."""
+    return objects_of(paths, PathClass.MIRRORED) - objects_of(paths, PathClass.LOS)
+
+
+def objects_of(paths: Paths, kind: PathClass) -> frozenset[int]:
+    """Return the objects that paths of a kind lead to."""
     paths = paths.take(labelled(paths))
-    mirrored = paths.object_index[paths.kind == PathClass.MIRRORED]
-    direct = paths.object_index[paths.kind == PathClass.LOS]
-    return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
+    return frozenset(paths.object_index[paths.kind == kind].tolist()) - {-1}
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,12 @@ def first_meeting(scene: Scene, time_s: np.ndarray, position_m: np.ndarray) -> t
 
 
 def ego_meeting(scene: Scene) -> tuple[float, int] | None:
-    """Return when the radar of a scene that drives on as it does meets the first wall, and the number of its surface;
-    None where it never does.
+    """Return when the radar of a scene, or one of several, that drives on as it does meets the first wall, and the
+    number of its surface; None where it never does.
     """
+    if scene.radars:
+        meetings = (ego_meeting(scene.of_radar(name)) for name in scene.radars)
+        return min((meeting for meeting in meetings if meeting is not None), default=None)
     speed_mps, yaw_rate_rps = scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)
     if not speed_mps:
         return None
@@ -43,7 +46,8 @@ def ego_meeting(scene: Scene) -> tuple[float, int] | None:
     # after a whole circle it drives where it drove
     period_s = 2.0 * math.pi / abs(yaw_rate_rps) if yaw_rate_rps else math.inf
     time_s = np.linspace(0.0, min(period_s, straight_s), _CHORDS + 1 if period_s < straight_s else 2)
-    poses = [ego_motion(speed_mps, yaw_rate_rps, float(at_s)) for at_s in time_s]
+    mounted = scene.radar.mounting.vehicle_from_radar
+    poses = [ego_motion(speed_mps, yaw_rate_rps, float(at_s)) @ mounted for at_s in time_s]
     return first_meeting(scene, time_s, np.array([(pose.x_m, pose.y_m) for pose in poses]))
 
 

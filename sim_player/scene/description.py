@@ -25,7 +25,9 @@ from models.physics.mirror import SHORTEST_WALL_M, crosses
 from models.physics.plane import segment_distance_m
 from msgs.files.shipped import shipped_path
 from msgs.files.text_files import decode_text
-from msgs.files.yaml_loader import BoundedLoader, PlainDumper, in_words
+from msgs.files.yaml_loader import PlainDumper, StrictLoader, in_words
+from msgs.values.arrays import require_sensor_name
+from msgs.values.frames import Pose2
 from msgs.values.known_names import with_known_names
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.radar import (
@@ -71,6 +73,8 @@ DEEPEST_FOLIAGE_MM, THICKEST_WALL_MM = 1e6, 1e4
 MAX_SPEED_MPS, MAX_YAW_RATE_DPS = 100.0, 720.0
 #: Objects may touch each other: their boxes overlap by no more than this.
 TOUCH_M = 0.05
+#: Radars on one vehicle, and how far one of them may be from its origin.
+MAX_RADARS, FARTHEST_MOUNTING_M = 8, 20.0
 #: They reflect nothing.
 _NO_MATTER = frozenset({"vacuum"})
 
@@ -115,6 +119,19 @@ class SceneArray(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     digital: bool | None = None
 
 
+class Mounting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Place of a radar on the vehicle that carries it, and its heading there."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+
+    @property
+    def vehicle_from_radar(self) -> Pose2:
+        """The mounting as a transform."""
+        return Pose2(self.x_m, self.y_m, math.radians(self.yaw_deg))
+
+
 class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The radar of a scene and its height above the ground: a preset, and what differs from it."""
 
@@ -136,6 +153,8 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     #: Steering azimuths; None: the preset's, of a digital array one orthogonal beam for each column.
     beams_deg: tuple[float, ...] | None = None
     front_end: FrontEnd = FrontEnd()
+    #: On the vehicle, whose frame at start is then that of the scene.
+    mounting: Mounting = Mounting()
 
     @property
     def setup(self) -> RadarSetup:
@@ -155,7 +174,15 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(f"{'radar.' if field.startswith('array.') else ''}{field}: {rule}") from None
         if self.beams_deg is None and columns.digital and columns.columns != preset.array.columns:
             beams = orthogonal_beams(columns.columns)
-        return msgspec.structs.replace(preset, radar=params, array=columns, beams=beams, radar_height_m=self.height_m)
+        mounted = None if self.mounting == Mounting() else self.mounting.vehicle_from_radar
+        return msgspec.structs.replace(
+            preset,
+            radar=params,
+            array=columns,
+            beams=beams,
+            radar_height_m=self.height_m,
+            vehicle_from_radar=mounted,
+        )
 
 
 class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -284,6 +311,13 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     objects: tuple[SceneObject, ...] = ()
     ego: Ego = Ego()
     weather: Weather = Weather()
+    #: Several radars on the vehicle by their names, each as `radar` but for its mounting.
+    radars: dict[str, Mounting] = {}
+
+    def of_radar(self, name: str) -> Scene:
+        """Return the scene of one of several radars."""
+        radar = msgspec.structs.replace(self.radar, mounting=self.radars[name])
+        return msgspec.structs.replace(self, radar=radar, radars={})
 
     @property
     def moves(self) -> bool:
@@ -326,7 +360,7 @@ def load_scene(path: Path) -> Scene:
 def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     """Return a checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
-        content = yaml.load(text, Loader=BoundedLoader)
+        content = yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
@@ -354,7 +388,8 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
 #: Fields that came after places were drawn. At their defaults they are not written: scenes drawn before keep their
 #: bytes and their hashes.
 _LATER_FIELDS: dict[type[msgspec.Struct], tuple[str, ...]] = {
-    SceneRadar: ("bandwidth_hz", "transmit_power_w", "chirps_per_beam", "array", "beams_deg"),
+    Scene: ("radars",),
+    SceneRadar: ("bandwidth_hz", "transmit_power_w", "chirps_per_beam", "array", "beams_deg", "mounting"),
     SpadParams: ("tail_share", "tail_s"),
     FrontEnd: ("leakage_range_m",),
     Surface: ("diffuse_lobe",),
@@ -385,6 +420,7 @@ def _plain(scene: Scene) -> dict[str, Any]:
     """Return a scene as plain data, later fields left out where they say nothing."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(scene))
     blocks: list[tuple[msgspec.Struct, dict[str, Any]]] = [
+        (scene, plain),
         (scene.radar.spad, plain["radar"]["spad"]),
         (scene.radar.front_end, plain["radar"]["front_end"]),
         (scene.radar, plain["radar"]),
@@ -392,7 +428,10 @@ def _plain(scene: Scene) -> dict[str, Any]:
         *zip(scene.surfaces, plain["surfaces"], strict=True),
     ]
     for block, written in blocks:
-        defaults = {field.name: field.default for field in msgspec.structs.fields(block)}
+        defaults = {
+            field.name: field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
+            for field in msgspec.structs.fields(block)
+        }
         for name in _LATER_FIELDS[type(block)]:
             if getattr(block, name) == defaults[name]:
                 del written[name]
@@ -409,6 +448,9 @@ def check_scene(scene: Scene) -> None:
     """Raise ValueError, field first, where a scene cannot be simulated."""
     if not scene.name.strip():
         raise ValueError("name: must not be empty: recordings and pictures are named by it")
+    if scene.radars:
+        _check_radars(scene)
+        return
     numbers = list(_numbers(msgspec.to_builtins(scene), ""))
     for field, value in numbers:
         _require(math.isfinite(value), field, "must be finite", value)
@@ -424,11 +466,25 @@ def check_scene(scene: Scene) -> None:
         value = getattr(scene.weather, field)
         _require(least <= value <= greatest, f"weather.{field}", f"must lie in {least:g}..{greatest:g}", value)
     carrier_hz = scene.setup.radar.carrier_hz
+    radar_m = scene.radar.mounting.x_m, scene.radar.mounting.y_m
     for index, surface in enumerate(scene.surfaces):
-        _check_surface(f"surfaces[{index}]", surface, carrier_hz)
+        _check_surface(f"surfaces[{index}]", surface, carrier_hz, radar_m)
     for index, scene_object in enumerate(scene.objects):
         _check_object(f"objects[{index}]", scene_object, scene, carrier_hz)
     _check_overlaps(scene.objects)
+
+
+def _check_radars(scene: Scene) -> None:
+    """Check the names and mountings of several radars, and the scene of each."""
+    _require(len(scene.radars) <= MAX_RADARS, "radars", f"must be at most {MAX_RADARS}", len(scene.radars))
+    _require(scene.radar.preset != "spad", "radars", "must be radars, and preset 'spad' is a LiDAR", scene.radar.preset)
+    _require(scene.radar.mounting == Mounting(), "radar.mounting", "is of a single radar", scene.radar.mounting)
+    for name in scene.radars:
+        try:
+            require_sensor_name(name)
+            check_scene(scene.of_radar(name))
+        except ValueError as error:
+            raise ValueError(f"radars.{name}: {error}") from None
 
 
 def farthest_m(setup: RadarSetup) -> float:
@@ -464,7 +520,7 @@ def _require_speed(field: str, value: float, limit: float) -> None:
 
 def _check_radar(radar: SceneRadar) -> None:
     """Check the mounting, the faults of the front end and the set-up."""
-    front_end, noise_db = radar.front_end, radar.noise_figure_db
+    front_end, noise_db, mounting = radar.front_end, radar.noise_figure_db, radar.mounting
     of_front_end = "radar.front_end."
     for holds, field, rule, got in (
         (radar.height_m > 0.0, "radar.height_m", "must be positive", radar.height_m),
@@ -478,6 +534,15 @@ def _check_radar(radar: SceneRadar) -> None:
             front_end.coupling_db,
         ),
         *(
+            (
+                abs(getattr(mounting, name)) <= most,
+                f"radar.mounting.{name}",
+                f"must lie in {-most:g}..{most:g}",
+                getattr(mounting, name),
+            )
+            for name, most in (("x_m", FARTHEST_MOUNTING_M), ("y_m", FARTHEST_MOUNTING_M), ("yaw_deg", 360.0))
+        ),
+        *(
             (getattr(front_end, name) >= 0.0, of_front_end + name, "must not be negative", getattr(front_end, name))
             for name in ("leakage_range_m", "flicker_corner_hz")
         ),
@@ -486,7 +551,7 @@ def _check_radar(radar: SceneRadar) -> None:
     _ = radar.setup
 
 
-def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
+def _check_surface(field: str, surface: Surface, carrier_hz: float, radar_m: Point) -> None:
     """Check material, sizes and polyline of one surface, and its distance from the radar."""
     thickness_mm, lobe, lobes = surface.thickness_mm, surface.diffuse_lobe, get_args(DiffuseLobe)
     _require(thickness_mm is None or thickness_mm > 0.0, f"{field}.thickness_mm", "must be positive", thickness_mm)
@@ -501,7 +566,7 @@ def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
     points = len(surface.polyline_m)
     _require(points >= 2, f"{field}.polyline_m", "needs two points or more", points)
     for index, (a, b) in enumerate(pairwise(surface.polyline_m)):
-        _check_piece(field, index, surface.curvature_per_m, a, b)
+        _check_piece(field, index, surface.curvature_per_m, a, b, radar_m)
 
 
 def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
@@ -527,7 +592,7 @@ def _require_matter(material: str) -> None:
         raise ValueError(f"must reflect, got {material!r}")
 
 
-def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point) -> None:
+def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point, radar_m: Point) -> None:
     """Check the length of one piece of wall, its arc, and the radar's distance from it."""
     chord = math.dist(a, b)
     if not chord > SHORTEST_WALL_M:
@@ -538,10 +603,10 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
             f"half circle, got {curvature_per_m!r} for polyline_m[{index}] to [{index + 1}] of {chord:g} m"
         )
     start_m, end_m = (np.array(ends) for ends in zip(*_arc_pieces(a, b, curvature_per_m), strict=True))
-    if segment_distance_m(np.zeros((1, 2)), start_m, end_m).min() < RADAR_CLEARANCE_M:
+    if segment_distance_m(np.array([radar_m]), start_m, end_m).min() < RADAR_CLEARANCE_M:
         raise ValueError(
-            f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
-            f"got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
+            f"{field}.polyline_m[{index}]: the radar at {_at(radar_m)} must stand {RADAR_CLEARANCE_M} m off every "
+            f"wall, got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
         )
 
 
@@ -549,9 +614,10 @@ def _check_object(field: str, scene_object: SceneObject, scene: Scene, carrier_h
     """Check that an object has one form, a loadable mesh, the radar outside it, and no wall through it."""
     _check_form(field, scene_object, carrier_hz)
     _require_speed(f"{field}.speed_mps", scene_object.speed_mps, MAX_SPEED_MPS)
-    if scene_object.contains(np.zeros((1, 2)))[0]:
+    radar_m = scene.radar.mounting.x_m, scene.radar.mounting.y_m
+    if scene_object.contains(np.array([radar_m]))[0]:
         raise ValueError(
-            f"{field}.x_m: the radar at (0, 0) must stand outside, got a {scene_object.object_class} around it"
+            f"{field}.x_m: the radar at {_at(radar_m)} must stand outside, got a {scene_object.object_class} around it"
         )
     index = wall_inside(scene_object, scene.surfaces)
     if index is not None:
@@ -559,6 +625,10 @@ def _check_object(field: str, scene_object: SceneObject, scene: Scene, carrier_h
             f"{field}.x_m: must stand clear of surfaces[{index}], "
             f"got a {scene_object.object_class} at ({scene_object.x_m:g}, {scene_object.y_m:g}) in its wall"
         )
+
+
+def _at(position_m: Point) -> str:
+    return f"({position_m[0]:g}, {position_m[1]:g})"
 
 
 def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> None:

@@ -234,6 +234,9 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     """Draw a scene's scatterers (phases fixed by `seed`) and flatten it for `trace`; ValueError from `check_scene`."""
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed!r}")
+    if scene.radars:
+        names = ", ".join(scene.radars)
+        raise ValueError(f"radars: must be none where one is simulated, which radar.mounting places, got {names}")
     check_scene(scene)
     setup = scene.setup if setup is None else setup
     pieces = [
@@ -297,7 +300,12 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
 
 
 def radar_pose(scene: Scene, time_s: float) -> Pose2:
-    """Return `start_from_now`: the pose of the radar after a time."""
+    """Return the pose of the radar after a time, in the frame of the vehicle at start."""
+    return vehicle_pose(scene, time_s) @ scene.radar.mounting.vehicle_from_radar
+
+
+def vehicle_pose(scene: Scene, time_s: float) -> Pose2:
+    """Return `start_from_vehicle`: the pose of the vehicle after a time."""
     return ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), time_s)
 
 
@@ -367,8 +375,11 @@ class RadarState:
 
 def scene_radar(scene: Scene, time_s: float) -> RadarState:
     """Return the state of a radar that moves as the scene says."""
-    pose = radar_pose(scene, time_s)
-    return RadarState(pose, scene.ego.speed_mps * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]))
+    pose, mounted = radar_pose(scene, time_s), scene.radar.mounting
+    turn_rps = math.radians(scene.ego.yaw_rate_dps)
+    heading_rad = pose.yaw_rad - math.radians(mounted.yaw_deg)
+    in_vehicle = np.array([scene.ego.speed_mps - turn_rps * mounted.y_m, turn_rps * mounted.x_m])
+    return RadarState(pose, Pose2(yaw_rad=heading_rad).rotate(in_vehicle))
 
 
 def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None) -> Snapshot:

@@ -76,6 +76,7 @@ from nodes import (
     ra_former,
     recorder,
     vehicle_can,
+    view_fusion,
 )
 from nodes.can.bus import CanLink, load_dbc, load_mapping
 from nodes.node import Node
@@ -655,6 +656,23 @@ def make_geometry(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     return geometry.create(geometry.Params(grid=grid, confidence=confidence, memory=memory))
 
 
+def make_view_fusion(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    memory = MemoryParams(tracking=seed % 2 == 1)
+    return view_fusion.create(view_fusion.Params(radars=("left", "right"), memory=memory))
+
+
+def views_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
+    """Two radars, the left one of which is silent in the end."""
+    out: list[Said] = []
+    for scan in range(4):
+        at_ns = stamp_ns + scan * PERIOD_NS
+        out.append(Said("vehicle/state", state(at_ns)))
+        for radar in ("left", "right") if scan < 3 else ("right",):
+            out.append(Said(f"perception/{radar}/peaks", peaks(scan_id + scan, at_ns)))
+            out.append(Said(f"perception/{radar}/hidden_objects", view(scan_id + scan, at_ns)))
+    return out
+
+
 class PageStandIn:
     """In the place of the page's server: renders whatever hangs on the board, as a reader would."""
 
@@ -761,6 +779,9 @@ CASES: dict[str, Case] = {
         make_cfar, map_talk(), "nodes.dense_predictor", lambda folder: {"method": "cfar"}, map_talk
     ),
     "geometry": Case(make_geometry, peaks_talk(), "nodes.geometry", talk=peaks_talk, remembered=("tracks",)),
+    "view_fusion": Case(
+        make_view_fusion, views_talk(), "nodes.view_fusion", lambda folder: {"radars": ["left", "right"]}, views_talk
+    ),
     "recorded_sensors": Case(
         make_recorded_sensors, (), "contrib.imports.recorded_sensors", lambda folder: {"sources": [str(rig(folder))]}
     ),

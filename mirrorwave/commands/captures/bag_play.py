@@ -110,6 +110,7 @@ def _playable(
 
     Raises `ValueError` where a wanted one is missing, is published already or would come from two topics.
     """
+    from msgs.bus.topics import plain_topic
     from nodes.player import PLAYED_TOPICS
 
     playable = [topic for topic in reader.types if renamed.get(topic, topic) in TOPICS]
@@ -119,17 +120,17 @@ def _playable(
                 f"{reader.path}: holds no topic {topic!r} to play; it holds {', '.join(playable) or 'none'}"
             )
     living = {topic for topic, _ in publishers}
-    made = living - set(PLAYED_TOPICS)
+    made = {topic for topic in living if plain_topic(topic) not in PLAYED_TOPICS}
     names = {topic: renamed.get(topic, topic) for topic in playable}
     if wanted:
         names = {topic: names[topic] for topic in playable if topic in wanted}
     else:
         names = {topic: name for topic, name in names.items() if name not in ABOUT_NODES and name not in made}
-        names = {topic: name for topic, name in names.items() if name in PLAYED_TOPICS or not sensed_only}
+        names = {topic: name for topic, name in names.items() if plain_topic(name) in PLAYED_TOPICS or not sensed_only}
     _require_free(names, publishers, domain)
     if not names:
         raise ValueError(f"{reader.path}: holds nothing to play")
-    if sensed_only and (derived := [name for name in names.values() if name not in PLAYED_TOPICS]):
+    if sensed_only and (derived := [name for name in names.values() if plain_topic(name) not in PLAYED_TOPICS]):
         raise ValueError(f"--clock moves the stamps of {', '.join(PLAYED_TOPICS)} alone, got {', '.join(derived)}")
     return tuple(names)
 

@@ -70,23 +70,26 @@ def run(
     )
     with compile_line():
         source = player.scene_player(params)
-    total = scans * (2 * len(source.setup.beams) + 1 + (walls != "none")) if isinstance(source, ScenePlayer) else None
+    radars = {} if player.is_lidar(source) else player.radars_of(source)
+    total = sum(scans * len(radar.setup.beams) for radar in radars.values())
+    total += scans * (len(source.setup.beams) + 1 + (walls != "none")) if radars else 0
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
-        raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
-    if isinstance(source, ScenePlayer):
-        require_room(out, scans * source.setup.scan_bytes)
-    if not len(source.paths(0)):
+        what = "several radars are" if radars else "a LiDAR is"
+        raise ValueError(f"--out {out}: SigMF holds raw beams of one radar, {what} recorded as NAME.mcap")
+    if radars:
+        require_room(out, sum(scans * radar.setup.scan_bytes for radar in radars.values()))
+    if not any(len(each.paths(0)) for each in radars.values() or [source]):
         typer.echo(f"{scene}: no echo of a wall or an object reaches the sensor", err=True)
-    with compile_line(), progress_bar("messages", total) as advance:
+    with compile_line(), progress_bar("messages", total or None) as advance:
         sent = player.with_walls(player.scene_events(source, scans), source, params)
         events = _counted_by(advance, (event.outgoing for event in sent))
         origin = {"scene": source.scene.name, "seed": str(seed)}
-        if isinstance(source, ScenePlayer):
+        if not player.is_lidar(source):
             origin |= source.described()
-        if out.suffix == ".mcap":
-            write_recording(out, iter(events), origin)
-        elif isinstance(source, ScenePlayer):
+        if isinstance(source, ScenePlayer) and out.suffix != ".mcap":
             write_sigmf(out, source.setup, iter(events), origin)
+        else:
+            write_recording(out, iter(events), origin)
     print_line(f"{out}: {counted(scans, 'scan')} of {source.scene.name}, seed {seed}")
 
 

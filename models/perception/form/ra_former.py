@@ -84,7 +84,7 @@ class RaFormer:
     def _map(self, profiles: ScanProfiles) -> RangeAzimuthMap:
         params = self.folder.params
         formed = form_map(profiles, self.interpolator, params.mode)
-        return msgspec.structs.replace(formed, vehicle_from_radar=params.vehicle_from_radar)
+        return msgspec.structs.replace(formed, vehicle_from_radar=self.folder.vehicle_from_radar)
 
     def _rolls_at(self, beam_index: int) -> bool:
         """Return whether a map is due after a beam, before the next one in use."""

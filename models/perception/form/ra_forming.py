@@ -68,8 +68,8 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     #: where chirps are short (`allowed_decimation`).
     decimation: int = 1
     coherence: CoherenceTest = CoherenceTest()
-    #: Where the radar sits on the vehicle; ego motion is the vehicle's.
-    vehicle_from_radar: Pose2 = Pose2()
+    #: Where the radar sits on the vehicle; ego motion is the vehicle's. None: as its set-up says, else at its origin.
+    vehicle_from_radar: Pose2 | None = None
 
     def __post_init__(self) -> None:
         for name in ("slow_time_sums", "chirps", "rolling_beams"):
@@ -242,6 +242,9 @@ class BeamFolder:
         #: Number of samples per chirp that are transformed.
         self.samples = radar.samples_per_chirp // self.decimation
         self.setup = setup
+        mounted = (params.vehicle_from_radar, setup.vehicle_from_radar, Pose2())
+        #: Where the radar sits on the vehicle.
+        self.vehicle_from_radar = next(pose for pose in mounted if pose is not None)
         self.params = params
         self.grid = grid
         self.chirps = min(params.chirps or radar.chirps_per_beam, radar.chirps_per_beam)
@@ -429,9 +432,7 @@ def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state:
     """
     radar = folder.setup.radar
     middle = displacement(folder, beam_index, elapsed_s, state)
-    groups = [
-        _start_from_now(state, elapsed_s + time_s, folder.params.vehicle_from_radar) for time_s in folder.group_time_s
-    ]
+    groups = [_start_from_now(state, elapsed_s + time_s, folder.vehicle_from_radar) for time_s in folder.group_time_s]
     group_shift_m = np.array([(pose.x_m, pose.y_m) for pose in groups]) @ _unit(middle.look_rad)
     delay_s = 2.0 * middle.shift_m / SPEED_OF_LIGHT_MPS
     sample_turns = radar.chirp_slope_hz_per_s * delay_s / radar.sample_rate_hz * np.arange(radar.samples_per_chirp)
@@ -459,7 +460,7 @@ class Displacement(NamedTuple):
 
 def displacement(folder: BeamFolder, beam_index: int, elapsed_s: float, state: VehicleState) -> Displacement:
     """Return where a beam was measured whose middle lies `elapsed_s` after the map's pose, before it if negative."""
-    pose = _start_from_now(state, elapsed_s, folder.params.vehicle_from_radar)
+    pose = _start_from_now(state, elapsed_s, folder.vehicle_from_radar)
     look_rad = float(folder.setup.beams.azimuth_rad[beam_index] + pose.yaw_rad)
     return Displacement(pose, look_rad, float(np.array([pose.x_m, pose.y_m]) @ _unit(look_rad)))
 

@@ -8,7 +8,7 @@ import msgspec
 
 from models.perception.mirrors.peaks_to_view import WallPrior
 from models.perception.see.wall_memory import RadarPose, WallMemory
-from models.perception.track.odometry import ScanOdometry, stationary_pose
+from models.perception.track.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.track.tracker import Tracker, TrackerParams, TrackParams
 from models.perception.track.wall_priors import WallPriorStore
 from models.perception.track.yaw_rate_bias import BiasEstimate
@@ -51,6 +51,14 @@ class ScanMemory:
         else:
             self._elements.move(RadarPose(pose.frame, pose.odom_from_vehicle @ peaks.vehicle_from_radar))
         return self._elements
+
+    def pose_at(self, stamp_ns: int) -> OdometryPose | None:
+        """Return the vehicle's pose at a scan's stamp; see `ScanOdometry.at`."""
+        return self._odometry.at(stamp_ns)
+
+    def pose_before(self, stamp_ns: int) -> OdometryPose | None:
+        """Return the vehicle's pose at a time no later than the last scan's."""
+        return self._odometry.before(stamp_ns)
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:

@@ -106,6 +106,22 @@ def fused(priors: Sequence[PlacedPrior], returns: ScanReturns, walls: list[Wall]
     return fusion.result()
 
 
+def is_one_wall(line: WallLine, other: WallLine, sigmas: float = SAME_SIGMAS) -> bool:
+    """Return whether two stretches are of one wall: no gap between them, one line within so many standard deviations
+    of both and the margins.
+    """
+    if line.gap_m(other) > JOIN_GAP_M:
+        return False
+    off, covariance = other.seen_at(line)
+    if not np.isfinite(off).all():
+        return False
+    joint = covariance + line.covariance
+    at = np.array([1.0, line.common_m(other)])
+    offset_gate_m = sigmas * math.sqrt(at @ joint @ at) + SAME_OFFSET_M
+    angle_gate_rad = sigmas * math.sqrt(joint[1, 1]) + SAME_ANGLE_RAD
+    return abs(float(at @ off)) <= offset_gate_m and abs(float(off[1])) <= angle_gate_rad
+
+
 def _in_view(line: WallLine) -> np.ndarray:
     """Return the points along a wall that lie in the field of view and range [K, 2]."""
     points_m = line.samples_m
@@ -163,17 +179,10 @@ class _Fusion:
 
         Priors of one source must agree within the margins alone: its map says that they are two.
         """
-        if entry.curvature_per_m or entry.line.gap_m(prior.line) > JOIN_GAP_M:
-            return False
-        off, covariance = prior.line.seen_at(entry.line)
-        if not np.isfinite(off).all():
+        if entry.curvature_per_m:
             return False
         sigmas = 0.0 if prior.source in entry.sources and not entry.members else SAME_SIGMAS
-        joint = covariance + self._errors_of(entry)
-        at = np.array([1.0, entry.line.common_m(prior.line)])
-        offset_gate_m = sigmas * math.sqrt(at @ joint @ at) + SAME_OFFSET_M
-        angle_gate_rad = sigmas * math.sqrt(joint[1, 1]) + SAME_ANGLE_RAD
-        return abs(float(at @ off)) <= offset_gate_m and abs(float(off[1])) <= angle_gate_rad
+        return is_one_wall(replace(entry.line, covariance=self._errors_of(entry)), prior.line, sigmas)
 
     def _errors_of(self, entry: _Entry) -> np.ndarray:
         """Return the covariance of a wall; that of a measured one with the errors that its returns share."""

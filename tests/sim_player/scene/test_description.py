@@ -111,8 +111,8 @@ def test_unknown_lobes_of_scenes_made_by_hand_are_refused() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "expected a mapping of name, radar, surfaces, objects, ego, weather, got nothing"),
-        ("[1]", "expected a mapping of name, radar, surfaces, objects, ego, weather, got a list"),
+        ("", "expected a mapping of name, radar, surfaces, objects, ego, weather, radars, got nothing"),
+        ("[1]", "expected a mapping of name, radar, surfaces, objects, ego, weather, radars, got a list"),
         ("name: x\nradar: {heigth_m: 1}", "radar: object contains unknown field `heigth_m`; known are preset, height"),
         (wall("concrete", "cheese"), "surfaces[0].material: unknown material 'cheese'"),
         (wall("10, -5", "10, -5000"), "surfaces[0].polyline_m[0][1]: must lie within 983.091"),
@@ -215,7 +215,7 @@ def test_unknown_lobes_of_scenes_made_by_hand_are_refused() -> None:
         (radar("height_m: 0"), "radar.height_m: must be positive"),
         (wall("concrete", "plywood", "radar: {preset: 77ghz}"), "got 77 GHz"),
         ("name: [", "not YAML: "),
-        ("just words", "weather, got text"),
+        ("just words", "radars, got text"),
     ],
 )
 def test_bad_scenes_are_refused_in_one_line(text: str, complaint: str, tmp_path: Path) -> None:
