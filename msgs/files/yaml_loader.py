@@ -46,12 +46,13 @@ class BoundedLoader(_loader()):  # type: ignore[misc]
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return a node of the tree; raises `yaml.MarkedYAMLError` for a refused one."""
         event: Any = self.peek_event()
+        mark: Any = event.start_mark
         if isinstance(event, yaml.AliasEvent):
             # lists of lists of these grow without bound when they are read as values
-            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=event.start_mark)
+            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=mark)
         if getattr(event, "tag", None) is not None:
             # PyYAML raises KeyError, IndexError and others for values that do not match their tag
-            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=event.start_mark)
+            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=mark)
         self._depth += 1
         self._nodes += 1
         if self._nodes > MAX_NODES:

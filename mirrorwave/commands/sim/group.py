@@ -70,15 +70,17 @@ def run(
     )
     with compile_line():
         source = player.scene_player(params)
-    radars = {} if player.is_lidar(source) else player.radars_of(source)
-    total = sum(scans * len(radar.setup.beams) for radar in radars.values())
-    total += scans * (len(source.setup.beams) + 1 + (walls != "none")) if radars else 0
+    radars, total = dict[str, ScenePlayer](), 0
+    if not player.is_lidar(source):
+        radars = player.radars_of(source)
+        total = sum(scans * len(radar.setup.beams) for radar in radars.values())
+        total += scans * (len(source.setup.beams) + 1 + (walls != "none"))
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         what = "several radars are" if radars else "a LiDAR is"
         raise ValueError(f"--out {out}: SigMF holds raw beams of one radar, {what} recorded as NAME.mcap")
     if radars:
         require_room(out, sum(scans * radar.setup.scan_bytes for radar in radars.values()))
-    if not any(len(each.paths(0)) for each in radars.values() or [source]):
+    if not any(len(each.paths(0)) for each in ([source] if player.is_lidar(source) else radars.values())):
         typer.echo(f"{scene}: no echo of a wall or an object reaches the sensor", err=True)
     with compile_line(), progress_bar("messages", total or None) as advance:
         sent = player.with_walls(player.scene_events(source, scans), source, params)
