@@ -208,7 +208,8 @@ class _Run:
             seed=options.seed,
             # without the folders of one machine
             command=f"python -m benchmarks.accuracy.full_size --minutes {options.minutes:g} --places {options.places} "
-            f"--seed {options.seed}",
+            f"--seed {options.seed}{' --no-curve' if options.no_curve else ''}"
+            f"{' '.join(['', '--only', *options.only]) if options.only else ''}",
             minutes=(minutes[0], minutes[1], minutes[2]),
             tiny=options.tiny,
             reads_back=options.minutes <= SMOKE_MINUTES,
