@@ -433,7 +433,8 @@ def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
         if isinstance(outgoing, Forwarded):
             bus.forward(outgoing)
         else:
-            bus.publish(sensor_topic(outgoing.topic, node.sensor), outgoing.message)
+            topic, message = outgoing
+            bus.publish(sensor_topic(topic, node.sensor), message)
 
 
 class InProcessGraph:

@@ -292,7 +292,7 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
     try:
         return yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
-        raise ValueError(f"{where}: {_yaml_reason(error)}") from None
+        raise ValueError(f"{where}: {_yaml_reason(error, text)}") from None
     except (ValueError, RecursionError, UnicodeError) as error:
         raise ValueError(f"{where}: {error}") from None
 
@@ -425,7 +425,11 @@ def _names(names: Iterable[str]) -> str:
     return ", ".join(names)
 
 
-def _yaml_reason(error: yaml.YAMLError) -> str:
+def _yaml_reason(error: yaml.YAMLError, text: str | bytes) -> str:
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+    lines = len(text.splitlines()) or 1
     position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+    if mark and mark.line >= lines:
+        # libyaml ends every text with a new line
+        position = f"line {lines}: "
     return " ".join(f"{position}{problem or error}".split())

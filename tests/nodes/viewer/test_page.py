@@ -119,7 +119,7 @@ def test_the_hidden_car_stands_within_a_metre_of_the_truth(
     assert min(outline, math.hypot(dx, dy)) < 1.0
     assert page.locator("#objects tbody tr").count() == 1
     distances = object_distances([seen], corner[3], [car])
-    errors_m = distances.error_m[0, 0], distances.centre_m[0, 0]
+    errors_m = distances.centre_m[0, 0], distances.error_m[0, 0]
     assert page.locator("#objects tbody td").nth(4).inner_text() == car.object_class
     assert page.locator("#objects tbody td").nth(5).inner_text() == f"{errors_m[0]:.1f}, {errors_m[1]:.1f} m"
     assert car.object_class in page.locator("#objects tbody tr").inner_text()

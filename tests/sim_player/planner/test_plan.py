@@ -55,9 +55,14 @@ def reason(plan: Plan, name: str) -> str:
     return next(effect for effect in plan.effects if effect.name == name).reason
 
 
-@functools.lru_cache(maxsize=4)
 def everything_of(asked: Scene, seed: int) -> tuple[Plan, np.ndarray, np.ndarray]:
     """All effects of a scene: their plan, its profiles with noise, and the rms of that; what plans are held against."""
+    return _everything(msgspec.json.encode(asked), seed)
+
+
+@functools.lru_cache(maxsize=4)
+def _everything(content: bytes, seed: int) -> tuple[Plan, np.ndarray, np.ndarray]:
+    asked = msgspec.json.decode(content, type=Scene)
     setup, front_end = asked.setup, asked.radar.front_end
     plan = manual_plan(prepare(asked, seed), setup)
     density = noise_density_mw(setup, np.arange(512), plan.signal, front_end)
