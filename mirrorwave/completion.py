@@ -16,10 +16,10 @@ from msgs.files.shipped import CHECKOUT
 
 
 def complete_topics(incomplete: str) -> list[str]:
-    """Names of topics."""
-    from msgs.bus.topics import TOPICS
+    """Names of topics, without those of sensors with a name."""
+    from msgs.bus.topics import TOPICS, sensor_of
 
-    return beginning(TOPICS, incomplete)
+    return beginning((topic for topic in TOPICS if not sensor_of(topic)), incomplete)
 
 
 def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:

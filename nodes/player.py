@@ -378,7 +378,9 @@ def _lidar_events(player: LidarPlayer, scans: int | None, backlog: Backlog) -> I
 def _radar_events(player: ScenePlayer | RadarRig, scans: int | None, backlog: Backlog) -> Iterator[Event]:
     radars = radars_of(player)
     events = _beam_events(player, radars, scans, backlog)
-    # with the first beam, which loads kernels while the graph still waits: those of moving things made its views late
+    # while the graph still waits: kernels of moving things made its views late
+    for radar in radars.values():
+        radar.load_kernels()
     first = next(events, None)
     for name, radar in radars.items():
         yield Event(0, Outgoing(sensor_topic("radar/setup", name), radar.setup))

@@ -191,6 +191,11 @@ class ScenePlayer:
         middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
         return self._track.at(self._elapsed_s(self.stamp_ns(scan, index)) + middle_s)
 
+    def load_kernels(self) -> None:
+        """Load the compiled code that any beam may need, by the first one with all its paths."""
+        if self._still_beats is None:
+            echo_terms(self.setup, self.beam_paths(0, 0), self.signal, precision=self._precision)
+
     def echoes(self, scan: int, index: int) -> Terms:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
         if self._still_beats is not None:

@@ -360,7 +360,7 @@ def echo_terms(
         rows = slice(None) if overlaps.all() else np.flatnonzero(overlaps[weigh.rows])
         previous, ends = weigh.previous_chirp(), overlap_samples(radar, weigh.length_m[rows])
         start = (previous[0][rows], previous[1][rows])
-        correction = starts.correction(weigh.weights[..., rows], start, cycles[rows], ends)
+        correction = starts.correction(np.ascontiguousarray(weigh.weights[..., rows]), start, cycles[rows], ends)
         beats[:, : correction.shape[1]] += correction
     return beats, slow.carrier, slow.basis
 
