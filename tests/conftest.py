@@ -114,6 +114,15 @@ def pytest_collection(session: pytest.Session) -> object:
         gc.freeze()
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol() -> object:
+    """What a test makes known of topics (those of a sensor with a name, its own) ends with it."""
+    from msgs.bus.topics import TOPICS
+
+    with TOPICS.restored():
+        return (yield)
+
+
 def is_room(path: Path) -> bool:
     return path.name.startswith("test_") or (path.is_dir() and path.name[0] not in "._")
 

@@ -314,6 +314,10 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     #: Several radars on the vehicle by their names, each as `radar` but for its mounting.
     radars: dict[str, Mounting] = {}
 
+    def __hash__(self) -> int:
+        values = (getattr(self, name) for name in self.__struct_fields__ if name != "radars")
+        return hash((*values, frozenset(self.radars.items())))
+
     def of_radar(self, name: str) -> Scene:
         """Return the scene of one of several radars."""
         radar = msgspec.structs.replace(self.radar, mounting=self.radars[name])
