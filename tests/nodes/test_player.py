@@ -350,6 +350,9 @@ class SlowScene:
         self.setup, self.scene = self._source.setup, self._source.scene
         self.stamp_ns, self.vehicle_state = self._source.stamp_ns, self._source.vehicle_state
 
+    def load_kernels(self) -> None:
+        """It has none."""
+
     def beam(self, scan: int, index: int) -> RadarBeam:
         self.now_ns += self._beam_ns
         stamp_ns = self.stamp_ns(scan, index)
