@@ -16,7 +16,8 @@ from msgs.values.units import ns_from_s, s_from_ns
 #: some of its own intervals.
 WAIT_NS, SILENT_NS = ns_from_s(0.25), ns_from_s(1.0)
 _INTERVALS = 3
-#: Clocks of two radars differ where views of one come so much later after their stamps than those of the other.
+#: Clocks of two radars differ where views of one come so much later after their stamps than those of the other, and two
+#: of its intervals later: a recording may be played slowly.
 CLOCKS_DIFFER_NS = ns_from_s(0.5)
 #: By the quickest of so many views of each.
 _LAGS = 8
@@ -120,7 +121,7 @@ class ViewGroups:
             return 0
         right = min(lags, key=self._doubt) if self._state_lag_ns is not None else next(iter(lags))
         offset_ns = (lags[name] or 0) - (lags[right] or 0)
-        return offset_ns if abs(offset_ns) > CLOCKS_DIFFER_NS else 0
+        return offset_ns if abs(offset_ns) > max(CLOCKS_DIFFER_NS, 2 * self._radars[name].interval_ns) else 0
 
     def _doubt(self, name: str) -> tuple[bool, int]:
         """Return how much later than the vehicle's states the views of a radar come; none can come earlier."""

@@ -66,11 +66,13 @@ def test_a_killed_former_leaves_the_view_of_the_other_radar(root: Path) -> None:
     graph = LiveGraph(Path(LAUNCH), root, "--headless", "--profile", "cfar", *options)
     try:
         graph.await_that("a whole view", lambda: graph.view is not None and RADAR_LOST not in graph.view.flags)
-        graph.fault(signal.SIGKILL, ["ra_former_left"])
+        # silent for longer than a start takes
+        graph.fault(signal.SIGSTOP, ["ra_former_left"])
         views = graph.views
         graph.await_that("a view without it", lambda: graph.view is not None and RADAR_LOST in graph.view.flags)
         assert graph.views > views
         assert graph.await_text("radar left is silent: the view is that of the others", "view_fusion")
+        graph.fault(signal.SIGKILL, ["ra_former_left"])
         graph.await_that("whole views again", lambda: graph.view is not None and RADAR_LOST not in graph.view.flags)
     finally:
         graph.close()
