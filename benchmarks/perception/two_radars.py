@@ -28,6 +28,7 @@ from msgs.bus.local import LocalNetwork
 from msgs.bus.topics import sensor_topic
 from msgs.files.shipped import LAUNCH
 from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.values.frames import Mounting
 from msgs.values.perception import BevFrame, SceneTruth
 from msgs.values.units import ns_from_s, s_from_ns
 from nodes.node import InProcessGraph, Node
@@ -36,7 +37,7 @@ from nodes.process.launch_file import read_launch_file
 from nodes.view_fusion import Params, create
 from sim_player.paths.truth import object_images
 from sim_player.rig import RadarRig
-from sim_player.scene.description import Ego, Mounting, Scene, SceneObject, check_scene, load_scene, scene_to_yaml
+from sim_player.scene.description import Ego, Scene, SceneObject, check_scene, load_scene, scene_to_yaml
 
 SCANS = 6
 #: Heading of the corner radars.

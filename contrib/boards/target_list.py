@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from contrib.imports.detection_columns import Mounting, polar_covariance
+from contrib.imports.detection_columns import polar_covariance
 from msgs.values.arrays import require_within
 from msgs.values.detections import RadarDetections
-from msgs.values.frames import polar_from_xy
+from msgs.values.frames import Mounting, polar_from_xy
 from msgs.values.units import ns_from_s
 
 if TYPE_CHECKING:

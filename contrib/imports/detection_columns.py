@@ -16,7 +16,7 @@ import numpy as np
 
 from msgs.values.arrays import require_finite, require_positive
 from msgs.values.detections import MAX_DETECTIONS, OPTIONAL_COLUMNS, RadarDetections
-from msgs.values.frames import Pose2, polar_from_xy
+from msgs.values.frames import Mounting, polar_from_xy
 
 #: Columns by their names, or by their numbers from 0 where a file has no names.
 Columns = Mapping[str | int, np.ndarray]
@@ -78,19 +78,6 @@ class TableFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             raise ValueError(f"decimal must not be the delimiter, got {self.decimal!r} for both")
         if not 0 <= self.skip_lines <= 1_000_000:
             raise ValueError(f"skip_lines must be 0..1000000, got {self.skip_lines!r}")
-
-
-class Mounting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Place of the radar on the vehicle: forward, left, turned left."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    yaw_deg: float = 0.0
-
-    @property
-    def vehicle_from_radar(self) -> Pose2:
-        """The mounting as a transform."""
-        return Pose2(self.x_m, self.y_m, math.radians(self.yaw_deg))
 
 
 class Sensors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -52,6 +52,19 @@ class Pose2(msgspec.Struct, frozen=True):
         return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
+class Mounting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Place of a radar on its vehicle (forward, left) and its heading there (turned left), as files say it."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+
+    @property
+    def vehicle_from_radar(self) -> Pose2:
+        """The mounting as a transform."""
+        return Pose2(self.x_m, self.y_m, math.radians(self.yaw_deg))
+
+
 def wrap_angle(angle_rad: float) -> float:
     """Return the same angle in (-pi, pi]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)

@@ -27,7 +27,7 @@ from msgs.files.shipped import shipped_path
 from msgs.files.text_files import decode_text
 from msgs.files.yaml_loader import PlainDumper, StrictLoader, in_words
 from msgs.values.arrays import require_sensor_name
-from msgs.values.frames import Pose2
+from msgs.values.frames import Mounting
 from msgs.values.known_names import with_known_names
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.radar import (
@@ -117,19 +117,6 @@ class SceneArray(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     phase_bits: int | None = None
     steered_ways: int | None = None
     digital: bool | None = None
-
-
-class Mounting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Place of a radar on the vehicle that carries it, and its heading there."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    yaw_deg: float = 0.0
-
-    @property
-    def vehicle_from_radar(self) -> Pose2:
-        """The mounting as a transform."""
-        return Pose2(self.x_m, self.y_m, math.radians(self.yaw_deg))
 
 
 class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -57,6 +57,16 @@ def call(source: Path, out: Path, *words: str) -> int:
     return main(["import", "detections", str(source), "--out", str(out), *words])
 
 
+def refused(source: Path, rule: str, capsys: pytest.CaptureFixture[str], *words: str) -> None:
+    """A source gives one line that names it and its rule, and nothing else."""
+    out = source.with_name("a.mcap")
+    assert call(source, out, *words) == 2
+    err = capsys.readouterr().err.strip()
+    assert f"{source.name}: {rule}" in err
+    assert "\n" not in err
+    assert not out.exists()
+
+
 def imported(path: Path) -> list[RadarDetections]:
     with RecordingReader(path) as reader:
         messages = [item.message for item in reader.messages(("radar/detections",))]
@@ -116,11 +126,7 @@ def test_files_that_are_cut_or_of_another_layout_are_refused_in_one_line(
     name: str, content: bytes, rule: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    assert call(tmp_path / name, tmp_path / "a.mcap") == 2
-    err = capsys.readouterr().err.strip()
-    assert f"{name}: {rule}" in err
-    assert "\n" not in err
-    assert not (tmp_path / "a.mcap").exists()
+    refused(tmp_path / name, rule, capsys)
 
 
 def test_a_frame_that_comes_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -172,10 +178,7 @@ def test_tensors_that_are_none_are_refused_in_one_line(
     name: str, content: bytes, rule: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    assert call(tmp_path / name, tmp_path / "a.mcap") == 2
-    err = capsys.readouterr().err.strip()
-    assert f"{name}: {rule}" in err
-    assert "\n" not in err
+    refused(tmp_path / name, rule, capsys)
 
 
 SCENES_DTYPE = np.dtype(
@@ -297,11 +300,7 @@ def test_drives_that_do_not_fit_are_refused_in_one_line(
     path = hdf5(tmp_path / "a.h5", **tables)
     if damage is not None:
         damage(path)
-    assert call(path, tmp_path / "a.mcap", *(["--topic", topic] if topic else [])) == 2
-    err = capsys.readouterr().err.strip()
-    assert f"a.h5: {rule}" in err
-    assert "\n" not in err
-    assert not (tmp_path / "a.mcap").exists()
+    refused(path, rule, capsys, *(["--topic", topic] if topic else []))
 
 
 def test_drives_need_their_library(
@@ -399,7 +398,4 @@ def test_bags_of_an_ars_408_that_do_not_fit_are_refused_in_one_line(
 ) -> None:
     path = tmp_path / "a.bag"
     bag(path)
-    assert call(path, tmp_path / "a.mcap") == 2
-    err = capsys.readouterr().err.strip()
-    assert f"a.bag: {rule}" in err
-    assert "\n" not in err
+    refused(path, rule, capsys)
