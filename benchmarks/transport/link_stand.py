@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -13,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,8 +36,7 @@ ROOT = CHECKOUT
 PATIENCE_S = 60.0
 PERIOD_S = 0.02
 PEER, PLAYER = "sensor", "player"
-#: Published beside the good stream and not exported.
-SECRET_TOPIC, SECRET = "log", "not for export"
+SIDES = ("sensor", "compute")
 _DIAGNOSTICS = "diagnostics/node"
 #: An exporter has counted who did not get through the handshake.
 STRANGER_S = 3.0
@@ -128,33 +128,6 @@ class Side:
         self.bus.close()
 
 
-class Beset(Side):
-    """An importing node with many peers, one of them good."""
-
-    def __init__(self, name: str, folder: Path, params: dict[str, object]) -> None:
-        super().__init__(name, folder, params)
-        self.bus.subscribe(TOPIC)
-        #: Messages that came, by peer.
-        self.came: Counter[str] = Counter()
-
-    def receive(self, timeout_s: float) -> list[Received]:
-        received = super().receive(timeout_s)
-        self.came.update(item.envelope.publisher.partition(".")[0] for item in received if item.topic == TOPIC)
-        return received
-
-    def serves(self, stand: Stand) -> bool:
-        """Whether messages of the good peer arrive from now on."""
-        known = self.came[PEER]
-        with contextlib.suppress(TimeoutError):
-            stand.wait(lambda: self.came[PEER] > known + 3, "the good peer is not served")
-        return self.came[PEER] > known + 3 and self.is_running
-
-    def of_peer(self, peer: str) -> str:
-        """What the node's heartbeat counts of a peer."""
-        own = {what.partition(" ")[2]: count for what, count in self.counted().items() if what.startswith(f"{peer} ")}
-        return ", ".join(f"{count} {what}" for what, count in own.items())
-
-
 class Stand:
     """The good peer imports `TOPIC` through `proxy`; what arrives there is judged.
 
@@ -178,7 +151,7 @@ class Stand:
             stack.callback(self.proxy.close)
             for victim, name, params in (
                 ("export", "a", self._export_params()),
-                ("import", "b", self._import_params({PEER: self.proxy.port})),
+                ("import", "b", self._import_params()),
             ):
                 self.sides[victim] = Side(name, folder, params)
                 stack.callback(self.sides[victim].close)
@@ -210,24 +183,10 @@ class Stand:
         own = {"key": str(self._folder / PEER / f"{PEER}.key_secret"), "allowed": str(self._folder / "allowed")}
         return {**own, "bind": f"tcp://{HOST}:{self.port}", "export": [TOPIC]}
 
-    def _import_params(self, ports: Mapping[str, int]) -> dict[str, object]:
-        """All peers are expected to have the exporter's key."""
+    def _import_params(self) -> dict[str, object]:
         key = str(self._folder / PEER / f"{PEER}.key")
-        peers = {
-            name: {"address": f"tcp://{HOST}:{port}", "key": key, "topics": [TOPIC]} for name, port in ports.items()
-        }
-        return {"key": str(self._folder / "compute" / "compute.key_secret"), "connect": peers}
-
-    @contextlib.contextmanager
-    def importer(self, ports: Mapping[str, int]) -> Iterator[Beset]:
-        """One more importing node, whose peers are the exporter and whoever listens on `ports`."""
-        beset = Beset("c", self._folder, self._import_params({PEER: self.port, **ports}))
-        self.sides["beset"] = beset
-        try:
-            yield beset
-        finally:
-            del self.sides["beset"]
-            beset.close()
+        peer = {"address": f"tcp://{HOST}:{self.proxy.port}", "key": key, "topics": [TOPIC]}
+        return {"key": str(self._folder / "compute" / "compute.key_secret"), "connect": {PEER: peer}}
 
     def turn(self, duration_s: float) -> None:
         """Let the good stream go on for so long; at least one look at what came."""
@@ -305,7 +264,6 @@ class Stand:
         now_ns = self._player.now_ns()
         state = VehicleState(stamp_ns=now_ns, age_s=float(self._count), reason=str(self._count))
         self._player.publish(TOPIC, state)
-        self._player.publish(SECRET_TOPIC, LogRecord(stamp_ns=now_ns, node=PLAYER, level="debug", text=SECRET))
 
     def _judge(self, received: Received) -> None:
         state = received.message
@@ -324,3 +282,12 @@ def free_port() -> int:
     """A port of this machine that nobody uses now."""
     with socket.create_server((HOST, 0)) as server:
         return int(server.getsockname()[1])
+
+
+def make_keys(folder: Path) -> None:
+    """Keys of both hosts, each on the other's list."""
+    for side, other in (SIDES, SIDES[::-1]):
+        public, _ = curve_keys.generate(side, folder / side)
+        allowed = folder / f"of_{other}"
+        allowed.mkdir(mode=0o700)
+        shutil.copy(public, allowed)

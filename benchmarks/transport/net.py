@@ -1,15 +1,13 @@
-"""Tools of the attacks and of the two-host measurement: peers on plain sockets, a proxy, namespaces joined by a wire.
+"""Tools of the attacks: peers on plain sockets, a proxy, namespaces joined by a wire.
 
 The peers speak ZMTP by hand (rfc.zeromq.org 13, 15, 23, 37), so that they can also speak it wrongly. `Wire` is a cable
-between two network namespaces: each frame passes through this process, which can look at it, lose or delay it.
+between two network namespaces: each frame passes through this process, which can look at it or lose it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import heapq
-import itertools
 import os
 import select
 import socket
@@ -18,7 +16,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 HOST = "127.0.0.1"
@@ -154,19 +152,6 @@ def call(port: int, host: str = HOST) -> Iterator[Talk]:
 
 
 @contextlib.contextmanager
-def answer(script: Script) -> Iterator[int]:
-    """A plain server that runs `script` on every connection; its port."""
-
-    def serve(connection: socket.socket) -> None:
-        talk = Talk(connection)
-        script(talk)
-        talk.close()
-
-    with _listener(serve) as port:
-        yield port
-
-
-@contextlib.contextmanager
 def _listener(serve: Callable[[socket.socket], None]) -> Iterator[int]:
     """Accept connections on a free port, each served by a thread of its own."""
     stop = threading.Event()
@@ -190,21 +175,13 @@ def _listener(serve: Callable[[socket.socket], None]) -> Iterator[int]:
 # -------------------------------------------------------------------------------------------------------------- proxy
 
 
-@dataclass
-class Passage:
-    """What went through the proxy on one connection, as it came in."""
-
-    to_server: bytearray = field(default_factory=bytearray)
-    to_client: bytearray = field(default_factory=bytearray)
-
-
 class Proxy:
-    """A man in the middle: relays TCP to `upstream`, can record, alter, redirect and cut."""
+    """A man in the middle: relays TCP to `upstream`, can alter, redirect and cut."""
 
     def __init__(self, upstream: int) -> None:
         self.upstream = upstream
-        self.is_recording = False
-        self.passages: list[Passage] = []
+        #: Connections that it has relayed.
+        self.passages = 0
         #: Changes what passes: (data, is it from the server, bytes of that direction before it) -> data.
         self.alter: Callable[[bytes, bool, int], bytes] = lambda data, from_server, before: data
         self._pairs: set[tuple[socket.socket, socket.socket]] = set()
@@ -233,17 +210,17 @@ class Proxy:
         except OSError:
             client.close()
             return
-        pair, passage = (client, server), Passage()
+        pair = (client, server)
         self._pairs.add(pair)
-        self.passages.append(passage)
+        self.passages += 1
         try:
-            self._relay(client, server, passage)
+            self._relay(client, server)
         finally:
             self._pairs.discard(pair)
             client.close()
             server.close()
 
-    def _relay(self, client: socket.socket, server: socket.socket, passage: Passage) -> None:
+    def _relay(self, client: socket.socket, server: socket.socket) -> None:
         seen = {client: 0, server: 0}
         with contextlib.suppress(OSError):
             while True:
@@ -252,8 +229,6 @@ class Proxy:
                     if not data:
                         return
                     from_server = source is server
-                    if self.is_recording:
-                        (passage.to_client if from_server else passage.to_server).extend(data)
                     (client if from_server else server).sendall(self.alter(data, from_server, seen[source]))
                     seen[source] += len(data)
 
@@ -261,8 +236,6 @@ class Proxy:
 # ------------------------------------------------------------------------------------------------ namespaces and wire
 
 
-#: Longest wait of a frame for the slowest part of a cable.
-QUEUE_S = 0.2
 _TUNSETIFF, _IFF_TAP, _IFF_NO_PI = 0x400454CA, 0x0002, 0x1000
 _TUN = "/dev/net/tun"
 
@@ -299,22 +272,13 @@ class Host:
     interface: str
     address: str
 
-    def inside(self, command: Sequence[str], monotonic_offset_s: int = 0) -> list[str]:
-        """`command` so that it runs on this host, its monotonic clock that far ahead of the machine's."""
-        shifted = ["unshare", "--time", "--monotonic", str(monotonic_offset_s), "--boottime", str(monotonic_offset_s)]
-        clock = [*shifted, "--fork"] if monotonic_offset_s else []
-        return ["ip", "netns", "exec", self.namespace, *clock, *command]
-
-    def link(self, state: str) -> None:
-        """Set the interface "up" or "down"."""
-        _ip("-n", self.namespace, "link", "set", self.interface, state)
+    def inside(self, command: Sequence[str]) -> list[str]:
+        """`command` so that it runs on this host."""
+        return ["ip", "netns", "exec", self.namespace, *command]
 
 
 class Wire:
-    """Two hosts and the cable between them; frames pass unless `is_dead`, `delay_s` after they came.
-
-    With `rate_mbit_per_s` a frame also waits for those before it in its direction to have passed at that rate, and is
-    lost where it would wait longer than `QUEUE_S`, as in a router.
+    """Two hosts and the cable between them; frames pass unless `is_dead`.
 
     Use as a context: the namespaces are taken away at its end, however it comes. Raises `OSError` where they cannot be
     made (`why_no_namespaces`).
@@ -325,12 +289,8 @@ class Wire:
         name = f"{name}{os.getpid() % 1_000_000}"
         self.hosts = (Host(f"{name}a", f"{name}a0", "10.77.0.1"), Host(f"{name}b", f"{name}b0", "10.77.0.2"))
         self.is_dead = False
-        self.delay_s = 0.0
-        self.rate_mbit_per_s = float("inf")
-        #: When the last frame of each direction has passed the slowest part of the cable.
-        self._passed_s = [0.0, 0.0]
-        #: Frames and bytes that passed in each direction.
-        self.frames, self.bytes = [0, 0], [0, 0]
+        #: Frames that were sent in each direction.
+        self.frames = [0, 0]
         #: Words to look for in what passes, and how often each was seen.
         self.seen: dict[bytes, int] = {}
         self._stack = contextlib.ExitStack()
@@ -365,34 +325,17 @@ class Wire:
         return tap
 
     def _relay(self, taps: list[int]) -> None:
-        order = itertools.count()
-        #: Frames on the wire: when they are due, their order, to which end.
-        waiting: list[tuple[float, int, int, bytes]] = []
         while not self._stop.is_set():
-            wait_s = min(_TURN_S, max(0.0, waiting[0][0] - time.monotonic())) if waiting else _TURN_S
-            for tap in select.select(taps, [], [], wait_s)[0]:
+            for tap in select.select(taps, [], [], _TURN_S)[0]:
                 end = taps.index(tap)
                 for data in _read_all(tap):
                     self.frames[end] += 1
-                    self.bytes[end] += len(data)
                     for word in self.seen:
                         self.seen[word] += word in data
-                    if (due_s := self._due_s(data, end)) is not None:
-                        heapq.heappush(waiting, (due_s, next(order), 1 - end, data))
-            while waiting and waiting[0][0] <= time.monotonic():
-                _, _, end, data = heapq.heappop(waiting)
-                if not self.is_dead:
-                    # an interface that is down, or full: the frame is lost, as on any cable
-                    with contextlib.suppress(OSError):
-                        os.write(taps[end], data)
-
-    def _due_s(self, data: bytes, end: int) -> float | None:
-        """When a frame arrives; None if it is lost."""
-        now_s = time.monotonic()
-        if self.is_dead or self._passed_s[end] - now_s > QUEUE_S:
-            return None
-        self._passed_s[end] = max(now_s, self._passed_s[end]) + 8e-6 * len(data) / self.rate_mbit_per_s
-        return self._passed_s[end] + self.delay_s
+                    if not self.is_dead:
+                        # an interface that is down, or full: the frame is lost, as on any cable
+                        with contextlib.suppress(OSError):
+                            os.write(taps[1 - end], data)
 
 
 def _read_all(tap: int) -> Iterator[bytes]:

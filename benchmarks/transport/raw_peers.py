@@ -6,7 +6,6 @@ again. Each serves in both roles, as client of who binds and as server of who co
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -123,14 +122,6 @@ def _hello(rng: np.random.Generator) -> bytes:
     return bytes([1, 0]) + bytes(72) + rng.bytes(32 + 8 + 80)
 
 
-def _cut_greeting(size: int) -> Script:
-    def script(talk: Talk) -> None:
-        talk.say((greeting("CURVE") if size % 2 else greeting("NULL"))[:size])
-        talk.listen(0.01)
-
-    return script
-
-
 def _huge(prefix: bytes) -> Script:
     """Frames that announce 2^63-1 bytes, and start to send them."""
 
@@ -159,35 +150,22 @@ def _unknown_mechanism(talk: Talk) -> None:
     _stay(talk, frames(MESSAGE))
 
 
-def scripts(tries: int, seed: int, as_publisher: bool) -> Iterator[tuple[str, list[Script]]]:
-    """All scripts by name, each as often as it is to be tried; publishers say so where the protocol has a word."""
+def scripts(seed: int) -> Iterator[tuple[str, Script]]:
+    """All scripts by name."""
     rng = np.random.default_rng(seed)
-    kind = "XPUB" if as_publisher else "SUB"
     curve = greeting("CURVE")
-    yield "ZMTP 1.0, frames without handshake", [v1] * tries
-    yield "ZMTP 2.0 greeting", [v2] * tries
-    yield "ZMTP 3.0 NULL", [_null(kind)] * tries
-    yield "ZMTP 3.1 NULL", [_null(kind, minor=1)] * tries
-    yield "ZMTP 3.0 PLAIN", [plain] * tries
-    yield "unknown mechanism", [_unknown_mechanism] * tries
-    yield "ZMTP version 9", [_version_9] * tries
-    yield "CURVE greeting, handshake skipped", [curve_skipped] * tries
-    yield "CURVE greeting of the other role", [curve_claims_server] * tries
-    yield "CURVE hello of noise", [_curve_hello(_hello, rng)] * tries
-    yield "CURVE hello of a wrong size", [_curve_hello(lambda rng: rng.bytes(int(rng.integers(0, 400))), rng)] * tries
-    yield "greeting cut after 0..63 bytes", [_cut_greeting(size) for size in range(64)]
-    yield "frame of 2^63 bytes, ZMTP 1.0", [_huge(frames_v1([b""]) + b"\xff")] * tries
-    yield "command of 2^63 bytes in CURVE", [_huge(curve + bytes([COMMAND | LONG]))] * tries
-    yield "noise instead of a greeting", [_noise(rng)] * tries
-    yield "noise behind a CURVE greeting", [_noise(rng, curve)] * tries
-
-
-def drip(talk: Talk, patience_s: float, interval_s: float = 1.0) -> float:
-    """A greeting of one byte each `interval_s`; after how long the other side had enough, at most `patience_s`."""
-    start_s = time.monotonic()
-    for byte in greeting("CURVE"):
-        talk.say(bytes([byte]))
-        talk.listen(interval_s)
-        if talk.is_closed or time.monotonic() - start_s > patience_s:
-            break
-    return time.monotonic() - start_s
+    yield "ZMTP 1.0, frames without handshake", v1
+    yield "ZMTP 2.0 greeting", v2
+    yield "ZMTP 3.0 NULL", _null("SUB")
+    yield "ZMTP 3.1 NULL", _null("SUB", minor=1)
+    yield "ZMTP 3.0 PLAIN", plain
+    yield "unknown mechanism", _unknown_mechanism
+    yield "ZMTP version 9", _version_9
+    yield "CURVE greeting, handshake skipped", curve_skipped
+    yield "CURVE greeting of the other role", curve_claims_server
+    yield "CURVE hello of noise", _curve_hello(_hello, rng)
+    yield "CURVE hello of a wrong size", _curve_hello(lambda rng: rng.bytes(int(rng.integers(0, 400))), rng)
+    yield "frame of 2^63 bytes, ZMTP 1.0", _huge(frames_v1([b""]) + b"\xff")
+    yield "command of 2^63 bytes in CURVE", _huge(curve + bytes([COMMAND | LONG]))
+    yield "noise instead of a greeting", _noise(rng)
+    yield "noise behind a CURVE greeting", _noise(rng, curve)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.transport.link_stand import free_port
-from benchmarks.transport.two_hosts import SIDES, make_keys
+from benchmarks.transport.link_stand import SIDES, free_port, make_keys
 from tests.graph.fault_tools import ROOT, LiveGraph
 
 

@@ -1,4 +1,4 @@
-"""A link between two hosts is cut and healed, in short (`python -m benchmarks.transport.two_hosts` is the whole)."""
+"""A link between two hosts is cut and healed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.transport.link_stand import Side
+from benchmarks.transport.link_stand import Side, make_keys
 from benchmarks.transport.net import Wire, why_no_namespaces
-from benchmarks.transport.two_hosts import make_keys
 from msgs.bus.zmq import ZmqBus
 from msgs.values.diagnostics import NodeState
 from msgs.values.vehicle import VehicleState
