@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench faults soak fuzz mutants tables sample pictures fdtd-figures full-wave compare results-gpu object-network clean
+.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench fuzz mutants tables sample pictures fdtd-figures full-wave compare results-gpu object-network clean
 
 # $(call beat,WORDS) COMMAND: a line of WORDS every ten seconds until COMMAND, or the shell that runs it, has ended
 beat = (s=0; while sleep 1 && kill -0 $$$$ 2>/dev/null; do s=$$((s + 1)); [ $$((s % 10)) -ne 0 ] || echo "$(1), $$s s"; done) & trap "kill $$!" EXIT;
@@ -118,12 +118,6 @@ reference: setup  ## commands, parameters and messages as pages in docs/referenc
 
 bench: setup-dev  ## the live graph, measured for a minute
 	$(BIN)/python -m benchmarks.live.live_graph --duration 60
-
-faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/results/README.md (half an hour)
-	$(BIN)/python -m benchmarks.live.faults
-
-soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/README.md
-	$(BIN)/python -m benchmarks.live.soak --figure runs/soak.png
 
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000

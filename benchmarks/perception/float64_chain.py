@@ -6,18 +6,11 @@ float64 and complex128 from the integer sums on (transform, window, Doppler, co-
 system instead of normal equations, encoding, every operator of the network, pursuit, peaks), geometry as it is, for it
 is float64. A place is the same one in both where its image has the same class and stands within a metre, one to one.
 What only one run has is told apart: `threshold`, the image's peak is missing in the other run, with how far its score
-is from the threshold; `wall`, the peak is in both and the folding decided otherwise. `--threads` asks instead whether
-the bytes of the view are the same for 1 and 2 threads of network and kernels; BLAS has one, as in all programs: with
-two, its kernels for some processors split a product otherwise (5e-11 of a map's largest cell). Run from the root of the
-checkout: python -m benchmarks.perception.float64_chain [--places 200] [--first 0] [--seed 11] [--threads] [--json]
+is from the threshold; `wall`, the peak is in both and the folding decided otherwise.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import platform
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -25,17 +18,13 @@ from typing import Any
 import numba
 import numpy as np
 import onnx
-import onnxruntime
 import scipy
 from onnx import TensorProto, numpy_helper
 from onnx.reference import ReferenceEvaluator
 from onnx.reference.op_run import OpRun
-from rich.console import Console
-from rich.progress import track
 from scipy.special import gammainccinv
 from threadpoolctl import threadpool_limits
 
-from lab.evaluate.labelled_beams import LabelledPlace
 from lab.measures.point_scores import match_points
 from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding, sample_columns
@@ -56,8 +45,6 @@ from msgs.values.units import ratio_from_db
 RIDGE, HANN = 1e-7, (-0.5, 1.0, -0.5)
 #: Images of one class this near each other are the same one; a recovered place that moves more than this has changed.
 SAME_M, AIM_M = 1.0, 0.01
-#: Progress goes beside the report, not into it.
-PROGRESS = Console(stderr=True)
 
 
 class DoubleChain:
@@ -321,39 +308,6 @@ def left(mine: Answer, other: Answer, matched: np.ndarray, threshold: float) -> 
     return found
 
 
-def report(rows: list[Comparison]) -> dict[str, Any]:
-    """Figures over all places."""
-    moved_m = np.concatenate([row.moved_m for row in rows])
-    hidden_m = np.concatenate([row.hidden_moved_m for row in rows])
-    alone = [(row.place, *one) for row in rows for one in row.alone]
-    return {
-        "places": len(rows),
-        "largest map change over the largest cell": max(row.map_error for row in rows),
-        "largest change of a probability": max(row.heatmap_error for row in rows),
-        "peaks": sum(row.peaks for row in rows),
-        "peaks in one run only": sum(row.peaks_alone for row in rows),
-        "recovered places in both": len(moved_m),
-        "median change m": float(np.median(moved_m)),
-        "largest change m": float(moved_m.max()),
-        "largest change of a hidden one m": float(hidden_m.max()),
-        "changed by more than 1 cm": int((moved_m > AIM_M).sum()),
-        "in places": [row.place for row in rows if max(row.moved_m, default=0.0) > AIM_M],
-        "in one run only": alone,
-    }
-
-
-def precision(seed: int, indices: range) -> dict[str, Any]:
-    """Single against double on places of a series."""
-    rows, predictor = [], DensePredictor()
-    for index in track(indices, "places", console=PROGRESS):
-        place = LabelledPlace(seed, index, "auto")
-        setup, beams = place.player.setup, list(place.beams())
-        chain = DoubleChain(setup)
-        one, ra_map = single(beams, setup, predictor)
-        rows.append(compare(index, one, double(beams, chain, ra_map), chain.threshold))
-    return report(rows)
-
-
 def view_bytes(beams: list[RadarBeam], setup: RadarSetup, threads: int) -> bytes:
     """The view of a scan as it is recorded, computed with so many threads of network and kernels, one of BLAS."""
     before = numba.get_num_threads()
@@ -366,37 +320,3 @@ def view_bytes(beams: list[RadarBeam], setup: RadarSetup, threads: int) -> bytes
             return encode_inline(view)
     finally:
         numba.set_num_threads(before)
-
-
-def threads(seed: int, indices: range) -> dict[str, Any]:
-    """Places whose views are not the same bytes for 1 and 2 threads, each twice."""
-    differ = []
-    for index in track(indices, "places", console=PROGRESS):
-        place = LabelledPlace(seed, index, "auto")
-        beams = list(place.beams())
-        views = {view_bytes(beams, place.player.setup, count) for count in (1, 2, 1, 2)}
-        if len(views) > 1:
-            differ.append(index)
-    return {"places": len(indices), "views that differ": differ}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--places", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0, help="number of the first place in the series")
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--threads", action="store_true", help="ask for equal bytes with 1 and 2 threads instead")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    options = parser.parse_args()
-    indices = range(options.first, options.first + options.places)
-    found = (threads if options.threads else precision)(options.seed, indices)
-    found["seed"] = options.seed
-    found["machine"] = (
-        f"{platform.machine()}, {os.cpu_count()} cores; numpy {np.__version__}, scipy {scipy.__version__}"
-    )
-    found["machine"] += f", onnxruntime {onnxruntime.__version__}, onnx {onnx.__version__}"
-    print(json.dumps(found) if options.json else "\n".join(f"{name}: {value}" for name, value in found.items()))
-
-
-if __name__ == "__main__":
-    main()

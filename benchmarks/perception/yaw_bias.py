@@ -1,24 +1,15 @@
-"""Heading of drives without a standstill, whose gyroscope has a constant bias: with and without learning the bias.
+"""Drives without a standstill, whose gyroscope has a constant bias, and the heading that the odometry gives of them.
 
 Made drives: a car with a lag between steering and yaw, understeer, a steering wheel that is not centred and drifts with
 the camber of the road, tyres of unequal size, noise. Its frames are sent and decoded by `launch/can/raw_ranges.*`, so
 every signal has the steps of that DBC (yaw rate 0.244 deg/s). None of its constants is known to the estimator. The
 truth is the yaw rate that was driven. Kinds: town (3 to 15 m/s with turns), slow (2.5 to 5 m/s), motorway (30 m/s,
 hardly a turn), on which the bias cannot be told from the other constants.
-A recorded drive: all states at which it stands are taken out and a bias is put on. The truth there is its own yaw rate
-less the mean at rest, as far as that goes: errors of the gyroscope's scale are not seen.
-Heading error: that of the odometry at the end of the drive. NEES: squared error of the bias over its variance, 1 where
-the standard deviation is honest. `learnt`: drives in which the bias is learnt, and after how many seconds (median).
-Usage: python -m benchmarks.perception.yaw_bias [--seeds 20] [--duration 58] [--bias-dps -0.41] [--json]
-       [--log FILE --dbc FILE --mapping FILE]
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -43,16 +34,9 @@ CAN = CHECKOUT / "launch" / "can"
 STEP_S, PERIODS_S = 0.02, {"speed": 6.0, "turn": 3.0}
 #: (lowest and highest speed, m/s; largest curvature, 1/m), by kind of drive.
 KINDS = {"town": (3.0, 15.0, 0.03), "slow": (2.5, 5.0, 0.08), "motorway": (29.5, 30.5, 0.0008)}
-SOURCES = {
-    "neither": (False, False), "steering": (True, False), "wheels": (False, True), "both": (True, True),
-}  # fmt: skip
 MAX_LATERAL_MPS2 = 3.0
 #: Time from steering to yawing, s.
 LAG_S = 0.12
-#: The car stands below this: of a recorded drive such states are taken out.
-REST_MPS = 0.3
-#: Biases that are put on a recorded drive, deg/s.
-PUT_ON_DPS = (-0.41, 0.0, 1.0)
 
 
 def read_states(log: Path, dbc: Path, mapping: Path) -> list[VehicleState]:
@@ -187,100 +171,3 @@ def run(drive: Drive, bias_rps: float) -> Outcome:
         bias_std_dps=math.degrees(driving.std_rps),
         learnt_after_s=None if learnt_ns is None else s_from_ns(learnt_ns - start_ns),
     )
-
-
-def without_standstill(states: Sequence[VehicleState], bias_rps: float) -> tuple[Drive, float]:
-    """A recorded drive joined over its standstills, with a bias put on; and its own bias, the mean at rest."""
-    valid = [state for state in states if state.valid]
-    # what stands is not what only comes to a stop: the first states of a rest still rock
-    rest = [state.yaw_rate_rps for state in valid if abs(state.speed_mps) <= 0.05]
-    own_rps = float(np.mean(rest)) if rest else 0.0
-    moving, heading_rad, cut_ns = [], 0.0, 0
-    last: VehicleState | None = None
-    for state in valid:
-        if abs(state.speed_mps) <= REST_MPS or (last is not None and state.stamp_ns - last.stamp_ns > ns_from_s(0.1)):
-            # the drive goes on a period later
-            cut_ns += 0 if last is None else state.stamp_ns - last.stamp_ns
-            last = state
-            continue
-        step_s = 0.0 if last is None else s_from_ns(state.stamp_ns - last.stamp_ns)
-        rates = 0.0 if last is None else 0.5 * (last.yaw_rate_rps + state.yaw_rate_rps)
-        heading_rad += (rates - own_rps) * step_s if moving else 0.0
-        moving.append(
-            msgspec.structs.replace(state, stamp_ns=state.stamp_ns - cut_ns, yaw_rate_rps=state.yaw_rate_rps + bias_rps)
-        )
-        last = state
-    return Drive(moving, heading_rad), own_rps + bias_rps
-
-
-def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
-    """Medians and worst cases over the seeds."""
-    before = [one.error_before_deg for one in outcomes]
-    after = [one.error_after_deg for one in outcomes]
-    learnt = [one.learnt_after_s for one in outcomes if one.learnt_after_s is not None]
-    return {
-        "drives": len(outcomes),
-        "before_median_deg": float(np.median(before)),
-        "before_max_deg": max(before),
-        "after_median_deg": float(np.median(after)),
-        "after_max_deg": max(after),
-        "learnt": len(learnt),
-        "learnt_after_median_s": float(np.median(learnt)) if learnt else None,
-        "bias_error_rms_dps": float(np.sqrt(np.mean([one.bias_error_dps**2 for one in outcomes]))),
-        "bias_std_median_dps": float(np.median([one.bias_std_dps for one in outcomes])),
-        "nees": float(np.mean([(one.bias_error_dps / one.bias_std_dps) ** 2 for one in outcomes])),
-    }
-
-
-def made_rows(seeds: int, duration_s: float, bias_rps: float) -> Iterator[dict[str, object]]:
-    """A row for each kind of drive and each set of sensors."""
-    for kind in KINDS:
-        drives = [made_drive(kind, seed, duration_s, bias_rps) for seed in range(seeds)]
-        for name, (steering, wheels) in SOURCES.items():
-            runs = [run(drive._replace(states=limited(drive.states, steering, wheels)), bias_rps) for drive in drives]
-            yield {"drive": kind, "sensors": name, "bias_dps": math.degrees(bias_rps), **summary(runs)}
-
-
-def logged_rows(states: Sequence[VehicleState], name: str) -> Iterator[dict[str, object]]:
-    """A row for each bias that is put on a recorded drive and each set of sensors."""
-    for put_on_dps in PUT_ON_DPS:
-        drive, bias_rps = without_standstill(states, math.radians(put_on_dps))
-        for sensors, (steering, wheels) in SOURCES.items():
-            outcome = run(drive._replace(states=limited(drive.states, steering, wheels)), bias_rps)
-            yield {"drive": name, "sensors": sensors, "bias_dps": math.degrees(bias_rps), **summary([outcome])}
-
-
-COLUMNS = (
-    "drive", "sensors", "bias_dps", "drives", "before_median_deg", "before_max_deg", "after_median_deg",
-    "after_max_deg", "learnt", "learnt_after_median_s", "bias_error_rms_dps", "bias_std_median_dps", "nees",
-)  # fmt: skip
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a row a case."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=20, help="drives of each kind")
-    parser.add_argument("--duration", type=float, default=58.0, metavar="S")
-    parser.add_argument("--bias-dps", type=float, default=-0.41)
-    parser.add_argument("--log", type=Path, help="a recorded drive instead of made ones")
-    parser.add_argument("--dbc", type=Path)
-    parser.add_argument("--mapping", type=Path)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args(arguments)
-    if options.log is None:
-        rows = list(made_rows(options.seeds, options.duration, math.radians(options.bias_dps)))
-    elif options.dbc is None or options.mapping is None:
-        parser.error("--log needs --dbc and --mapping")
-    else:
-        rows = list(logged_rows(read_states(options.log, options.dbc, options.mapping), options.log.name))
-    if options.json:
-        print(json.dumps(rows, indent=1))
-        return 0
-    print(" | ".join(COLUMNS))
-    for row in rows:
-        print(" | ".join(f"{row[name]:.2f}" if isinstance(row[name], float) else str(row[name]) for name in COLUMNS))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -14,14 +14,14 @@ from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from lab.evaluate.method_report import Context
-    from lab.evaluate.method_runs import Run, SweepPoint
+    from lab.evaluate.method_runs import Run
     from lab.evaluate.methods import Method
-    from lab.training.data.frames import DataSet, Splits
+    from lab.training.data.frames import DataSet
     from msgs.values.radar import RadarSetup
 
 
-#: Thresholds of the precision-recall curves, and bootstrap draws of the intervals.
-SWEEP, DRAWS = 8, 1000
+#: Bootstrap draws of the intervals.
+DRAWS = 1000
 Split = Literal["test", "validation", "train", "all"]
 
 
@@ -97,7 +97,7 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="results.json, results.md, pr.png, scenes.png, qualitative.png; with --objects and --table "
+            help="results.json, results.md, qualitative.png; with --objects and --table "
             "[runs/table5-SEED] also a file a place: the same command goes on where it stopped.",
         ),
     ] = None,
@@ -138,20 +138,23 @@ def evaluate(
     if data is None:
         raise ValueError("--data must name a data set, or --objects ask for random places")
     from lab.evaluate.method_report import Context, make_report, write_report
+    from lab.evaluate.method_runs import checked_frames, run_methods
     from lab.training.data.frames import DataSet, fixed_splits
 
     dataset, splits = DataSet(data), fixed_splits(data)
     methods = _methods(method or _default_methods(), threads, dataset.setup)
-    run, sweeps = _run(dataset, splits, methods, split, SWEEP if out is not None else 0, limit)
+    indices = splits.of(split)[:limit]
+    with progress_bar("frames", len(indices)) as tick:
+        run = run_methods(methods, checked_frames(dataset, indices, methods), tick)
     context = Context(
         data=str(data), split=split, test_sha256=splits.test_sha256, seed=seed, draws=DRAWS, threads=threads,
         reference=methods[-1].name,
     )  # fmt: skip
-    report = make_report(run, sweeps, context)
+    report = make_report(run, context)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_report(report, out)
-        _draw(report, run, dataset, context, out)
+        _draw(run, dataset, context, out)
     _show(report, out, as_json)
 
 
@@ -179,38 +182,11 @@ def _methods(texts: list[str], threads: int, setup: RadarSetup) -> list[Method]:
     return [build_method(spec, threads, setup) for spec in specs]
 
 
-def _run(
-    dataset: DataSet,
-    splits: Splits,
-    methods: list[Method],
-    split: Split,
-    sweep_count: int,
-    limit: int | None,
-) -> tuple[Run, dict[str, list[SweepPoint]]]:
-    """All frames, then the curves."""
-    from lab.evaluate.method_runs import checked_frames, run_methods, sweep
+def _draw(run: Run, dataset: DataSet, context: Context, out: Path) -> None:
+    from lab.evaluate.method_figures import draw_scenes, shown_frames
 
-    indices = splits.of(split)[:limit]
-    with progress_bar("frames", len(indices)) as tick:
-        run = run_methods(methods, checked_frames(dataset, indices, methods), sweep_count > 0, tick)
-    sweeps: dict[str, list[SweepPoint]] = {}
-    if sweep_count:
-        with progress_bar("curves", len(methods)) as tick:
-            for method_run in run.runs:
-                sweeps[method_run.method.name] = sweep(method_run, run.truth, sweep_count)
-                tick()
-    return run, sweeps
-
-
-def _draw(report: dict[str, Any], run: Run, dataset: DataSet, context: Context, out: Path) -> None:
-    from lab.evaluate.method_figures import draw_curves, draw_groups, draw_scenes, shown_frames
-
-    if report["methods"][0]["sweep"]:
-        draw_curves(report, out / "pr.png")
-    if report["methods"][0]["groups"]:
-        draw_groups(report, out / "scenes.png")
     if positions := shown_frames(run):
-        frames = [dataset.frame(run.facts[position].index) for position in positions]
+        frames = [dataset.frame(run.indices[position]) for position in positions]
         draw_scenes(run, frames, positions, context.reference, out / "qualitative.png")
 
 
@@ -225,4 +201,4 @@ def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
     least = [name for name in reversed(columns[1:]) if name not in ("dense Macro-F1", "recovered F1 1 m")]
     print_table(columns, headline_rows(report), least)
     if out is not None:
-        print_line(f"{out}: results.json, results.md and figures")
+        print_line(f"{out}: results.json, results.md and qualitative.png")

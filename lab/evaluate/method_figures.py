@@ -1,8 +1,7 @@
-"""Pictures of an evaluation: precision against recall, measures by kind of scene, scenes side by side (section 4)."""
+"""Pictures of an evaluation: scenes side by side (section 4)."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lab.evaluate.method_report import CURVES, GROUPED
 from lab.evaluate.method_runs import Run
 from lab.measures.frame_scores import FrameAnswer, FrameTruth
 from lab.training.data.frames import Frame
@@ -34,76 +32,10 @@ from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthMap
 
-#: Okabe-Ito, with a mark of its own for each when colours come round again.
-COLOURS = (BLUE, VERMILION, GREEN, ORANGE, SKY, "#CC79A7", "#000000")
-MARKS = "osD^vP*X"
-TITLES = {
-    "los": "LOS peaks",
-    "mirrored": "mirrored peaks",
-    "recovered_1m": "recovered places, 1 m",
-    "hidden_1m": "hidden objects alone, 1 m",
-    "dense_macro_f1": "dense Macro-F1",
-    "recovered_1m_f1": "recovered F1, 1 m",
-    "hidden_1m_f1": "hidden objects alone, F1, 1 m",
-    "recovered_chamfer_capped_m": "recovered Chamfer, capped [m]",
-}
 TRUE_PLACE = "true position of a mirror image"
-#: Width of a figure that is read at the width of a page, and columns of its legend.
-PAGE_FIGURE_INCH, LEGEND_COLUMNS = 10.0, 3
 #: Scenes of the qualitative figure, and those of a picture, wide enough to be read.
 SHOWN, COLUMNS = 9, 3
 SCENE_INCH = 4.2
-
-
-def draw_curves(report: dict[str, Any], out: Path) -> None:
-    """Precision against recall over the threshold; a mark where each method works, its interval not shown."""
-    columns = min(2, len(CURVES))
-    rows, legend_rows = -(-len(CURVES) // columns), -(-len(report["methods"]) // LEGEND_COLUMNS)
-    figure, panels = _figure((PAGE_FIGURE_INCH, 3.9 * rows + 0.2 * legend_rows + 0.4), rows, columns)
-    for axes, curve in zip(panels.ravel(), CURVES, strict=True):
-        for index, method in enumerate(report["methods"]):
-            line = [(point[curve]["recall"], point[curve]["precision"]) for point in method["sweep"]]
-            colour, mark = _style(index)
-            axes.plot(*zip(*line, strict=True), color=colour, linewidth=1.4, alpha=0.8)
-            at = [point[curve] for point in method["sweep"] if point["threshold"] == method["threshold"]]
-            axes.plot(
-                [point["recall"] for point in at],
-                [point["precision"] for point in at],
-                color=colour,
-                marker=mark,
-                markersize=8,
-                label=method["name"],
-            )
-        axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", title=TITLES[curve])
-        axes.grid(alpha=0.3)
-    legend_of_figure(figure, handles_of(panels[0, 0]), columns=LEGEND_COLUMNS)
-    _save(figure, out)
-
-
-def draw_groups(report: dict[str, Any], out: Path) -> None:
-    """Measures of each kind of scene with their intervals, a row a group."""
-    groups = report["methods"][0]["groups"]
-    names = [f"{group['group']}: {group['value']} ({group['frames']})" for group in groups]
-    height = 0.13 * len(groups) * (len(report["methods"]) + 1.5) + 1.5
-    figure, panels = _figure((PAGE_FIGURE_INCH, min(max(height, 4.0), 60.0)), 1, len(GROUPED))
-    for axes, measure in zip(panels[0], GROUPED, strict=True):
-        for index, method in enumerate(report["methods"]):
-            value, low, high = np.array([group[measure] for group in method["groups"]], float).reshape(-1, 3).T
-            # a sum over few frames may lie outside its own percentile interval
-            reach = np.nan_to_num(np.maximum(np.stack([value - low, high - value]), 0.0))
-            colour, mark = _style(index)
-            at = np.arange(len(value)) + 0.8 * ((index + 0.5) / len(report["methods"]) - 0.5)
-            axes.errorbar(
-                value, at, xerr=reach, color=colour, marker=mark, linestyle="", markersize=4, label=method["name"]
-            )
-        axes.set(ylim=(len(groups) - 0.5, -0.5))
-        axes.set_title(textwrap.fill(TITLES[measure], 20), fontsize=10)
-        axes.tick_params(labelsize=8)
-        axes.set_yticks(range(len(groups)), names if axes is panels[0][0] else [""] * len(groups))
-        axes.grid(alpha=0.3)
-    # above: the figure may be longer than a screen
-    legend_of_figure(figure, handles_of(panels[0][-1]), columns=LEGEND_COLUMNS, loc="outside upper center")
-    _save(figure, out)
 
 
 def shown_frames(run: Run) -> list[int]:
@@ -260,10 +192,6 @@ def _limits_m(truth: FrameTruth) -> tuple[float, float]:
     every = np.concatenate([truth.points_m, truth.places_m, [[20.0, 10.0]]])
     forward, side = np.quantile(every[:, 0], 0.98) + 4.0, np.quantile(np.abs(every[:, 1]), 0.98) + 4.0
     return float(max(forward, 1.2 * side)), float(max(side, 0.6 * forward))
-
-
-def _style(index: int) -> tuple[str, str]:
-    return COLOURS[index % len(COLOURS)], MARKS[index % len(MARKS)]
 
 
 def _figure(size_inch: tuple[float, float], rows: int, columns: int) -> tuple[Figure, np.ndarray]:

@@ -1,10 +1,10 @@
-"""From a run to its report: measures with intervals, groups of scenes, curves, differences; as JSON and as Markdown."""
+"""From a run to its report: measures with intervals, differences; as JSON and as Markdown."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from lab.evaluate.method_runs import FrameFacts, MethodRun, Run, SweepPoint
+from lab.evaluate.method_runs import MethodRun, Run
 from lab.measures.frame_scores import (
     CAP_M,
     COUNTED,
@@ -22,7 +22,6 @@ from lab.measures.frame_scores import (
     bootstrap_weights,
     differences,
     estimates,
-    measures,
 )
 from mirrorwave.plots.markdown import table
 from msgs.files.whole_files import write_whole
@@ -42,11 +41,6 @@ HEADLINES = (
     ("infinite share", "recovered_infinite_share"),
     ("hidden F1 1 m", "hidden_1m_f1"),
 )
-#: Measures of each group of scenes.
-GROUPED = ("dense_macro_f1", "recovered_1m_f1", "hidden_1m_f1", "recovered_chamfer_capped_m")
-#: Counts whose precision and recall a curve shows.
-CURVES = ("los", "mirrored", "recovered_1m", "hidden_1m")
-RATES = ("precision", "recall", "f1")
 #: Truth points that a map can tell apart: the name of the truth in a report.
 TRUTH = "thinned"
 #: What the words of the report mean.
@@ -83,20 +77,17 @@ class Context:
     reference: str
 
 
-def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context) -> dict[str, Any]:
+def make_report(run: Run, context: Context) -> dict[str, Any]:
     """All that was found, in plain values."""
-    weights = bootstrap_weights(len(run.facts), context.draws, context.seed)
+    weights = bootstrap_weights(len(run.indices), context.draws, context.seed)
     scores = {method_run.method.name: run.scores(method_run) for method_run in run.runs}
     against = scores[context.reference]
     return {
         **{name: getattr(context, name) for name in Context.__dataclass_fields__},
-        "frames": len(run.facts),
+        "frames": len(run.indices),
         "cpu_count": os.cpu_count(),
         "definitions": DEFINITIONS,
-        "methods": [
-            _method(method_run, scores[method_run.method.name], sweeps.get(method_run.method.name, []), run, weights)
-            for method_run in run.runs
-        ],
+        "methods": [_method(method_run, scores[method_run.method.name], weights) for method_run in run.runs],
         "differences": {
             name: {key: _triple(value) for key, value in differences(own, against, weights).items()}
             for name, own in scores.items()
@@ -106,9 +97,7 @@ def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context)
     }
 
 
-def _method(
-    method_run: MethodRun, scores: FrameScores, points: list[SweepPoint], run: Run, weights: np.ndarray
-) -> dict[str, Any]:
+def _method(method_run: MethodRun, scores: FrameScores, weights: np.ndarray) -> dict[str, Any]:
     """One method's part of the report."""
     method = method_run.method
     times_ms = np.array(method_run.milliseconds)
@@ -123,8 +112,6 @@ def _method(
             for stage, column in zip(("detect", "geometry"), times_ms.T, strict=True)
         },
         "measures": {TRUTH: {name: _triple(value) for name, value in estimates(scores, weights).items()}},
-        "groups": _groups(run.facts, scores, weights),
-        "sweep": [_sweep_point(point) for point in points],
     }
 
 
@@ -132,55 +119,12 @@ def _triple(value: Estimate) -> list[float]:
     return [value.value, value.low, value.high]
 
 
-def _sweep_point(point: SweepPoint) -> dict[str, Any]:
-    values_by_name = {name: float(values[0]) for name, values in measures(point.scores).items()}
-    curves = {
-        name: {
-            rate: values_by_name[f"{'dense_' if name in ('los', 'mirrored') else ''}{name}_{rate}"] for rate in RATES
-        }
-        for name in CURVES
-    }
-    return {"threshold": point.threshold, "dense_macro_f1": values_by_name["dense_macro_f1"], **curves}
-
-
-def group_masks(facts: Sequence[FrameFacts]) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Groups of frames: kind of group, value, mask [F]; a frame may be in several of one kind.
-
-    Unknown facts make no group, nor do sequences of one frame.
-    """
-    kinds: dict[str, list[tuple[str, ...]]] = {
-        "place": [(fact.place,) for fact in facts],
-        "relay": [fact.relays for fact in facts],
-        "hidden objects": [(_count(len(fact.hidden)),) if fact.place else () for fact in facts],
-        "hidden class": [fact.hidden for fact in facts],
-        "sequence": [(fact.sequence,) for fact in facts],
-    }
-    for kind, values in kinds.items():
-        for value in sorted({value for row in values for value in row if value}):
-            mask = np.array([value in row for row in values])
-            if kind != "sequence" or mask.sum() > 1:
-                yield kind, value, mask
-
-
-def _count(number: int) -> str:
-    return str(number) if number < 3 else "3+"
-
-
-def _groups(facts: Sequence[FrameFacts], scores: FrameScores, weights: np.ndarray) -> list[dict[str, Any]]:
-    groups = []
-    for kind, value, mask in group_masks(facts):
-        own = estimates(scores, weights, mask)
-        groups.append({"group": kind, "value": value, "frames": int(mask.sum())})
-        groups[-1] |= {name: _triple(own[name]) for name in GROUPED}
-    return groups
-
-
 def _per_frame(run: Run, scores: dict[str, FrameScores]) -> dict[str, Any]:
     """Rows from which every table can be made again; a distance is "inf" with one side empty, null with both."""
     return {
         "counted": COUNTED,
         "measured": MEASURED,
-        "facts": [vars(item) for item in run.facts],
+        "index": run.indices,
         "milliseconds": {item.method.name: item.milliseconds for item in run.runs},
         "methods": {
             name: {TRUTH: {"counts": own.counts.tolist(), "distances": _spelled(own.distances)}}
@@ -245,10 +189,6 @@ def markdown(report: dict[str, Any]) -> str:
     lines += [
         *_difference_lines(report),
         "",
-        "## By scene",
-        "",
-        *_group_lines(report),
-        "",
         "## What the words mean",
         "",
     ]
@@ -265,13 +205,3 @@ def _difference_lines(report: dict[str, Any]) -> list[str]:
     ]
     columns = ["method", *(heading for heading, _ in HEADLINES)]
     return ["", f"## Minus {report['reference']}, paired draws", "", *table(columns, rows)]
-
-
-def _group_lines(report: dict[str, Any]) -> list[str]:
-    names = [method["name"] for method in report["methods"]]
-    rows = []
-    for groups in zip(*(method["groups"] for method in report["methods"]), strict=True):
-        for key in GROUPED:
-            of_each = [interval_text(group[key]) for group in groups]
-            rows.append([groups[0]["group"], groups[0]["value"], groups[0]["frames"], key, *of_each])
-    return table(["group", "value", "frames", "measure", *names], rows)

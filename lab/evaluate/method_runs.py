@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lab.evaluate.methods import Method, peaks_above
-from lab.measures.frame_scores import FrameAnswer, FrameScores, FrameTruth, score_frames, sweep_thresholds
+from lab.evaluate.methods import Method
+from lab.measures.frame_scores import FrameAnswer, FrameScores, FrameTruth, score_frames
 from lab.training.data.frames import DataSet, Frame, FrameLabels
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks
@@ -24,43 +24,21 @@ Tick = Callable[[], None]
 MS_PER_S = 1e3
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrameFacts:
-    """Facts of a frame's scene."""
-
-    index: int
-    place: str
-    relays: tuple[str, ...]
-    #: Classes of the objects that mirrors alone show.
-    hidden: tuple[str, ...]
-    sequence: str
-
-
 @dataclass
 class MethodRun:
     """Answers of one method for every frame, in order."""
 
     method: Method
     answers: list[FrameAnswer] = field(default_factory=list)
-    #: Peaks down to the floor, where a sweep is to follow.
-    peaks: list[Peaks] = field(default_factory=list)
     #: Milliseconds of detection and of geometry.
     milliseconds: list[tuple[float, float]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SweepPoint:
-    """All frames scored at one threshold."""
-
-    threshold: float
-    scores: FrameScores
-
-
-@dataclass(frozen=True, kw_only=True)
 class Run:
-    """Methods over frames: facts and truth of each frame, then each method's answers."""
+    """Methods over frames: index and truth of each frame, then each method's answers."""
 
-    facts: list[FrameFacts]
+    indices: list[int]
     truth: list[FrameTruth]
     runs: list[MethodRun]
 
@@ -87,37 +65,31 @@ def checked_frames(data: DataSet, indices: Iterable[int], methods: list[Method])
         yield frame
 
 
-def run_methods(
-    methods: list[Method],
-    frames: Iterable[Frame],
-    sweeping: bool = False,
-    tick: Tick = lambda: None,
-) -> Run:
+def run_methods(methods: list[Method], frames: Iterable[Frame], tick: Tick = lambda: None) -> Run:
     """Every method on every frame, one after the other on the same frame so that all share the machine's moods."""
     runs = [MethodRun(method) for method in methods]
     truth: list[FrameTruth] = []
-    facts: list[FrameFacts] = []
+    indices: list[int] = []
     for frame in frames:
-        if not facts:
+        if not indices:
             # the first call of anything compiles, allocates, reads
             for run in runs:
-                run.method.place(run.method.answer(run.method.detect(frame)))
-        facts.append(facts_of(frame))
+                run.method.place(run.method.detect(frame))
+        indices.append(frame.index)
         truth.append(truth_of_labels(frame))
         for run in runs:
-            _step(run, frame, sweeping)
+            _step(run, frame)
         tick()
-    if not facts:
+    if not indices:
         raise ValueError("frames must hold at least one, got none")
-    return Run(facts=facts, truth=truth, runs=runs)
+    return Run(indices=indices, truth=truth, runs=runs)
 
 
-def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
+def _step(run: MethodRun, frame: Frame) -> None:
     """One method on one frame."""
     method = run.method
     start_ns = time.perf_counter_ns()
-    detected = method.detect(frame)
-    peaks = method.answer(detected)
+    peaks = method.detect(frame)
     detected_ns = time.perf_counter_ns()
     scene_view = method.place(peaks)
     geometry_done_ns = time.perf_counter_ns()
@@ -125,20 +97,12 @@ def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
     run.milliseconds.append(
         (MS_PER_S * s_from_ns(detected_ns - start_ns), MS_PER_S * s_from_ns(geometry_done_ns - detected_ns))
     )
-    if sweeping:
-        run.peaks.append(detected if method.detect_all is None else method.detect_all(frame))
 
 
 def answer_of(peaks: Peaks, places_m: np.ndarray, hidden: np.ndarray) -> FrameAnswer:
     """Peaks and recovered places [N, 2] in metres, those of a mask [N] held for hidden."""
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
     return FrameAnswer(points_m=points_m, path_class=peaks.path_class, recovered_m=places_m, hidden_m=places_m[hidden])
-
-
-def facts_of(frame: Frame) -> FrameFacts:
-    """Return the facts of which groups are made."""
-    hidden = tuple(frame.objects[index] for index in frame.hidden)
-    return FrameFacts(index=frame.index, place=frame.place, relays=frame.relays, hidden=hidden, sequence=frame.sequence)
 
 
 def truth_of_labels(frame: Frame) -> FrameTruth:
@@ -164,20 +128,3 @@ def truth_of_points(labels: FrameLabels | Labels, points_m: np.ndarray, hidden: 
         places_m=labels.hidden_xy_m[mirrored].astype(np.float64),
         hidden_m=labels.hidden_xy_m[alone].astype(np.float64),
     )
-
-
-def sweep(run: MethodRun, truth: list[FrameTruth], count: int, tick: Tick = lambda: None) -> list[SweepPoint]:
-    """All frames at each of some thresholds, walls and places found anew at each; strictest last."""
-    points = []
-    operating = run.method.threshold
-    for threshold in sweep_thresholds([peaks.score for peaks in run.peaks], operating, count):
-        answers = run.answers if threshold == operating else [_again(run, peaks, threshold) for peaks in run.peaks]
-        points.append(SweepPoint(threshold=float(threshold), scores=score_frames(zip(answers, truth, strict=True))))
-        tick()
-    return points
-
-
-def _again(run: MethodRun, peaks: Peaks, threshold: float) -> FrameAnswer:
-    """A frame's answer at another threshold."""
-    kept = peaks_above(peaks, threshold)
-    return answer_of(kept, *run.method.place(kept))

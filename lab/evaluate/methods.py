@@ -41,8 +41,6 @@ from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from nodes.process.launch_file import parse_yaml
 
-#: Lowest score that a precision-recall curve looks at.
-FLOOR = 0.05
 GEOMETRIES = ("ours", "specification")
 #: Parameter groups that a source can take beside `geometry`.
 GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx": ("peaks",)}
@@ -97,15 +95,8 @@ class Method:
     privileged: bool
     #: The grid its network was made for, None for any.
     grid: RangeAzimuthGrid | None
-    #: What is timed: peaks down to `FLOOR`, of which those that reach the threshold are the answer; ...
     detect: Detect
-    #: ... or, where this is given, the answer itself, and this finds the peaks down to `FLOOR`.
-    detect_all: Detect | None = None
     place: Place
-
-    def answer(self, detected: Peaks) -> Peaks:
-        """The answer at the operating threshold from what `detect` found."""
-        return peaks_above(detected, self.threshold) if self.detect_all is None else detected
 
 
 def parse_method(text: str) -> MethodSpec:
@@ -178,12 +169,12 @@ def build_method(spec: MethodSpec, threads: int = 1, setup: RadarSetup | None = 
 
 def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
     residual, weights = _residual(spec, threads)
-    grid, detect_all = None, None
+    grid = None
     if spec.kind == ".onnx":
         card = load_card(Path(spec.source))
         grid, weights = card.grid, weights + card.parameters
         at = spec.threshold or card.threshold_for(Refine.of(spec.refine))
-        detect, detect_all = _network(spec, at, threads, setup)
+        detect = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0
         detect = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
@@ -195,23 +186,14 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
         privileged=spec.kind in ("cfar-nlos", "truth"),
         grid=grid,
         detect=detect,
-        detect_all=detect_all,
         place=_back_end(spec, residual),
     )
 
 
-def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> tuple[Detect, Detect | None]:
-    """`detect` and `detect_all` of a method."""
-    peaks = overridden(PeakParams(), "peaks", spec.parameters)
-
-    def at(threshold: float) -> Detect:
-        params = msgspec.structs.replace(peaks, threshold=threshold)
-        detector = NetworkDetector(setup, Path(spec.source), threads, params, spec.refine, flip_test=spec.flip_test)
-        return lambda frame: detector.detect(frame.ra_map)
-
-    floor = at(min(FLOOR, threshold))
-    # local maxima over a threshold are those over a lower one whose score reaches it; pursued peaks are not
-    return (floor, None) if Refine.of(spec.refine) is Refine.NONE else (at(threshold), floor)
+def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> Detect:
+    params = msgspec.structs.replace(overridden(PeakParams(), "peaks", spec.parameters), threshold=threshold)
+    detector = NetworkDetector(setup, Path(spec.source), threads, params, spec.refine, flip_test=spec.flip_test)
+    return lambda frame: detector.detect(frame.ra_map)
 
 
 def _cfar(spec: MethodSpec, setup: RadarSetup) -> Detect:
@@ -233,11 +215,6 @@ def _cfar_nlos(spec: MethodSpec, _setup: RadarSetup) -> Detect:
 
 def _truth(_spec: MethodSpec, _setup: RadarSetup) -> Detect:
     return lambda frame: truth_peaks(frame.labels)
-
-
-def peaks_above(peaks: Peaks, threshold: float) -> Peaks:
-    """The peaks whose score reaches a threshold."""
-    return peaks.take(peaks.score >= threshold)
 
 
 def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:

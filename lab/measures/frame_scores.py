@@ -10,7 +10,7 @@ distance capped at `CAP_M`: there, a frame with one side empty is charged the ma
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -207,10 +207,9 @@ class Estimate:
         return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}]"
 
 
-def estimates(scores: FrameScores, weights: np.ndarray, mask: np.ndarray | None = None) -> dict[str, Estimate]:
-    """Return every measure with its interval over draws [B, F]; of the frames of a mask [F] only where one is given."""
-    selected = np.ones(len(scores)) if mask is None else mask.astype(np.float64)
-    return estimated(measures(scores, selected[None]), measures(scores, weights * selected))
+def estimates(scores: FrameScores, weights: np.ndarray) -> dict[str, Estimate]:
+    """Return every measure with its interval over draws [B, F]."""
+    return estimated(measures(scores), measures(scores, weights))
 
 
 def differences(scores: FrameScores, other: FrameScores, weights: np.ndarray) -> dict[str, Estimate]:
@@ -235,15 +234,3 @@ def _interval(draws: np.ndarray) -> tuple[float, float]:
         return float("nan"), float("nan")
     low, high = np.percentile(finite, INTERVAL)
     return float(low), float(high)
-
-
-def sweep_thresholds(scores: Sequence[np.ndarray], operating: float, count: int) -> np.ndarray:
-    """Return thresholds of a precision-recall curve: quantiles of own scores and the operating threshold, sorted.
-
-    Own quantiles, because scores of different methods mean different things; denser towards the strictest.
-    """
-    joined = np.concatenate([*scores, np.zeros(0)])
-    if len(joined) == 0 or count < 1:
-        return np.array([operating])
-    share = 1.0 - np.linspace(0.0, 1.0, count + 1)[1:] ** 2
-    return np.unique(np.append(np.quantile(joined, share), operating))

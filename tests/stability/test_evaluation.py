@@ -57,7 +57,7 @@ def test_frames_without_signal_or_truth_are_scored(tmp_path: Path) -> None:
     data = DataSet(write_maps(tmp_path / "data"))
     texts = ("cfar", "cfar-nlos,geometry=published", f"net={DEFAULT_MODEL},refine")
     methods = [build_method(parse_method(text)) for text in texts]
-    run = run_methods(methods, checked_frames(data, range(6), methods), sweeping=True)
+    run = run_methods(methods, checked_frames(data, range(6), methods))
     for one in run.runs:
         scores = run.scores(one)
         assert len(scores) == 6

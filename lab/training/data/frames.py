@@ -67,7 +67,6 @@ class _LabelledScene:
     noise_power_mw: float = 0.0
     labels: FrameLabels
     place: str = ""
-    relays: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     #: Indices of the objects that only mirrors show.
     hidden: tuple[int, ...] = ()
@@ -219,7 +218,6 @@ class _Facts(msgspec.Struct):
     """Facts of a scene in a shard, as far as they are used."""
 
     place: str = ""
-    relays: tuple[Any, ...] = ()
     objects: tuple[Any, ...] = ()
     hidden: tuple[Any, ...] = ()
     truth: tuple[TruthObject, ...] | None = None

@@ -20,7 +20,6 @@ from lab.measures.frame_scores import (
     measures,
     one_to_one_counts,
     score_frames,
-    sweep_thresholds,
 )
 from lab.measures.point_scores import Counts
 from msgs.values.perception import PathClass
@@ -158,18 +157,3 @@ def test_same_seed_same_draws() -> None:
     assert (bootstrap_weights(7, 20, 3).sum(axis=1) == 7).all()
     with pytest.raises(ValueError, match="frames and draws must be at least 1, got 0"):
         bootstrap_weights(0, 20, 3)
-
-
-def test_group_scores_are_those_of_its_frames() -> None:
-    scores = random_scores(12, 0.6, 2)
-    mask = np.arange(12) < 5
-    alone = FrameScores(scores.counts[mask], scores.distances[mask])
-    got = estimates(scores, bootstrap_weights(12, 50, 0), mask)
-    assert got["recovered_1m_f1"].value == pytest.approx(float(measures(alone)["recovered_1m_f1"][0]))
-
-
-def test_sweep_has_the_operating_threshold_and_own_quantiles() -> None:
-    got = sweep_thresholds([np.linspace(0.7, 0.9, 101), np.zeros(0)], 0.3, 4)
-    assert got[0] == 0.3
-    assert np.allclose(got[1:], 0.7 + 0.2 * (1.0 - np.array([1.0, 0.75, 0.5, 0.25]) ** 2))
-    assert sweep_thresholds([np.zeros(0)], 0.3, 4).tolist() == [0.3]

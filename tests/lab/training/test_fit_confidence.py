@@ -82,7 +82,7 @@ def test_truth_is_the_places_known_in_both_coordinates(by_labels: bool) -> None:
         hidden_xy_m=places_m, power_mw=point, object_index=point, object_class=point,
     )  # fmt: skip
     frame = Frame(
-        index=0, ra_map=None, labels=labels, place="", relays=(), objects=(), hidden=(), scene_yaml="", sequence="",
+        index=0, ra_map=None, labels=labels, place="", objects=(), hidden=(), scene_yaml="", sequence="",
         places_m=None if by_labels else places_m,
     )  # type: ignore[arg-type]  # fmt: skip
     found = scene_positions(frame, MadeUp(), GeometryParams())

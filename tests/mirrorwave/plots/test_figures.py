@@ -7,14 +7,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from benchmarks.accuracy import severity
-from benchmarks.live import soak
-from lab.evaluate.method_figures import draw_curves as draw_precision
-from lab.evaluate.method_figures import draw_groups
 from lab.tradeoff.row_figures import draw_front, draw_stages
 from lab.tradeoff.row_report import Report
 from lab.training.training_curves import draw_curves as draw_training
@@ -89,25 +84,6 @@ def test_front_and_stages_of_the_committed_run(tmp_path: Path, saved_figures: li
 
 
 @pytest.mark.slow
-def test_precision_and_groups_of_many_methods(tmp_path: Path, saved_figures: list[Figure]) -> None:
-    """26 methods: no name of the legend falls off the figure."""
-    curves = ("los", "mirrored", "recovered_1m", "hidden_1m")
-    point = {curve: {"recall": 0.5, "precision": 0.6} for curve in curves}
-    measures = ("dense_macro_f1", "recovered_1m_f1", "hidden_1m_f1", "recovered_chamfer_capped_m")
-    group = {"group": "place", "value": "street", "frames": 9, **{name: [0.5, 0.4, 0.6] for name in measures}}
-    methods = [
-        {"name": f"method {index} (of some more words)", "threshold": 0.5, "sweep": [{"threshold": 0.5, **point}],
-         "groups": [group] * 6}
-        for index in range(26)
-    ]  # fmt: skip
-    draw_precision({"methods": methods}, tmp_path / "pr.png")
-    draw_groups({"methods": methods}, tmp_path / "groups.png")
-    for figure in saved_figures:
-        assert len(words(figure)) == 26
-        assert_readable_at_page_width(figure)
-
-
-@pytest.mark.slow
 def test_curves_of_a_training_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
     reports = [
         SimpleNamespace(
@@ -119,50 +95,3 @@ def test_curves_of_a_training_run(tmp_path: Path, saved_figures: list[Figure]) -
     draw_training(reports, tmp_path / "curves.png")  # type: ignore[arg-type]
     assert words(saved_figures[-1]) == ["training", "validation", "Macro-F1", "direct", "mirrored", "chosen"]
     assert_readable_at_page_width(saved_figures[-1])
-
-
-def severity_rows() -> list[severity.Row]:
-    levels = {name: (0.0,) if name == "none" else fault.severities for name, fault in severity.FAULTS.items()}
-    return [
-        severity.Row(
-            fault=name, severity=level, scans=18, asked=18, found=17, missed=1, ghosts=1, error_mean_m=0.4,
-            error_p90_m=0.8, centre_error_mean_m=1.2, centre_error_p90_m=2.0, points_f1=0.9, flagged=float(index > 1),
-            flags={"silent_beams": 1.0}, silent=0,
-        )
-        for name, values in levels.items()
-        for index, level in enumerate(values)
-    ]  # fmt: skip
-
-
-def an_hour() -> dict[str, Any]:
-    nodes = {name: 100.0 + 10.0 * index for index, name in enumerate(("geometry", "dense_predictor", "player"))}
-    latency = {"p50": 45.0, "p99": 64.0, "max": 80.0}
-    minutes = [
-        {
-            "at_s": 60.0 * minute,
-            "latency_ms": latency,
-            "resident_mib": nodes,
-            "phase": "kills" if minute > 3 else "calm",
-        }
-        for minute in range(1, 6)
-    ]
-    return {"minutes": minutes}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("draw", "result", "signs"),
-    [
-        (severity.draw, severity_rows, {"made up, per scan", "flagged in half of the scans or more"}),
-        (soak.draw, an_hour, {"p99", "deadline", "kills", "dense_predictor"}),
-    ],
-    ids=["severity", "soak"],
-)
-def test_figures_of_benchmarks(
-    draw: Any, result: Any, signs: set[str], tmp_path: Path, saved_figures: list[Figure]
-) -> None:
-    draw(result(), tmp_path / "a.png")
-    (figure,) = saved_figures
-    assert signs <= set(words(figure))
-    assert_readable_at_page_width(figure)
-    assert np.all(np.array(figure.get_size_inches()) < 40.0)

@@ -113,7 +113,7 @@ class FakeData:
     def frames(self, indices: Iterable[int]) -> Iterator[Frame]:
         for index in indices:
             yield Frame(
-                index=int(index), ra_map=None, labels=labels_of(PLACES_M), place="", relays=(), objects=(), hidden=(),
+                index=int(index), ra_map=None, labels=labels_of(PLACES_M), place="", objects=(), hidden=(),
                 scene_yaml="", sequence="",
             )  # type: ignore[arg-type]  # fmt: skip
 
