@@ -89,28 +89,17 @@ def dataset(
 
 def statistics(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Data set of `mirrorwave sim dataset`.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="PAGE", help="Page to write (.html); its contact sheet (.png) goes beside.")
-    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Places, walls, objects, ranges, bounces, SNR, roughness and effects of a data set, as numbers or as a page."""
+    """Places, walls, objects, ranges, bounces, SNR, roughness and effects of a data set."""
     from sim_player.dataset.statistics import dataset_statistics
 
-    if out is not None and out.suffix != ".html":
-        raise ValueError(f"--out must be an .html file, got {out}")
     with progress_bar(f"reading {folder.name}"):
         counted_statistics = dataset_statistics(folder)
-    if out is not None:
-        from mirrorwave.plots.dataset_page import write_page
-
-        write_page(folder, counted_statistics, out)
     if as_json:
         print_json(counted_statistics)
         return
     _print_statistics(counted_statistics)
-    if out is not None:
-        print_line(f"{out} and {out.with_suffix('.png').name}: page and contact sheet")
 
 
 def parse_effects(text: str | None) -> str | tuple[str, ...] | None:

@@ -1,4 +1,4 @@
-"""`sim dataset` and `sim statistics`: what a script and a person are told, and the page."""
+"""`sim dataset` and `sim statistics`: what a script and a person are told."""
 
 from __future__ import annotations
 
@@ -103,25 +103,3 @@ def test_statistics_as_json_and_as_text(folder: Path, capsys: pytest.CaptureFixt
     text = capsys.readouterr().out
     assert text.startswith("3 scenes, points: ")
     assert "mirrors alone" in text
-
-
-@pytest.mark.slow
-def test_page_stands_alone_and_is_the_same_again(folder: Path, tmp_path: Path) -> None:
-    """Nothing is loaded from anywhere; figures follow the page's colour; a second one has the same bytes."""
-    page, again = tmp_path / "page.html", tmp_path / "again.html"
-    statistics(folder, out=page)
-    statistics(folder, out=again)
-    text = page.read_text(encoding="utf-8")
-    assert text == again.read_text(encoding="utf-8")
-    assert page.with_suffix(".png").read_bytes() == again.with_suffix(".png").read_bytes()
-    assert page.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    assert text.count("<svg") == 11
-    assert "currentColor" in text
-    # names of SVG's own vocabulary are no addresses to load from
-    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*", text)
-    assert "<script" not in text
-
-
-def test_page_must_be_html(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"--out must be an \.html file"):
-        statistics(folder, out=tmp_path / "page.pdf")
