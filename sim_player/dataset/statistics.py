@@ -1,6 +1,4 @@
-"""Statistics of a data set, counted from its shards: places, walls, objects, ranges, bounces, SNR, roughness,
-effects.
-"""
+"""Statistics of a data set, counted from its shards: places, walls, objects, ranges, bounces, SNR and effects."""
 
 from __future__ import annotations
 
@@ -97,9 +95,7 @@ def series_of(folder: Path) -> dict[str, Any]:
 
 
 def read_records(folder: Path) -> Iterator[SceneRecord]:
-    """Yield all scenes of a data set in order; ValueError for a folder without shards, or a shard that cannot be
-    read.
-    """
+    """Yield all scenes of a data set in order; ValueError without shards, or for one that cannot be read."""
     paths = sorted(folder.glob("shard-*.npz"))
     if not paths:
         raise ValueError(f"{folder} must hold shards (shard-*.npz), found none")

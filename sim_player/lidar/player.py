@@ -23,11 +23,9 @@ BLOCK = 8
 
 
 class LidarPlayer:
-    """Histograms and truth of a scene at any scan, in any order: same seed, same bytes.
+    """Histograms and truth of a scene at any scan, in any order: same seed, same bytes; ValueError for no LiDAR.
 
-    Scans count from `start_ns`; within a scan azimuth follows azimuth. Nothing moves within a measurement, nor between
-    the `BLOCK` azimuths of a block; a scene at rest is traced once. Raises ValueError for a scene whose preset is no
-    LiDAR, or that cannot be simulated.
+    Nothing moves between the `BLOCK` azimuths of a block; a scene at rest is traced once.
     """
 
     def __init__(self, scene: Scene, seed: int = 0, options: SpadOptions = DEFAULT, start_ns: int = 0) -> None:

@@ -1,12 +1,8 @@
 """A scene seen by a single-photon LiDAR: level rays at the sensor's height, optical paths, photon histograms.
 
-Each azimuth of the grid is one ray. The first surface on it scatters light straight back. A wall's smooth face sends
-the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes back the same way. And from
-the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to the spot: the confocal
-return of Eq. (8), in patches. Ranges are half the way there and back.
-
-Walls and foliage are opaque, foliage is a matt surface where its line runs, objects are matt. Left out: light through
-panes, the glint of a wall seen head-on, matt returns of hidden walls, and three bounces after a mirror.
+A ray's first surface scatters light straight back; a wall's smooth face sends the rest on, over up to `MIRRORS` walls;
+and from its spot on a wall light reaches hidden objects in patches and returns: Eq. (8). Left out: light through panes,
+the glint of a wall seen head-on, matt returns of hidden walls, three bounces after a mirror.
 """
 
 from __future__ import annotations
@@ -109,10 +105,9 @@ def optical_paths(
     options: SpadOptions = DEFAULT,
     azimuths: np.ndarray | None = None,
 ) -> OpticalPaths:
-    """Return all paths of light at a time after start, for all azimuths of the grid or those of an index array.
+    """Return all paths of light at a time after start, of all azimuths or an index array; ValueError: no finite time.
 
-    Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range.
-    Raises ValueError for a time that is not finite.
+    Without what `plan_optics` skips, and what lies beyond the unambiguous range.
     """
     sight = _Sight.of(world, lidar, time_s, options, azimuths)
     used = {plan.name for plan in _contributions(sight) if plan.used}
@@ -127,20 +122,16 @@ def optical_paths(
 def plan_optics(
     world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> tuple[OpticPlan, ...]:
-    """Return the contributions that a scene needs and the counting engine, each with a bound and a reason.
-
-    A bound ignores occlusion and takes every cosine as 1; raises ValueError as `optical_paths`.
-    """
+    """Return the contributions that a scene needs and the counting engine, each with a bound and a reason."""
     return *_contributions(_Sight.of(world, lidar, time_s, options, None)), *_counting(lidar, options)
 
 
 def spad_histograms(
     lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int], options: SpadOptions = DEFAULT
 ) -> np.ndarray:
-    """Return the photon histograms of all azimuths, uint32 [azimuth, bins].
+    """Return the photon histograms of all azimuths, uint32 [azimuth, bins], each by its own stream [*seed, azimuth].
 
-    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends neither on others nor on the number
-    of threads. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
+    Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
     """
     spad, closed = lidar.spad, _closed(lidar.spad, options)
     draw = draw_histogram if closed else event_histogram
@@ -174,9 +165,7 @@ class _Rays(ArrayTable):
 
 @dataclass(frozen=True)
 class _Hits:
-    """First hits of N rays: `rays` moved to the hit, the piece, its level normal towards the ray, cosine of
-    incidence.
-    """
+    """First hits of N rays: `rays` moved there, piece, level normal towards the ray, cosine of incidence."""
 
     rays: _Rays
     piece: np.ndarray
@@ -250,9 +239,7 @@ def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction
 
 
 def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
-    """Return the rays after a mirror that leaves a share of their power in each direction; rays without power are
-    dropped.
-    """
+    """Return the rays after a mirror that leaves a share of their power in each direction, unless none is left."""
     rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
     along = surfaces.b[hits.piece] - surfaces.a[hits.piece]
     left = along[:, 0] * hits.normal[:, 1] - along[:, 1] * hits.normal[:, 0] > 0.0
@@ -390,11 +377,7 @@ def _optical_paths(
 def _condensed(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, object_index: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
-    """Return the diffuse paths, with those of one object and azimuth within the timing resolution merged at their mean
-    range.
-
-    Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
-    """
+    """Return the diffuse paths, those of one object, azimuth and half a timing's deviation merged at their mean range."""
     cell_m = 0.25 * SPEED_OF_LIGHT_MPS * spad.timing_rms_s
     key = np.stack([azimuth_index, object_index, np.floor(range_m / cell_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
@@ -434,9 +417,7 @@ def _mirror_bound(sight: _Sight) -> float:
 
 
 def _diffuse_bound(sight: _Sight) -> float:
-    """Return the detections of confocal returns if each object showed all of its faces, head-on, at its nearest
-    point.
-    """
+    """Return the detections of confocal returns if each object showed all its faces, head-on, at its nearest point."""
     spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
     albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m)
     total = 0.0
