@@ -49,7 +49,7 @@ class RadarRig:
         return self._first.vehicle_state(stamp_ns)
 
     def truth(self, scan: int) -> SceneTruth:
-        """Return the truth at the start of a scan in the vehicle's frame: hidden is what no radar has in direct sight."""
+        """Return the truth at the start of a scan in the vehicle's frame: hidden is what no radar sees directly."""
         truths = [
             _in_vehicle(player.truth(scan), self.scene.radars[name].vehicle_from_radar)
             for name, player in self.players.items()

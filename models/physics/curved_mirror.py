@@ -526,7 +526,7 @@ def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-
 
 @compiled
 def _arc_integral(points, more_left, more_right, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Return the field of merged points: along the real axis between them, outwards by steepest descent or to the end."""
+    """Return the field of merged points: along the real axis between them, outwards by descent or to the end."""
     first, last = points[0] + 0j, points[-1] + 0j
     half = scene[4]
     side = 1.0 if _segment(points[0], scene[0], scene[1], half, scene[5])[2] > 0.0 else -1.0

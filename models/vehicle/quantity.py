@@ -55,7 +55,7 @@ class Quantity:
         return (-value if negative else value) + 0.0
 
     def from_si(self, value: float) -> tuple[list[float], bool]:
-        """Return the signals' values for a quantity, the last one the remainder, and whether to set `negative_while`."""
+        """Return the signals' values for a quantity, the last one the remainder, and the need of `negative_while`."""
         rule = self.rule
         negative = rule.negative_while is not None and value < 0.0
         combined = (rule.sign * (-value if negative else value) - rule.offset) / self.factor

@@ -121,7 +121,7 @@ class SigmfCapture:
 
     @classmethod
     def open(cls, path: Path, *, verify: bool = True) -> Self:
-        """Read the metadata of a capture by its meta file, data file or stem; `verify` its checksum. `ValueError` only."""
+        """Read the metadata of a capture by its meta file, data file or stem, `verify` its data; `ValueError`."""
         meta_path, data_path = capture_paths(Path(path))
         metadata = _load_metadata(meta_path)
         fields = _Fields(meta_path, metadata)

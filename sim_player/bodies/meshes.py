@@ -99,7 +99,7 @@ def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis 
 
 
 def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, name: str) -> Mesh:
-    """Return a mesh from arrays: welded, wound outward, on the ground, centred; ValueError where no face has an area."""
+    """Return a mesh from arrays: welded, wound outward, on the ground, centred; ValueError for no area."""
     vertices_m, faces = np.asarray(vertices_m, np.float64), np.asarray(faces, np.int64)
     # vertices at one position are one, so that faces share them with their neighbours
     step = WELD_SHARE * max(float(np.ptp(vertices_m, axis=0).max()), 1e-12)

@@ -68,7 +68,7 @@ class DriveScan:
 
 @dataclass(frozen=True)
 class _Beam:
-    """One beam: its paths, the former's correction, slow-time sums without noise [groups, 512], a converter objection."""
+    """One beam: its paths, the former's correction, noiseless slow-time sums [groups, 512], a converter objection."""
 
     paths: Paths
     ego: EgoCorrection

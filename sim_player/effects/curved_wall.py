@@ -1,4 +1,4 @@
-"""Curved walls as mirrors, of objects and the radar: every Fermat point of an arc, its focusing, its caustic's field."""
+"""Curved walls as mirrors of objects and the radar: every Fermat point of an arc, focusing, the caustic's field."""
 
 from __future__ import annotations
 

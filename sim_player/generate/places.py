@@ -107,7 +107,7 @@ def draw_place(
     motion: bool = False,
     class_mix: Mapping[str, float] | None = None,
 ) -> Place:
-    """Return `random_place` with the parts of the scene; `class_mix`: share of each class, None: whatever fits first."""
+    """Return `random_place` with the parts of the scene; `class_mix`: share of each class, None: what fits first."""
     for name, number in (("seed", seed), ("index", index)):
         if number < 0:
             raise ValueError(f"{name} must not be negative, got {number!r}")

@@ -8,28 +8,18 @@ the glint of a wall seen head-on, matt returns of hidden walls, three bounces af
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal
 
 import msgspec
 import numpy as np
 
 from models.physics.curved_mirror import arc_from_ends
 from models.physics.mirror import CLEARANCE_M, crossing_parameters
-from models.physics.photons.counting import (
-    draw_histogram,
-    event_histogram,
-    exact_closed_form,
-)
-from models.physics.photons.optics import (
-    confocal_photons,
-    direct_photons,
-)
+from models.physics.photons.counting import draw_histogram, exact_draw
+from models.physics.photons.optics import confocal_photons, direct_photons
 from msgs.values.array_table import ArrayTable
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
@@ -44,22 +34,6 @@ MIRRORS = 2
 MAX_PAIRS = 1 << 18
 #: Detections over a whole scan below which a contribution is left out.
 BUDGET = 1e-3
-
-#: Counting engines: in closed form wherever that is exact and event by event elsewhere, or one of them
-#: (`draw_histogram`: where the closed form is not exact, it keeps the means).
-Engine = Literal["auto", "closed", "events"]
-
-
-class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the simulation."""
-
-    engine: Engine = "auto"
-    #: Expected detections a scan below which a contribution is skipped; 0: none is.
-    budget: float = BUDGET
-
-
-#: Options that nobody set.
-DEFAULT = SpadOptions()
 
 
 class LightRoute(IntEnum):
@@ -102,14 +76,14 @@ def optical_paths(
     world: World,
     lidar: LidarSetup,
     time_s: float = 0.0,
-    options: SpadOptions = DEFAULT,
+    budget: float = BUDGET,
     azimuths: np.ndarray | None = None,
 ) -> OpticalPaths:
     """Return all paths of light at a time after start, of all azimuths or an index array; ValueError: no finite time.
 
-    Without what `plan_optics` skips, and what lies beyond the unambiguous range.
+    Without contributions of at most `budget` detections a scan, and what lies beyond the unambiguous range.
     """
-    sight = _Sight.of(world, lidar, time_s, options, azimuths)
+    sight = _Sight.of(world, lidar, time_s, budget, azimuths)
     used = {plan.name for plan in _contributions(sight) if plan.used}
     parts = [sight.direct()]
     if "mirror" in used:
@@ -119,31 +93,21 @@ def optical_paths(
     return _within(OpticalPaths.joined(parts), lidar.spad)
 
 
-def plan_optics(
-    world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
-) -> tuple[OpticPlan, ...]:
-    """Return the contributions that a scene needs and the counting engine, each with a bound and a reason."""
-    return *_contributions(_Sight.of(world, lidar, time_s, options, None)), *_counting(lidar, options)
+def plan_optics(world: World, lidar: LidarSetup) -> tuple[OpticPlan, ...]:
+    """Return the contributions that a scene needs at its start, each with a bound and a reason."""
+    return *_contributions(_Sight.of(world, lidar, 0.0, BUDGET, None)), _carry_over(lidar)
 
 
-def spad_histograms(
-    lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int], options: SpadOptions = DEFAULT
-) -> np.ndarray:
+def spad_histograms(lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int]) -> np.ndarray:
     """Return the photon histograms of all azimuths, uint32 [azimuth, bins], each by its own stream [*seed, azimuth].
 
-    Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
+    Raises ValueError for paths off the grid, and as `models.physics.photons.counting`.
     """
-    spad, closed = lidar.spad, _closed(lidar.spad, options)
-    draw = draw_histogram if closed else event_histogram
-    measured = _measured(lidar, paths)
-
-    def histogram(azimuth: int) -> np.ndarray:
-        group = measured[azimuth]
-        return draw(spad, _delay_s(group), group.photons, np.random.default_rng([*seed, azimuth]))
-
-    # counting events releases the interpreter lock; a draw in closed form is too short for that
-    with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
-        return np.array(list(pool.map(histogram, range(len(measured))))).astype(np.uint32)
+    histograms = [
+        draw_histogram(lidar.spad, _delay_s(group), group.photons, np.random.default_rng([*seed, azimuth]))
+        for azimuth, group in enumerate(_measured(lidar, paths))
+    ]
+    return np.array(histograms).astype(np.uint32)
 
 
 # -- rays ------------------------------------------------------------------------------------------------------------
@@ -263,16 +227,14 @@ class _Sight:
 
     view: Snapshot
     lidar: LidarSetup
-    options: SpadOptions
+    budget: float
     surfaces: Surfaces
     first: _Hits
     #: Share of the scan's azimuths in use.
     part: float
 
     @classmethod
-    def of(
-        cls, world: World, lidar: LidarSetup, time_s: float, options: SpadOptions, azimuths: np.ndarray | None
-    ) -> _Sight:
+    def of(cls, world: World, lidar: LidarSetup, time_s: float, budget: float, azimuths: np.ndarray | None) -> _Sight:
         """Freeze the world and send the first rays."""
         if not math.isfinite(time_s):
             raise ValueError(f"time_s must be finite, got {time_s!r}")
@@ -291,7 +253,7 @@ class _Sight:
             slope=zero + 1.0,
         )
         part = len(index) / lidar.grid.azimuth_bins
-        return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
+        return cls(view, lidar, budget, surfaces, _first_hits(surfaces, rays), part)
 
     def returns(self, hits: _Hits, route: LightRoute) -> OpticalPaths:
         """Return the light that the surfaces hit scatter straight back along the rays."""
@@ -377,7 +339,7 @@ def _optical_paths(
 def _condensed(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, object_index: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
-    """Return the diffuse paths, those of one object, azimuth and half a timing's deviation merged at their mean range."""
+    """Return the diffuse paths, those of one object, azimuth and timing cell merged at their mean range."""
     cell_m = 0.25 * SPEED_OF_LIGHT_MPS * spad.timing_rms_s
     key = np.stack([azimuth_index, object_index, np.floor(range_m / cell_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
@@ -394,7 +356,7 @@ def _condensed(
 def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
     """Return the bounds of the mirror and diffuse contributions of hidden objects, from the first hits."""
     bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
-    budget = sight.options.budget
+    budget = sight.budget
     return tuple(
         OpticPlan(
             name=name,
@@ -435,27 +397,12 @@ def _diffuse_bound(sight: _Sight) -> float:
     return spad.pulses * total
 
 
-def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, OpticPlan]:
-    """Return the plans of the dead time that reaches into the next period, and of the engine."""
-    spad = lidar.spad
-    exact, closed = exact_closed_form(spad), _closed(spad, options)
-    carried = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s"
-    how = "drawn in closed form" if closed else "event by event"
-    law = "exact" if exact or not closed else "means exact, periods drawn apart"
-    return (
-        OpticPlan(
-            name="carry_over",
-            used=not exact,
-            bound=0.0 if exact else float(lidar.grid.azimuth_bins * spad.pulses),
-            reason=carried,
-        ),
-        OpticPlan(name="closed_form", used=closed, bound=0.0, reason=f"{how}, {law}; engine {options.engine!r}"),
-    )
-
-
-def _closed(spad: SpadParams, options: SpadOptions) -> bool:
-    """Return whether histograms are drawn in closed form."""
-    return options.engine == "closed" or (options.engine == "auto" and exact_closed_form(spad))
+def _carry_over(lidar: LidarSetup) -> OpticPlan:
+    """Return the plan of the dead time that reaches into the next period."""
+    spad, exact = lidar.spad, exact_draw(lidar.spad)
+    bound = 0.0 if exact else float(lidar.grid.azimuth_bins * spad.pulses)
+    reason = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s: in the means"
+    return OpticPlan(name="carry_over", used=not exact, bound=bound, reason=reason)
 
 
 def _measured(lidar: LidarSetup, paths: OpticalPaths) -> list[OpticalPaths]:

@@ -47,7 +47,7 @@ class MapPose:
         return positions[:, 0] - self.first, positions[:, 1] - self.second
 
     def _tangent_plane(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return metres east and north (ENU by geocentric coordinates) in the radar's tangent plane; 4 um off at 1 km."""
+        """Return metres east and north (ENU by geocentric coordinates) in the radar's tangent plane."""
         latitude, longitude = math.radians(self.first), math.radians(self.second)
         offset = _geocentric(np.radians(positions[:, ::-1])) - _geocentric(np.array([[latitude, longitude]]))
         east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])

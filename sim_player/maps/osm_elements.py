@@ -33,7 +33,7 @@ class _Element:
 
 
 def plain_osm(content: bytes) -> bytes:
-    """Return an OSM file without replaced and deleted elements, in order, ways' own nodes written out; or `ValueError`."""
+    """Return an OSM file without replaced and deleted elements, in order, ways' own nodes written out."""
     elements = _Elements()
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = elements.start, elements.end

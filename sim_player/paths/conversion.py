@@ -47,7 +47,7 @@ def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
 
 
 def _separated(view: Snapshot, echoes: Echoes) -> tuple[np.ndarray, np.ndarray]:
-    """Return lengths from the transmitting and to the receiving array, half the separation left and right; same angles."""
+    """Return lengths from the transmitting and to the receiving array, half the separation left and right."""
     yaw = view.pose.yaw_rad
     half = 0.5 * view.world.scene.radar.separation_m * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     # the virtual point stays; the array moves against it

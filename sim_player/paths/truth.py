@@ -43,7 +43,7 @@ def labelled(paths: Paths) -> np.ndarray:
 
 
 def may_be_seen(setup: RadarSetup, paths: Paths, most: np.ndarray) -> np.ndarray:
-    """Return which paths truth is made of, bool [P]: objects, and walls over the noise; `most` their fields, sqrt(mW)."""
+    """Return which paths truth is made of, bool [P]: objects, walls over the noise; `most`: fields, sqrt(mW)."""
     visible = np.square(most) > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
     return labelled(paths) & ((paths.object_index >= 0) | visible)
 

@@ -194,7 +194,7 @@ def _bounds(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @compiled(error_model="numpy")
 def _boxes(low, high, leaf):  # type: ignore[no-untyped-def]
-    """Order of pieces in which neighbours stand together, [M], and boxes around boxes, halved at medians, depth first."""
+    """Order of pieces in which neighbours stand together, [M], and nested boxes halved at medians, depth first."""
     count = len(low)
     order, boxes, stop = np.arange(count), np.empty((2 * count + 1, _BOX_COLUMNS)), np.empty(2 * count + 1, np.int64)
     waiting, waits, made = np.empty((2 * count + 2, 2), np.int64), 1, 0
@@ -479,7 +479,7 @@ def crossing_factor(passing, build, cosine):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _straight(segment, piece):  # type: ignore[no-untyped-def]
-    """Return the cosine of incidence where a segment meets a straight piece in plan (-1: none), and the share before."""
+    """Return the cosine of incidence of a segment and a straight piece in plan (-1: none), and the share before."""
     sx, sy, _, rx, ry, rise, ray = segment
     ax, ay, wx, wy, wall, wider = piece
     # shares along segment and piece times `turn`: most pieces are rejected without a division

@@ -68,7 +68,7 @@ def _solid_angle(view: Snapshot, setup: RadarSetup, step_m: float) -> np.ndarray
 
 
 def _weights(setup: RadarSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return elevations [E], and for each direction solid angle times power pattern, and ray in plan; [directions, E]."""
+    """Return elevations [E], and for each direction solid angle times power pattern, and ray; [directions, E]."""
     sines = direction_sines(setup)
     edges = np.linspace(-1.0, 1.0, ELEVATIONS + 1)
     edges = 0.5 * math.pi * edges * np.abs(edges)
@@ -110,7 +110,7 @@ def _add_stretch(change, weight, ray, gain, first_m, last_m, step_m):  # type: i
 
 
 def _free_stretches(view: Snapshot, elevation_rad: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return stretches of range that hold drops, in sight, in a wall, behind it: gain, first, last; [RAYS, elevations]."""
+    """Return stretches of range that hold drops, in sight, in a wall, behind it: gain, first, last [RAYS, E]."""
     world, slope = view.world, np.tan(elevation_rad)
     height_m, walls = world.radar_height_m, len(world.wall_a)
     azimuth_rad = view.pose.yaw_rad + ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * math.pi

@@ -66,7 +66,7 @@ class FormingStage:
         self._states.add(state)
 
     def add(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
-        """Fold one beam; return the maps that it completes, oldest first; `ValueError` for one of no accepted set-up."""
+        """Fold one beam; return the maps that it completes, oldest first; `ValueError` for one of no set-up."""
         if self.former is None:
             raise ValueError(self._refused or f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
         if jump_s := self._clock_jump_s(beam):

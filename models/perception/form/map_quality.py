@@ -90,7 +90,7 @@ def _hann(length: int) -> np.ndarray:
 
 
 def wiring_faults(sides: np.ndarray, power: float, product: complex) -> tuple[str, ...]:
-    """Return the faults of two channels in `MAP_FAULTS`; `sides` [2, range], `power`, `product` sums of `ChannelTerms`."""
+    """Return the faults of two channels in `MAP_FAULTS`; arguments are sums of `ChannelTerms`."""
     if not power > 0.0:
         return ("i_stuck", "q_stuck")
     if abs(product) > _ONE_CHANNEL * power:

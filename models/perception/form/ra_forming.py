@@ -331,7 +331,7 @@ class BeamFolder:
         return _median_power(np.abs(_windowed(spectra.sum(axis=0), *self._noise_bins, self._taps)) ** 2, 1)
 
     def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return row 0 of [Doppler, range], or the strongest where clearly another; the strongest one's number, power."""
+        """Return row 0 of [Doppler, range], or the strongest where clearly another; the strongest's number, power."""
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
         best_power = np.take_along_axis(power, best[None], axis=0)[0]

@@ -63,7 +63,7 @@ class Hits:
         return np.where(np.isnan(share), np.inf, share * length_m)
 
     def mirrors(self, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
-        """Return normals [N, 2] and offsets [N] of the mirrors that rays meet in walls [N]; of a missed arc its chord."""
+        """Return normals [N, 2] and offsets [N] of mirrors that rays meet in walls [N]; of a missed arc its chord."""
         row = np.arange(len(wall))
         meets = ~np.isnan(self.along_ray[row, wall])
         normal = np.where(meets[:, None], self.normal[row, wall], walls.normal[wall])

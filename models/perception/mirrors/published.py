@@ -47,7 +47,7 @@ def _not_too_near(points_m: np.ndarray, path_class: np.ndarray, share: float) ->
 
 
 def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedParams) -> tuple[list[Wall], np.ndarray]:
-    """Return the lines of clusters of points [N, 2] by inliers, refit, and each point's (`NO_WALL`: none), int64 [N]."""
+    """Return the lines of clusters of points [N, 2] by inliers, and each point's (`NO_WALL`: none), int64 [N]."""
     rng = np.random.default_rng(params.seed)
     walls: list[Wall] = []
     wall_of_point = np.full(len(points_m), NO_WALL, np.int64)

@@ -96,7 +96,7 @@ def is_small(shape: tuple[int, ...]) -> bool:
 
 
 def exact(odds: np.ndarray) -> np.ndarray:
-    """Return the marginals of a cluster [T, M] of pairs with odds, summed over all joint events, rows from either end."""
+    """Return the marginals of a cluster [T, M] of pairs with odds over all joint events, rows from either end."""
     if odds.shape[0] < odds.shape[1]:
         return exact(odds.T).T
     rows, columns = odds.shape

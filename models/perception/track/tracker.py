@@ -206,7 +206,7 @@ class Tracker:
         ]
 
     def _looked_at(self, frame: BevFrame, log_likelihood: np.ndarray) -> np.ndarray:
-        """Return whether a view's new beams, or a sweep's time, may have shown each track, bool [T]; a whole scan does."""
+        """Return whether a view's new beams, or a sweep, may have shown each track, bool [T]; a whole scan does."""
         if frame.settled_stamp_ns is None:
             return np.ones(len(self._tracks), np.bool_)
         sweep_ns = SWEEPS_UNTIL_MISSED * (frame.settled_stamp_ns - frame.stamp_ns)

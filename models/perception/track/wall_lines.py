@@ -106,7 +106,7 @@ class WallLine:
         return replace(self, middle_m=self.middle_m - shift_m * self.normal, normal=normal, covariance=covariance)
 
     def seen_at(self, other: WallLine) -> tuple[np.ndarray, np.ndarray]:
-        """Return this line as a measurement of another: (offset, direction) at its middle and covariance; may be inf."""
+        """Return this line as a measurement of another: (offset, direction) at its middle, covariance; or inf."""
         own = self.facing(other)
         across = float(own.normal @ other.normal)
         turn_rad = math.atan2(other.normal[0] * own.normal[1] - other.normal[1] * own.normal[0], across)

@@ -104,7 +104,7 @@ def optical_reflectance(
     roughness_m: ArrayLike,
     wavelength_m: float,
 ) -> np.ndarray:
-    """Return the power share rho_opt of one bounce in the mirror's direction (broadcast), Eqs. (15)-(16); ValueError."""
+    """Return the power share rho_opt of a bounce in the mirror's direction (broadcast), Eqs. (15)-(16)."""
     roughness_m = np.asarray(roughness_m, np.float64)
     if not np.all(np.isfinite(roughness_m) & (roughness_m >= 0.0)):
         raise ValueError(f"roughness_m must be finite and not negative, got {roughness_m!r}")
