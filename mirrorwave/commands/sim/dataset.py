@@ -1,4 +1,4 @@
-"""`mirrorwave sim dataset` and `mirrorwave sim statistics`: labelled data sets, and what is in them."""
+"""`mirrorwave sim dataset`: labelled data sets."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mirrorwave.console import AsJson, Progress, print_json, print_line, print_result, print_table, progress_bar
+from mirrorwave.console import AsJson, Progress, print_result, progress_bar
 from msgs.values.wording import counted, duration_text
 
 if TYPE_CHECKING:
     from sim_player.dataset.shards import ShardDone
-    from sim_player.dataset.statistics import Statistics
 
 
 Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection"]
@@ -87,32 +86,6 @@ def dataset(
     print_result(as_json, report.summary() | {"series": recipe.described(seed)}, report.line())
 
 
-def statistics(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Data set of `mirrorwave sim dataset`.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="PAGE", help="Page to write (.html); its contact sheet (.png) goes beside.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Places, walls, objects, ranges, bounces, SNR, roughness and effects of a data set, as numbers or as a page."""
-    from sim_player.dataset.statistics import dataset_statistics
-
-    if out is not None and out.suffix != ".html":
-        raise ValueError(f"--out must be an .html file, got {out}")
-    with progress_bar(f"reading {folder.name}"):
-        counted_statistics = dataset_statistics(folder)
-    if out is not None:
-        from mirrorwave.plots.dataset_page import write_page
-
-        write_page(folder, counted_statistics, out)
-    if as_json:
-        print_json(counted_statistics)
-        return
-    _print_statistics(counted_statistics)
-    if out is not None:
-        print_line(f"{out} and {out.with_suffix('.png').name}: page and contact sheet")
-
-
 def parse_effects(text: str | None) -> str | tuple[str, ...] | None:
     """`auto`, `all`, `basic`, or names with commas between them."""
     if text is None or text in ("auto", "all", "basic"):
@@ -181,21 +154,3 @@ class _Report:
         again = f", {counted(len(self.rewritten), 'shard')} made again" if self.rewritten else ""
         made = f"{counted(self.count, 'scene')} in {duration_text(self.seconds)}, {self.rate:.2f} a second"
         return f"{self.out}: {made}{kept}{again}"
-
-
-def _print_statistics(statistics: Statistics) -> None:
-    """The numbers that fit a terminal."""
-    points = ", ".join(f"{number} {name}" for name, number in statistics.points.items())
-    print_line(
-        f"{counted(statistics.scenes, 'scene')}, points: {points}; "
-        f"nothing hidden in {100 * statistics.nothing_hidden_share:.1f} %"
-    )
-    for title, counts in (
-        ("places", statistics.places),
-        ("walls", statistics.relays),
-        ("points by way", statistics.orders),
-    ):
-        print_line(f"{title}: " + ", ".join(f"{name} {number}" for name, number in counts.items()))
-    rows = [(name, by_class.direct, by_class.hidden, by_class.unseen) for name, by_class in statistics.objects.items()]
-    print_table(("object", "direct", "mirrors alone", "no points"), rows)
-    print_table(("effect", "share of scenes"), [(name, round(share, 3)) for name, share in statistics.effects.items()])

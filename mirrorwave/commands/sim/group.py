@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mirrorwave.commands.sim.dataset import dataset, statistics
+from mirrorwave.commands.sim.dataset import dataset
 from mirrorwave.commands.sim.effects import Budget, Effects, For, SceneFile, effects, paths
 from mirrorwave.commands.sim.map_import import app as import_app
 from mirrorwave.commands.verbs import loaded
@@ -26,7 +26,7 @@ _CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
 _VERBS = (
     *(effects, paths, "lab.commands.material:material"),
     *("lab.commands.fdtd:reflectance", "lab.commands.fdtd:wall"),
-    *(dataset, statistics, "contrib.annotate.lidar_verb:lidar"),
+    *(dataset, "contrib.annotate.lidar_verb:lidar"),
 )
 for verb in _VERBS:
     app.command()(loaded(verb) if isinstance(verb, str) else verb)

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,6 @@ from sim_player.dataset.labelled_scan import (
     profile_noise,
 )
 from sim_player.dataset.shards import Recipe, ShardDone, read_shard
-from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
 from sim_player.dataset.writer import write_dataset
 from sim_player.generate.places import draw_place, random_place
 from sim_player.paths.ray_tracing import trace
@@ -505,43 +503,6 @@ def test_ray_gives_the_same_bytes(tmp_path: Path, streets: Path) -> None:
 def test_missing_ray_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ImportError, match="ray, which --executor ray needs"):
         write_dataset(tmp_path, 1, 2, STREETS, executor="ray")
-
-
-# --- statistics
-
-
-def test_statistics_count_what_is_there(places: Path) -> None:
-    found = dataset_statistics(places)
-    shard = [read_shard(path) for path in sorted(places.glob("shard-*.npz"))]
-    kinds = np.concatenate([one["path_class"] for one in shard])
-    scenes = [draw_place(3, index) for index in range(4)]
-    assert found.scenes == 4 == sum(found.places.values()) == sum(found.hidden_per_scene.values())
-    assert found.points == {"LOS": int((kinds == 0).sum()), "mNLOS": int((kinds == 1).sum())}
-    assert sum(found.orders.values()) == len(kinds)
-    assert found.orders["direct"] == found.points["LOS"]
-    assert sum(map(sum, found.range_m.counts.values())) == sum(map(sum, found.snr_db.counts.values())) == len(kinds)
-    objects = sum(len(place.scene.objects) for place in scenes)
-    assert sum(one.direct + one.hidden + one.unseen for one in found.objects.values()) == objects
-    walls = sum(surface.role != "ground" for place in scenes for surface in place.scene.surfaces)
-    assert sum(found.roughness_mm.counts["walls"]) == walls == sum(found.materials.values())
-    assert found.relays == Counter(relay for place in scenes for relay in place.relays)
-    assert found.effects["thermal_noise"] == 1.0
-    assert found.nothing_hidden_share == found.hidden_per_scene.get(0, 0) / 4
-
-
-def test_histograms_keep_what_lies_outside() -> None:
-    found = histogram((0.0, 1.0, 2.0), {"a": np.array([-5.0, 0.5, 1.0, 2.0, 99.0])})
-    assert found.counts == {"a": [2, 3]}
-
-
-def test_statistics_of_no_data_set(tmp_path: Path, streets: Path) -> None:
-    with pytest.raises(ValueError, match=r"series\.json: must say which data set"):
-        dataset_statistics(tmp_path)
-    with pytest.raises(ValueError, match="must hold shards"):
-        list(read_records(tmp_path))
-    (tmp_path / "shard-00000.npz").write_bytes((streets / "shard-00000.npz").read_bytes()[:500])
-    with pytest.raises(ValueError, match=r"shard-00000\.npz: not a shard of this format"):
-        list(read_records(tmp_path))
 
 
 def test_truth_lists_all_objects_and_changes_nothing_else() -> None:

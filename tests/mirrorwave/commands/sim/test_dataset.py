@@ -1,4 +1,4 @@
-"""`sim dataset` and `sim statistics`: what a script and a person are told, and the page."""
+"""`sim dataset`: what a script and a person are told."""
 
 from __future__ import annotations
 
@@ -10,15 +10,7 @@ from typing import get_args
 import pytest
 import typer
 
-from mirrorwave.commands.sim.dataset import Executor, Places, dataset, parse_effects, parse_slurm, statistics
-from sim_player.dataset.shards import Recipe
-from sim_player.dataset.writer import write_dataset
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three planned places in two shards."""
-    return write_dataset(tmp_path_factory.mktemp("data"), 3, 6, Recipe(scenes_per_shard=2)).parent
+from mirrorwave.commands.sim.dataset import Executor, Places, dataset, parse_effects, parse_slurm
 
 
 def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,44 +76,3 @@ def test_drives_are_counted_in_scans(tmp_path: Path, capsys: pytest.CaptureFixtu
     with pytest.raises(ValueError, match=r"scans must be 1\.\.100, got 101"):
         dataset(tmp_path / "long", 2, motion=True, scans=101)
     assert not (tmp_path / "long").exists()
-
-
-def test_both_are_commands() -> None:
-    """Their signatures are such as typer can turn into options."""
-    app = typer.Typer()
-    app.command()(dataset)
-    app.command()(statistics)
-    assert {"dataset", "statistics"} <= set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
-
-
-def test_statistics_as_json_and_as_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    statistics(folder, as_json=True)
-    found = json.loads(capsys.readouterr().out)
-    assert found["scenes"] == 3
-    assert sum(found["places"].values()) == 3
-    statistics(folder)
-    text = capsys.readouterr().out
-    assert text.startswith("3 scenes, points: ")
-    assert "mirrors alone" in text
-
-
-@pytest.mark.slow
-def test_page_stands_alone_and_is_the_same_again(folder: Path, tmp_path: Path) -> None:
-    """Nothing is loaded from anywhere; figures follow the page's colour; a second one has the same bytes."""
-    page, again = tmp_path / "page.html", tmp_path / "again.html"
-    statistics(folder, out=page)
-    statistics(folder, out=again)
-    text = page.read_text(encoding="utf-8")
-    assert text == again.read_text(encoding="utf-8")
-    assert page.with_suffix(".png").read_bytes() == again.with_suffix(".png").read_bytes()
-    assert page.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    assert text.count("<svg") == 11
-    assert "currentColor" in text
-    # names of SVG's own vocabulary are no addresses to load from
-    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*", text)
-    assert "<script" not in text
-
-
-def test_page_must_be_html(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"--out must be an \.html file"):
-        statistics(folder, out=tmp_path / "page.pdf")
