@@ -1,9 +1,8 @@
 """Compiled kernels: numba's, kept in its cache, and loaded from there without its compiler.
 
-Before numba loads any kernel it imports all that it could compile, a third of a second and 25 MiB in every process;
-what has been compiled needs its runtime alone. With each kernel it also reads the form that others are compiled from,
-two thirds of the time that loading one takes; here only who compiles does. Numba takes a kernel for unchanged while its
-own file is, whatever it calls: here the kernels and numbers of other files that were compiled into it count too.
+Numba imports all that it could compile, a third of a second and 25 MiB a process, and reads the form that others are
+compiled from, two thirds of a load; here only who compiles does. Kernels and numbers of other files count as a kernel's
+source.
 """
 
 from __future__ import annotations
@@ -28,10 +27,9 @@ FORMAT = 2
 def compiled(
     function: Callable[..., Any] | None = None, /, *, error_model: str = "python", fastmath: bool = False
 ) -> Any:
-    """Compile a function of numbers and arrays at its first call, and keep it for later processes.
+    """Compile a function of numbers and arrays at its first call, and keep it for later processes; it holds no lock.
 
-    It runs without the interpreter's lock. `error_model`: "python" raises where something is divided by zero, "numpy"
-    does not; `fastmath`: sums may be ordered anew.
+    `error_model` "python" raises on division by zero, "numpy" does not; `fastmath`: sums may be ordered anew.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

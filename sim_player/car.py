@@ -40,10 +40,7 @@ class CarFrame(NamedTuple):
 
 
 class SimulatedCar:
-    """Sender of every message of a mapping at its period, with counters and checksums.
-
-    Raises `ValueError` naming the field where mapping and DBC do not agree.
-    """
+    """Sender of every message of a mapping at its period, with counters and checksums; `ValueError` as it disagrees."""
 
     def __init__(self, database: Database, mapping: CanMapping, start_ns: int = 0) -> None:
         by_name = {message.name: message for message in database.messages}
@@ -66,10 +63,7 @@ class SimulatedCar:
         return min(sender.due_ns for sender in self._senders)
 
     def frames(self, state: VehicleState) -> list[CarFrame]:
-        """Return the frames whose time has come at the state's stamp.
-
-        Raises `ValueError` for a state that the DBC's bits cannot hold.
-        """
+        """Return the frames whose time has come at the state's stamp; `ValueError` beyond the DBC's bits."""
         due = [sender for sender in self._senders if sender.due_ns <= state.stamp_ns]
         values = self._values(state) if due else {}
         return [sender.frame(values, state.stamp_ns) for sender in due]

@@ -78,10 +78,7 @@ class Drive:
         noise: tuple[float, float] = (0.0, 0.0),
         late_s: float = 0.0,
     ) -> list[VehicleState]:
-        """Return the states of the bus around `duration_s` from `start_ns` on, stamped `late_s` late.
-
-        noise: standard deviations of speed [m/s] and yaw rate [rad/s].
-        """
+        """Return the bus's states around `duration_s`, `late_s` late, with noise of both [m/s, rad/s]."""
         rng = np.random.default_rng([seed, 21])
         time_s = np.arange(-BEYOND_S, duration_s + BEYOND_S, STATE_PERIOD_S)
         speed_mps = self.speed_at(time_s) + noise[0] * rng.standard_normal(len(time_s))

@@ -21,10 +21,7 @@ _SEED_STEP = 7919
 
 
 class RadarRig:
-    """The radars of a scene that names several, by their names: all begin a scan at the same time, on bands apart.
-
-    `params` are those of `ScenePlayer`, for each of them.
-    """
+    """The radars of a scene that names several, in one time, on bands apart; `params` of each `ScenePlayer`."""
 
     def __init__(self, scene: Scene, seed: int = 0, **params: Any) -> None:
         self.scene = scene
@@ -52,10 +49,7 @@ class RadarRig:
         return self._first.vehicle_state(stamp_ns)
 
     def truth(self, scan: int) -> SceneTruth:
-        """Return the truth at the start of a scan in the vehicle's frame: all that one of the radars sees.
-
-        Hidden is what a mirror shows to one of them and none has in direct sight.
-        """
+        """Return the truth at the start of a scan in the vehicle's frame: hidden is what no radar sees directly."""
         truths = [
             _in_vehicle(player.truth(scan), self.scene.radars[name].vehicle_from_radar)
             for name, player in self.players.items()

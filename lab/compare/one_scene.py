@@ -23,7 +23,6 @@ from mirrorwave.plots.style import MIRROR_IMAGE, RECOVERED, TRUTH, handles_of, l
 from models.perception.find.peaks import echo_power
 from msgs.values.frames import xy_from_polar
 from sim_player.generate.placement import chords
-from sim_player.lidar.spad import SpadOptions
 from sim_player.scene.description import Scene
 
 #: Sensors of the picture; of a scene with a LiDAR of its own that one in the last place.
@@ -64,10 +63,7 @@ def sensors_of(scene: Scene, names: Sequence[str] = ()) -> list[Sensor]:
     by_name, picture = dict(SENSORS), list(PICTURE)
     if scene.radar.preset == "spad":
         spad = scene.radar.spad
-        # "closed": as for Table 2's
-        own = SpadSensor(
-            OWN, f"SPAD of the scene, {1e3 * spad.average_power_w:g} mW", spad, SpadOptions(engine="closed")
-        )
+        own = SpadSensor(OWN, f"SPAD of the scene, {1e3 * spad.average_power_w:g} mW", spad)
         by_name[OWN], picture[-1] = own, OWN
     for name in names:
         if name not in by_name:

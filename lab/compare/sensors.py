@@ -37,7 +37,6 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
 from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
 from sim_player.lidar.player import LidarPlayer
-from sim_player.lidar.spad import SpadOptions
 from sim_player.paths.ray_tracing import trace
 from sim_player.scene.description import PRESETS, Scene
 from sim_player.scene.world import prepare
@@ -180,12 +179,11 @@ def _peak_params(width_deg: float) -> PeakParams:
 
 @dataclass(frozen=True)
 class SpadSensor:
-    """A single-photon LiDAR: parameters at equal power, and what its simulation is told."""
+    """A single-photon LiDAR: parameters at equal power."""
 
     name: str
     title: str
     spad: SpadParams
-    options: SpadOptions
 
     @property
     def wavelength_m(self) -> float:
@@ -201,7 +199,7 @@ class SpadSensor:
 
     def look(self, scene: Scene, seed: int, noise_seed: int, equal: Equal) -> Sight:
         """One scan as the player gives it."""
-        player = LidarPlayer(with_sensor(scene, "spad", self.params(equal)), noise_seed, self.options)
+        player = LidarPlayer(with_sensor(scene, "spad", self.params(equal)), noise_seed)
         ra_map = photon_map(player.setup, player.scan(0))
         threshold = count_threshold(player.setup.spad)[:, None]
         ridges = RidgeParams(
@@ -255,21 +253,19 @@ def long_period(spad: SpadParams) -> SpadParams:
 
 
 TABLE_2 = SpadParams()
-# "closed": means are exact whatever the arming, counts are drawn period by period; event by event would take minutes
 RADARS = {
     sensor.name: sensor for sensor in (RadarSensor("xband", "X-band radar"), RadarSensor("77ghz", "77 GHz radar"))
 }
 LIDARS = {
     sensor.name: sensor
     for sensor in (
-        SpadSensor("spad", "SPAD, Table 2", TABLE_2, SpadOptions(engine="closed")),
+        SpadSensor("spad", "SPAD, Table 2", TABLE_2),
         SpadSensor(
             "spad_gated",
             "SPAD, Table 2 gated",
             msgspec.structs.replace(TABLE_2, arming="gated", gates=SHORT_GATES),
-            SpadOptions(),
         ),
-        SpadSensor("spad_long", "SPAD, long period", long_period(TABLE_2), SpadOptions()),
+        SpadSensor("spad_long", "SPAD, long period", long_period(TABLE_2)),
     )
 }
 SENSORS: dict[str, Sensor] = {**RADARS, **LIDARS}

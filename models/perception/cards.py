@@ -30,10 +30,7 @@ def card_path(model_path: Path) -> Path:
 
 
 def read_card(path: Path, kind: type[Card]) -> Card:
-    """Return a card of a type; raises `ValueError` naming the file and all fields that are missing or wrong.
-
-    A former field must have the value of the constant that it is: the file was made with it.
-    """
+    """Return a card of a type; `ValueError` names the file and all fields that are missing, wrong or formerly other."""
     content = read_learned(path, MAX_CARD_BYTES)
     try:
         text = decode_text(content)

@@ -1,8 +1,4 @@
-"""The whole algorithm as one sentence: raw beams in, hidden objects out.
-
-Beams become a map (`FormingStage`), the map becomes peaks (`DetectionStage`), the peaks become a view of what is hidden
-(`ViewStage`). The chain runs the three one after the other; each node of the graph runs one of them.
-"""
+"""The whole algorithm as one sentence: raw beams in, hidden objects out; each node of the graph runs one stage."""
 
 from __future__ import annotations
 
@@ -17,9 +13,7 @@ from msgs.values.vehicle import VehicleState
 
 
 class ScanView(NamedTuple):
-    """One scan: what is hidden, and the map and the peaks it was found in; a radar of detections gives no map, the view
-    of several sensors has neither.
-    """
+    """One scan: what is hidden, and, of one radar that gives beams, the map and the peaks it was found in."""
 
     frame: BevFrame
     ra_map: RangeAzimuthMap | None

@@ -34,10 +34,7 @@ def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.Inf
 
 
 class ArraySession:
-    """A network of one array in, one out, as its card says: for one input at a time.
-
-    Raises `ValueError` when the file and its card do not agree on checksum and shapes.
-    """
+    """A network of one array in, one out, one input at a time; `ValueError` when its file and card do not agree."""
 
     def __init__(
         self, model_path: Path, sha256: str, threads: int, input_shape: tuple[int, ...], output_shape: tuple[int, ...]
@@ -63,10 +60,7 @@ def wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
 
 
 def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
-    """Return a session for the bytes of a file; raises `ValueError` naming the file.
-
-    It has run once: it is warm, and what it allocates is within `MAX_RUN_BYTES`.
-    """
+    """Return a warm session of a file's bytes, within `MAX_RUN_BYTES`; `ValueError` names the file."""
     try:
         with limited_memory(MAX_RUN_BYTES + 8 * len(model)):
             session = onnxruntime.InferenceSession(model, _options(threads), providers=["CPUExecutionProvider"])

@@ -34,9 +34,8 @@ class TrainedRadar(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def differences(self, setup: RadarSetup, unused_beams: tuple[int, ...] = ()) -> list[str]:
-        """Return the fields in which a set-up is another one; empty where its maps are as those in training.
-
-        Beams may be more or fewer as long as one looks wherever those in training looked, up to their largest step.
+        """Return the fields in which a set-up differs from training; beams may be more or fewer within their largest
+        step.
         """
         own = TrainedRadar.of(setup)
         tolerances = {

@@ -41,10 +41,7 @@ def column_response(
     elevation_rad: np.ndarray,
     frequency_ratio: float | np.ndarray = 1.0,
 ) -> np.ndarray:
-    """Return the phase of each column for plane waves from given directions; complex128 [directions, columns].
-
-    `frequency_ratio` f / f_c, one or one per direction: spacings in metres stay, so phases scale with the frequency.
-    """
+    """Return phase of each column for plane waves, at f / f_c = `frequency_ratio`; complex128 [directions, columns]."""
     step = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
     position = np.arange(array.columns) - (array.columns - 1) / 2.0
     sine = frequency_ratio * (np.sin(azimuth_rad) * np.cos(elevation_rad))
@@ -62,11 +59,7 @@ def row_field(
 
 
 def coupling_matrix(columns: int, coupling_db: float, coupling_phase_rad: float = 0.0) -> np.ndarray:
-    """Return the mutual coupling of the columns, Toeplitz and symmetric; complex128 [columns, columns].
-
-    Column m passes (10^(dB/20) e^{j phase})^|m - n| of its field to column n; its own stays 1. Reciprocal: transmit
-    and receive share it.
-    """
+    """Return the mutual coupling (10^(dB/20) e^{j phase})^|m - n| of columns m and n; complex128 [columns, columns]."""
     per_column = 10.0 ** (coupling_db / 20.0) * np.exp(1j * coupling_phase_rad)
     index = np.arange(columns)
     return per_column ** np.abs(index[:, None] - index)
@@ -82,9 +75,8 @@ def one_way_pattern(
 ) -> np.ndarray:
     """Return the one-way field pattern of the whole array, element gain included; complex128 [beams, directions].
 
-    At f = `frequency_ratio` f_c (one, or one per direction) the physical phases of columns and rows scale while the
-    phase shifters' do not: the beam squints to sin(a) = sin(a_s) / ratio. `coupling` [columns, columns] mixes the
-    weights.
+    At f = `frequency_ratio` f_c the physical phases scale, the phase shifters' do not: the beam squints to sin(a) =
+    sin(a_s) / ratio. `coupling` [columns, columns] mixes the weights.
     """
     radar, array = setup.radar, setup.array
     response = column_response(array, radar.wavelength_m, azimuth_rad, elevation_rad, frequency_ratio)
@@ -108,10 +100,8 @@ def two_way_pattern(
 ) -> np.ndarray:
     """Return the physical B_t B_r of Eq. (1) with element gain, power normalised; complex128 [beams, directions].
 
-    `weights` [beams, columns] steer transmit and receive alike, or receive alone where the array's `steered_ways` is 1:
-    one element that is not steered then transmits. Directions are those of arrival; those of departure
-    are the same unless given. At boresight the power gain |B_t B_r|^2 of the default array is
-    (32 elements x 4.1 dBi) squared.
+    `weights` [beams, columns] steer both ways, or receive alone where `steered_ways` is 1: one element then transmits.
+    Directions of departure are those of arrival unless given.
     """
     receive = one_way_pattern(setup, weights, azimuth_rad, elevation_rad, frequency_ratio, coupling)
     unsteered = setup.array.steered_ways == 1

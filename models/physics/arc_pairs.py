@@ -1,11 +1,9 @@
 """Ways by two walls of which one is an arc, or both: the point of both bounces that Fermat's principle asks for.
 
-From the point that the chords would have, Newton's method makes the plan length stationary over both places at once.
-The field is that of flat mirrors over the root of D = [(1/l1 + 1/l2 - 2 k1/c1) (1/l2 + 1/l3 - 2 k2/c2) - 1/l2^2]
-l1 l2 l3 / (l1 + l2 + l3), the ratio of the second derivatives of the length of both (stationary phase, as of one arc in
-`models.physics.curved_mirror`); c are the cosines of incidence, k is positive where a wall is hollow towards the ray.
-Left out: of strongly bent walls all but the point next to the chords', and the exact field near caustics
-(`LEAST_SPREAD`).
+Newton's method from the chords' point makes the plan length stationary over both places at once. The field is that of
+flat mirrors over the root of D = [(1/l1 + 1/l2 - 2 k1/c1) (1/l2 + 1/l3 - 2 k2/c2) - 1/l2^2] l1 l2 l3 / (l1 + l2 + l3)
+(stationary phase); c are the cosines of incidence, k is positive where a wall is hollow towards the ray. Left out:
+further points of strongly bent walls, and the exact field near caustics (`LEAST_SPREAD`).
 """
 
 from __future__ import annotations

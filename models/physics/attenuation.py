@@ -167,8 +167,7 @@ def gas_db_per_m(
 ) -> float:
     """Return the loss in air [dB/m]: oxygen and water vapour line by line, ITU-R P.676-13 Annex 1.
 
-    `pressure_hpa` is the barometric pressure (air and vapour). Raises ValueError outside 1..1000 GHz, -60..60 deg C,
-    300..1100 hPa and 0..100 g/m3.
+    Raises ValueError outside 1..1000 GHz, -60..60 deg C, 300..1100 hPa (air and vapour) and 0..100 g/m3.
     """
     frequency_ghz = within("frequency_hz", frequency_hz, 1e9, 1000e9) / 1e9
     kelvin = within("temperature_c", temperature_c, -60.0, 60.0) + 273.15
@@ -197,10 +196,9 @@ def rain_db_per_m(frequency_hz: float, rain_mm_per_h: float, polarisation: str =
 
 
 def snow_db_per_m(frequency_hz: float, snow_mm_per_h: float) -> float:
-    """Return the loss in dry snow [dB/m], of a rate in melted water: scattering and absorption at 0 deg C.
+    """Return the loss in dry snow of a melted rate at 0 deg C [dB/m]; ValueError outside 1..1000 GHz, 0..300 mm/h.
 
-    3.49e-6 R^1.6 / lambda^4 + 2.24e-6 R / lambda with lambda in cm (Skolnik, Introduction to Radar Systems, section
-    13.7). Raises ValueError outside 1..1000 GHz and 0..300 mm/h.
+    3.49e-6 R^1.6 / lambda^4 + 2.24e-6 R / lambda, lambda in cm (Skolnik, Introduction to Radar Systems, 13.7).
     """
     wavelength_cm = 100.0 * SPEED_OF_LIGHT_MPS / within("frequency_hz", frequency_hz, 1e9, 1000e9)
     snow = within("snow_mm_per_h", snow_mm_per_h, 0.0, 300.0)
@@ -235,10 +233,8 @@ def water_permittivity(frequency_hz: float, temperature_c: float) -> complex:
 def vegetation_db(frequency_hz: float, depth_m: np.ndarray) -> np.ndarray:
     """Return the one-way loss in foliage in leaf [dB], shaped as `depth_m`: Am (1 - exp(-d gamma / Am)), ITU-R P.833.
 
-    P.833 measured gamma and Am for woods at up to 2 GHz only. Here gamma is Weissberger's law for short paths
-    (0.23..95 GHz: 0.87 dB/m at 10 GHz, 1.5 dB/m at 77 GHz), and Am (38 dB, 69 dB) is chosen to follow his law of long
-    paths, within 15 %. One hedge or tree differs from the next by several dB: an engineering value.
-    Raises ValueError outside 0.23..95 GHz and for a depth that is negative or no number.
+    gamma is Weissberger's law for short paths (0.87 dB/m at 10 GHz, 1.5 at 77), Am (38 dB, 69 dB) follows his long ones
+    within 15 %: an engineering value. ValueError outside 0.23..95 GHz and for a depth that is negative or none.
     """
     frequency_ghz = within("frequency_hz", frequency_hz, 0.23e9, 95e9) / 1e9
     depth_m = np.asarray(depth_m, np.float64)

@@ -1,16 +1,10 @@
 """Curved upright walls as mirrors: every Fermat point of an arc, how it focuses, and its field near the caustic.
 
-A wall is an upright cylinder. In plan it is an arc from `a` to `b` of signed curvature [1/m]: positive where its
-centre lies to the left of the path a -> b; always less than a half circle, so |curvature| times the chord is
-below 2. A point of it is given by its `share` of the arc's length, 0 at `a` and 1 at `b`.
-
-Heights unfold. For a fixed point of the arc the shortest path p -> w -> q over all heights of w has one slope, is
-sqrt((l1 + l2)^2 + dz^2) long (l1 and l2 the segments in plan, dz the height between p and q) and meets the wall at
-z_p + dz l1 / (l1 + l2). It grows with l1 + l2, so the Fermat points of the plan are those of space.
-
-Stationary phase over wall height and arc gives the field of one bounce, e^{-jkL} / L times a ray factor (`_ray`); the
-divergence it has where Fermat points merge is replaced by the integral along the arc itself, `bounces`. Time convention
-e^{+jwt}.
+In plan a wall is an arc from `a` to `b`, less than a half circle, of curvature [1/m] positive where its centre lies to
+the left of a -> b; a point has a `share` of its length. The shortest path p -> w -> q over all heights is sqrt((l1 +
+l2)^2 + dz^2) long and meets the wall at z_p + dz l1 / (l1 + l2): Fermat points of the plan are those of space.
+Stationary phase gives e^{-jkL} / L times a ray factor (`_ray`); where points merge the integral along the arc takes
+over. e^{+jwt}.
 """
 
 from __future__ import annotations
@@ -66,10 +60,7 @@ class CurvedBounces:
 
 
 def arc_from_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.ndarray, float, float, float]:
-    """Return centre [2], radius [m] and the angles [rad] of `a` and `b` from the centre, less than pi apart.
-
-    Raises ValueError for a flat wall, which has no centre.
-    """
+    """Return centre [2], radius [m] and angles [rad] of `a` and `b`, less than pi apart; ValueError for a flat wall."""
     middle, along, half_m = _frame(a, b, curvature_per_m)
     if curvature_per_m == 0.0:
         raise ValueError("an arc with a centre needs a curvature other than 0 1/m, got 0")
@@ -111,14 +102,12 @@ def bounces(
     curvature_per_m: float,
     wavelength_m: float,
 ) -> CurvedBounces:
-    """Return every bounce origin -> arc -> target with its bounded field factor.
+    """Return every bounce origin -> arc -> target with its bounded field factor; `origin` [2 or 3], `targets` [N, 2 or
+    3].
 
-    `origin` [2] or [3] and `targets` [N, 2] or [N, 3] in metres. Far from a caustic a bounce is a Fermat point with the
-    factor of `_ray`. Where that is wrong by more than `RAY_ERROR`, the integral along the arc (physical optics,
-    stationary in height) is evaluated around the points whose phases lie within `MERGE_RAD`, and they become one
-    bounce at their middle. On the dark side it lasts to `FADED_AIRY`. The arc is continued analytically beyond its
-    ends, so edges do not diffract, unless points merge across an end: then the integral stops there. Compared with
-    the surface integral of walls with distant ends, at random caustics: 0.6 % of the field in 95 of 100 cases.
+    Where `_ray` errs by more than `RAY_ERROR`, the integral along the arc (physical optics, stationary in height) joins
+    points within `MERGE_RAD` at their middle, on the dark side to `FADED_AIRY`. Edges do not diffract, unless points
+    merge across an end. Against the surface integral at random caustics: 0.6 % of the field in 95 of 100 cases.
     """
     if not (np.isfinite(wavelength_m) and wavelength_m > 0.0):
         raise ValueError(f"wavelength must be positive and finite, got {wavelength_m} m")
@@ -333,10 +322,10 @@ def _blocked(s, distance, tangential, normal, half, curvature):  # type: ignore[
 
 @compiled
 def _stationary(scene, wavenumber, points, kind):  # type: ignore[no-untyped-def]
-    """Find all lit stationary points (and, for a finite wavenumber, inflections not yet dark) in order of s.
+    """Find all lit stationary points (and, at a finite wavenumber, inflections not yet dark) in order; their number.
 
-    Returns their number. Each interval is dropped, proven monotone, proven bent one way, or halved. A path of constant
-    length (both ends at the centre) uses up the intervals: the middle then represents the whole arc.
+    Each interval is dropped, proven monotone, proven bent one way, or halved; a path of constant length ends in its
+    middle.
     """
     half, curvature = scene[4], scene[5]
     reach = half * (1.0 + 1e-12)
@@ -471,10 +460,8 @@ def _ray_error(s, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
 def _ray(s, scene):  # type: ignore[no-untyped-def]
     """Return the field at a Fermat point over that of a flat mirror of the same length, by geometrical optics.
 
-    1 / sqrt(D), D = 1 - 2 kappa l1 l2 / ((l1 + l2) cos), kappa positive where the wall is hollow towards the segments:
-    the second derivative of the path along the arc is cos^2 (1/l1 + 1/l2) D, and stationary phase divides by its root.
-    Segments and cosine in plan, also for paths with slope: the heights cancel. Behind a caustic (D < 0) the phase is
-    +pi/2 (e^{+jwt}). It is the spreading factor of Kouyoumjian and Pathak (1974) for a cylinder.
+    1 / sqrt(D), D = 1 - 2 kappa l1 l2 / ((l1 + l2) cos), kappa positive where hollow: in plan, also for paths with
+    slope. Behind a caustic (D < 0) the phase is +pi/2. Kouyoumjian and Pathak (1974) for a cylinder.
     """
     l1, _, n1 = _segment(s, scene[0], scene[1], scene[4], scene[5])
     l2, _, n2 = _segment(s, scene[2], scene[3], scene[4], scene[5])
@@ -539,11 +526,7 @@ def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-
 
 @compiled
 def _arc_integral(points, more_left, more_right, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Return the field of a group of merged points: along the real axis between them, outwards by steepest descent.
-
-    If an outer path finds no descent, its partner beyond the arc's end obstructs it (no other point lies between): it
-    runs to the end instead.
-    """
+    """Return the field of merged points: along the real axis between them, outwards by descent or to the end."""
     first, last = points[0] + 0j, points[-1] + 0j
     half = scene[4]
     side = 1.0 if _segment(points[0], scene[0], scene[1], half, scene[5])[2] > 0.0 else -1.0

@@ -56,10 +56,9 @@ FADES_FROM, FADES_TO = 3.0, 6.0
 
 @compiled(error_model="numpy")
 def passed_edge_at(clearance_m, before_m, behind_m, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return the share of a ray's field that goes on where the ray clears an edge by so much, metres before and behind.
+    """Return the share of a ray's field that goes on where it clears an edge, metres before and behind it.
 
-    `passed_share_at` of v = clearance sqrt(2 (1 / before + 1 / behind) / lambda) (ITU-R P.526-15, Eq. 26): 1/2 where
-    the ray meets the edge. What the edge adds to the ray is faded out far off: exactly 1 or 0 beyond `FADES_TO`.
+    v = clearance sqrt(2 (1 / before + 1 / behind) / lambda) (ITU-R P.526-15, Eq. 26); exactly 1 or 0 beyond `FADES_TO`.
     """
     return faded_share_at(clearance_m * math.sqrt(2.0 * (1.0 / before_m + 1.0 / behind_m) / wavelength_m))
 
@@ -80,9 +79,8 @@ def faded_share_at(v):  # type: ignore[no-untyped-def]
 def reflected_term_at(n, to_face_rad, distance_m, wavelength_m):  # type: ignore[no-untyped-def]
     """Return the term of one face in a wedge's echo of a wave, per unit of the face's reflection [sqrt(m)].
 
-    As in `wedge_terms_at`, source and target in one direction `to_face_rad` from the face. At a right angle the face's
-    mirror image begins or ends: where pi - 2 to_face_rad >= 0 it is there, and the term takes half of it away. A
-    negative distance is that of an arc's end beyond its focus: the transition function is the conjugate one.
+    Source and target lie at `to_face_rad`; where pi - 2 to_face_rad >= 0 the face's image is there and half of it is
+    taken away. A negative distance is that beyond an arc's focus: the conjugate transition function.
     """
     k = 2.0 * np.pi / wavelength_m
     term = _term_at(n, 2.0 * to_face_rad, -1.0, k * abs(distance_m), False)
@@ -95,10 +93,9 @@ def reflected_term_at(n, to_face_rad, distance_m, wavelength_m):  # type: ignore
 def wedge_terms_at(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew):  # type: ignore[no-untyped-def]
     """Return parts of the diffraction coefficient [sqrt(m)] of a wedge with exterior angle n pi, for one wave.
 
-    These are the term at the border of the incident field (for an opaque wedge), and the terms at the borders of the
-    fields that the first and the last face reflect, per unit of their reflection. `distance_m` is
-    s s' sin^2(skew) / (s + s'), skew the angle between the ray and the edge (90 deg: level). Times
-    sqrt((s + s') / (s s')) it is the field via the edge against 1/L of a ray as long as both segments.
+    Terms at the borders of the incident field (opaque wedge) and of what the first and the last face reflect, per unit
+    of it. `distance_m` is s s' sin^2(skew) / (s + s'), skew between ray and edge. Times sqrt((s + s') / (s s')) it is
+    the field via the edge against 1/L.
     """
     k = 2.0 * np.pi / wavelength_m
     minus, plus = to_target_rad - to_source_rad, to_target_rad + to_source_rad

@@ -20,10 +20,7 @@ Polarisation = Literal["te", "tm"]
 
 
 def _inner_cosine(permittivity: np.ndarray, cos_theta: np.ndarray) -> np.ndarray:
-    """Return q = sqrt(eps - sin^2) of the inner wave, on the decaying branch (Im q <= 0; Re q >= 0 if lossless).
-
-    eps - sin^2 is formed as (eps - 1) + cos^2: no cancellation at grazing.
-    """
+    """Return q = sqrt((eps - 1) + cos^2) of the inner wave, decaying (Im q <= 0); exact at grazing."""
     q = np.sqrt(np.asarray(permittivity, np.complex128) - 1.0 + np.square(cos_theta))
     # the principal root of a number with Im <= 0 has Im <= 0; -0.0 and +0.0 parts of lossless media need the rule said
     return np.where(q.imag > 0.0, -q, q)
@@ -32,10 +29,7 @@ def _inner_cosine(permittivity: np.ndarray, cos_theta: np.ndarray) -> np.ndarray
 def half_space_reflection(
     permittivity: np.ndarray, cos_theta: np.ndarray, polarisation: Polarisation = "te"
 ) -> np.ndarray:
-    """Return the complex field reflection coefficient of a half-space, Eq. (13) (broadcast); -1 at grazing, both ways.
-
-    Raises ValueError for an active medium (Im(eps) > 0) or a cosine outside 0..1.
-    """
+    """Return the complex field reflection of a half-space, Eq. (13) (broadcast); ValueError if active, or no cosine."""
     return _half_space(*_checked(permittivity, cos_theta), polarisation)[0]
 
 
@@ -48,9 +42,8 @@ def slab_reflection(
 ) -> np.ndarray:
     """Return the complex field reflection of one slab in air (broadcast); an infinite thickness is a half-space.
 
-    r (1 - p) / (1 - r^2 p) with p = exp(-2j k q d): p only ever decays, so opaque slabs need no care (p -> 0).
-    Written with 1 - p and 1 - r^2, which keep their digits for the thinnest film and at grazing.
-    Raises ValueError for a negative thickness.
+    r (1 - p) / (1 - r^2 p) with p = exp(-2j k q d), by 1 - p and 1 - r^2, which keep their digits for the thinnest film
+    and at grazing. ValueError for a negative thickness.
     """
     permittivity, cos_theta = _checked(permittivity, cos_theta)
     r, kept = _half_space(permittivity, cos_theta, polarisation)
@@ -84,10 +77,8 @@ def stack_reflection(
 ) -> np.ndarray:
     """Return the complex field reflection of layers in air, the first one facing the wave (shape of `cos_theta`).
 
-    `permittivities` [layers], `thicknesses_m` [layers]; the last thickness may be infinite (a half-space behind).
-    From the back, r = (rho + r' p) / (1 + rho r' p) with p = exp(-2j k q d): exponentials only decay, so an opaque
-    layer needs no care and equals the stack cut there. Raises ValueError for an empty stack, lengths that differ, an
-    active medium, a negative thickness, or an infinite one that is not the last.
+    `permittivities`, `thicknesses_m` [layers], the last may be infinite. From the back, r = (rho + r' p) / (1 + rho r'
+    p). ValueError for an empty stack, lengths that differ, an active medium, a negative or inner infinite thickness.
     """
     layers, cos_theta = _checked_stack(permittivities, thicknesses_m, cos_theta)
     return _walk(layers, cos_theta, wavelength_m, polarisation)[0]
@@ -106,10 +97,7 @@ def stack_transmission(
 
 
 def coherent_power(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the power share of the mirror left by one bounce at a rough wall, exp(-(4 pi s cos / lambda)^2).
-
-    The field takes its square root. Gaussian heights, Kirchhoff regime.
-    """
+    """Return the power share exp(-(4 pi s cos / lambda)^2) left by a bounce at a rough wall (Gaussian, Kirchhoff)."""
     return np.exp(-np.square(4.0 * np.pi * np.asarray(roughness_m) * cos_theta / wavelength_m))
 
 

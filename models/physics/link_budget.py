@@ -1,7 +1,6 @@
 """Radar equation of a target in a beam, and the threshold of an excess of photons; all values linear.
 
-A target behind a wall's mirror is one at the mirrored position whose power passed the wall twice. Its echo lies on its
-range bin and azimuth; half a bin beside it the default window costs 1.4 dB.
+Behind a mirror it is one at the mirrored position whose power passed the wall twice.
 """
 
 from __future__ import annotations
@@ -22,10 +21,8 @@ def beam_snr(
 ) -> np.ndarray:
     """Return the SNR of a point target in one cell of an ideal beam steered at it (broadcast), float64.
 
-    P lambda^2 sigma G / ((4 pi)^3 R^4) times the wall's power squared, over the noise of a bin. `range_m` is half the
-    round trip; `wall_power_per_bounce` as `roughness.specular_gain` gives it, 1 in direct sight. Raises
-    `ValueError` for a range that is not positive, a negative RCS, or a wall with gain.
-    Source: Eqs. (1), (4), (5).
+    P lambda^2 sigma G / ((4 pi)^3 R^4) times the wall's power squared (1: direct) over a bin's noise, Eqs. (1), (4),
+    (5). `ValueError` for a range that is not positive, a negative RCS, or a wall with gain.
     """
     range_m = require_positive_values("range_m", range_m)
     wall = np.asarray(wall_power_per_bounce, np.float64)
@@ -43,10 +40,7 @@ def beam_snr(
 def two_way_field(
     setup: RadarSetup, azimuth_rad: float | np.ndarray, elevation_rad: float | np.ndarray = 0.0
 ) -> np.ndarray:
-    """Return the two-way field gain of an ideal beam steered at the target (broadcast), float64.
-
-    Element twice; of rows and columns their number if both directions are steered, its root if one is.
-    """
+    """Return the two-way field gain of an ideal beam steered at the target (broadcast), float64."""
     azimuth_rad, elevation_rad = np.broadcast_arrays(azimuth_rad, elevation_rad)
     directions, array = setup.array.steered_ways, setup.array
     gain = np.sqrt(array.columns) * row_field(array, setup.radar.wavelength_m, elevation_rad)

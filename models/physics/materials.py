@@ -134,10 +134,7 @@ def material_name(name: str) -> str:
 
 
 def wall_name(name: str) -> str:
-    """Return the name of a construction, volume or material; ValueError lists the valid ones.
-
-    Constructions come first: "window" is a pane here, while to `material_name` it is another word for glass.
-    """
+    """Return the name of a construction (first: "window" is a pane), volume or material; ValueError lists them."""
     key = _WALL_ALIASES.get(_key(name), _key(name))
     if key in CONSTRUCTIONS or key in VOLUMES:
         return key
@@ -163,8 +160,8 @@ def wall_layers(
 ) -> tuple[tuple[complex, float], ...]:
     """Return the layers (permittivity, thickness_m) of a wall, facing one first, for `fresnel.stack_reflection`.
 
-    A material is one layer, endless (inf) where `thickness_m` is None. ValueError for an unknown name, a volume, a
-    thickness that is not positive, one given to a construction (which has its own), and as `permittivity`.
+    A material is one, endless where `thickness_m` is None. ValueError as `permittivity`, for a volume or a wrong
+    thickness.
     """
     name = wall_name(material)
     if name in VOLUMES:
@@ -217,9 +214,7 @@ def band_note(material: str, frequency_hz: float) -> str:
 def reflection_error_db(material: str, frequency_hz: float) -> float | None:
     """Return the stated error [dB] of the power reflection at normal incidence outside measured bands; None inside.
 
-    It is the largest change, of each material as a half-space, by other readings of the same rows: between bands each
-    row continued to the frequency; beyond them the permittivity of the band's end, and eps - 1 more or less by
-    SAMPLE_SCATTER. A construction has the error of its worst layer; a volume has none. ValueError as `permittivity`.
+    The largest change by other readings: rows continued, the band's end, eps - 1 more or less by SAMPLE_SCATTER.
     """
     parts = [] if is_volume(material) else _parts(wall_name(material))
     errors = (_error_db(part, frequency_hz) for part in parts)
@@ -233,10 +228,9 @@ def typical_roughness_mm(material: str) -> tuple[float, float] | None:
 
 
 def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> complex:
-    """Return complex relative permittivity, Im <= 0.
+    """Return complex relative permittivity, Im <= 0; between two bands log over log frequency.
 
-    Both ends of a band belong to it. Between two bands eps' and conductivity of the facing ends are interpolated, log
-    over log frequency. Below and above all bands: ValueError, or the nearest row continued if `extrapolate`.
+    Outside all bands (ends included): ValueError, or the nearest row continued if `extrapolate`.
     """
     if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
         raise ValueError(f"frequency_hz must be finite and positive, got {frequency_hz!r}")

@@ -19,11 +19,7 @@ CLEARANCE_M = 1e-6
 
 
 def reflect(points: np.ndarray, normal: np.ndarray, offset_m: float | np.ndarray) -> np.ndarray:
-    """Mirror points in the line n.x + offset_m = 0, Eq. (19): x' = x - 2 (n.x + d) n / |n|^2.
-
-    `points` [..., 2] or [..., 3] in metres (a third coordinate, the height, is kept); `normal` [2] or broadcastable
-    to the points' leading axes.
-    """
+    """Mirror points [..., 2 or 3] in the line n.x + offset_m = 0, Eq. (19): x' = x - 2 (n.x + d) n / |n|^2."""
     points = np.asarray(points, np.float64)
     normal = np.asarray(normal, np.float64)
     plan = points[..., :2]
@@ -40,10 +36,7 @@ def mirrored(x, y, nx, ny, offset_m):  # type: ignore[no-untyped-def]
 
 
 def wall_from_ends(a: np.ndarray, b: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return unit normal [2] and offset [m] of the line through `a` and `b`, the normal on the side of `towards`.
-
-    Raises ValueError where the ends coincide. A point `towards` on the line itself leaves the left-hand normal.
-    """
+    """Return unit normal [2] towards a point and offset [m] of the line through `a` and `b`; ValueError: coincident."""
     a, b, towards = (np.asarray(point, np.float64) for point in (a, b, towards))
     along = b - a
     length_m = float(np.hypot(along[0], along[1]))
@@ -59,10 +52,10 @@ def wall_from_ends(a: np.ndarray, b: np.ndarray, towards: np.ndarray) -> tuple[n
 def crossing_parameters(
     origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the lines origin -> target meet the lines a -> b: (along the ray, along the wall), each [N, M].
+    """Return where the lines origin -> target meet the lines a -> b: shares (along the ray, along the wall), each [N,
+    M].
 
-    Both run from 0 at the start to 1 at the end. Parallel pairs, and targets at the origin, are NaN: they meet
-    nowhere or everywhere. `origin` [2] or [N, 2], `targets` [N, 2], `a` and `b` [M, 2], all in metres.
+    NaN where parallel or without length. `origin` [2] or [N, 2], `targets` [N, 2], `a` and `b` [M, 2], metres.
     """
     return _crossings(*_plain(origin, targets, a, b))
 
@@ -107,9 +100,7 @@ def crosses(
 ) -> np.ndarray:
     """Return which rays origin -> target are blocked by which wall segments a -> b; bool [N, M].
 
-    Walls include their ends (two walls that share a corner leave no gap, for `clearance_m` is added to each end);
-    rays are shortened by `clearance_m` at each end, so a point that lies on a wall is not hidden by it. A ray along a
-    wall is not blocked: it sees the wall's edge, of no width.
+    Walls are longer by `clearance_m` and rays shorter at each end; a ray along a wall is not blocked.
     """
     return _all_cuts(*_plain(origin, targets, a, b), clearance_m)
 
@@ -147,11 +138,7 @@ def blocked(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarra
 
 
 def specular_points(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the points where one wall a -> b mirrors targets towards the origin; [N, 2] in metres, NaN where none.
-
-    The law of reflection by the image method: the specular point is where the line from the origin to the target's
-    image crosses the wall. Origin and target must lie on the same side, and the point must lie within the ends.
-    """
+    """Return where one wall a -> b mirrors targets towards the origin by the image method; [N, 2], NaN where none."""
     targets = np.asarray(targets, np.float64)
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     normal, offset_m = wall_from_ends(a, b, origin)

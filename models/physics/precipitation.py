@@ -1,8 +1,4 @@
-"""Backscatter of rain, snow and fog: radar cross section per volume of air [1/m].
-
-Drops are spheres and keep polarisation: the co-polar echo of either linear polarisation. Large drops are flat; at
-50 mm/h a vertical radar gets 2 dB less than a horizontal one, which is left out.
-"""
+"""Backscatter of rain, snow and fog: radar cross section per volume of air [1/m], of spheres, co-polar."""
 
 from __future__ import annotations
 
@@ -73,10 +69,7 @@ def _sum_of_sizes(density: np.ndarray) -> float:
 
 
 def mie_cross_section_m2(diameter_m: np.ndarray, wavelength_m: float, permittivity: complex) -> np.ndarray:
-    """Return the backscatter cross section of spheres [N], m2: lambda^2 / (4 pi) |sum (2n+1) (-1)^n (a_n - b_n)|^2.
-
-    Mie's coefficients as in Bohren and Huffman, Eqs. (4.88) and (4.82).
-    """
+    """Return the backscatter of spheres [N], m2: lambda^2 / (4 pi) |sum (2n+1) (-1)^n (a_n - b_n)|^2, Mie's series."""
     # imported here: only radars over 20 GHz in rain or snow need it
     from scipy.special import spherical_jn, spherical_yn
 

@@ -1,16 +1,11 @@
 """Diffuse lobe of a rough wall: what roughness takes from the mirror, over directions.
 
-Heights are Gaussian, of rms s and correlation exp(-x^2 / l^2). Kirchhoff's integral gives the mean scattered power as
-an expectation over orders of scattering m, Poisson of mean g^2 = (k s (cos_i + cos_s))^2:
-
-    K(i, s) = k^2 l^2 G^2 E[exp(-(k l |u_i + u_s|)^2 / 4m) / m; m > 0],    G = (1 + v_i . v_s) / (cos_i + cos_s)
-
-v are the unit vectors to source and observer, u their parts along the wall, and G is the factor of tangent planes
-(Beckmann and Spizzichino, The Scattering of Electromagnetic Waves from Rough Surfaces, 1963). Many orders are the lobe
-of geometric optics, of facets of rms slope sqrt(2) s / l. What the integral gets wrong where it does not hold (grazing,
-steep slopes) is scaled by a factor of each direction, n(i) n(s) K(i, s): at any incidence the lobe radiates just what
-`models.physics.fresnel.coherent_power` takes from the mirror, and it is reciprocal. No shadowing, no change of
-polarisation.
+Heights are Gaussian, of rms s and correlation exp(-x^2 / l^2). Kirchhoff's integral is an expectation over orders m,
+Poisson of mean g^2 = (k s (cos_i + cos_s))^2: K(i, s) = k^2 l^2 G^2 E[exp(-(k l |u_i + u_s|)^2 / 4m) / m; m > 0], G =
+(1 + v_i . v_s) / (cos_i + cos_s), v unit vectors to source and observer, u their parts along the wall (Beckmann and
+Spizzichino, The Scattering of Electromagnetic Waves from Rough Surfaces, 1963). Scaled by a factor of each direction,
+n(i) n(s) K(i, s), it radiates just what `coherent_power` takes from the mirror and is reciprocal. No shadowing, no
+change of polarisation.
 """
 
 from __future__ import annotations
@@ -59,8 +54,7 @@ class RoughLobe:
     def backscatter(self, cosine: np.ndarray, elevation_rad: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the radar cross section per area of a perfect reflector back to the radar, [N].
 
-        `cosine` of incidence in the plane of the radar; the mean over +-`elevation_rad` about that plane. Lambert's
-        lobe in the same units is 4 (1 - exp(-g^2)) cos^2.
+        `cosine` of incidence in the radar's plane; the mean over +-`elevation_rad`. Lambert: 4 (1 - exp(-g^2)) cos^2.
         """
         cosine = np.clip(np.asarray(cosine, np.float64), LEAST_COSINE, 1.0)
         sine = np.sqrt(1.0 - cosine**2)
@@ -111,10 +105,7 @@ class RoughLobe:
         return nodes, values
 
     def _directions(self, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return cosines out, |u_i + u_s| and weights of a quadrature over the half space for each incidence, [I, D].
-
-        Polar angles about the mirror direction, dense within the lobe, and azimuths about it.
-        """
+        """Return cosines out, |u_i + u_s| and weights of a quadrature about the mirror for each incidence, [I, D]."""
         wave = 2.0 * math.pi / self.wavelength_m
         orders = 1.0 + np.square(2.0 * wave * self.roughness_m)
         lobe_rad = min(2.0 * math.sqrt(orders) / (wave * self.effective_correlation_m), 1.0)
@@ -159,10 +150,7 @@ def _kernels(cos_in, cos_out, along, across, size):  # type: ignore[no-untyped-d
 
 @compiled(error_model="numpy")
 def mean_over_orders(depth, width, along, across):  # type: ignore[no-untyped-def]
-    """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`; the mean over 0..`across`.
-
-    All whole orders that count where they are few; else as many in equal steps, which is as exact for smooth terms.
-    """
+    """Return E[width^2 exp(-(width along)^2 / 4m) / m; m > 0], m Poisson of mean `depth`; the mean over 0..`across`."""
     depth = max(depth, 1e-300)
     half = SPAN * math.sqrt(depth) + 0.5 * ORDERS - SPAN * 2.0
     low = max(math.floor(depth - half), 1.0)

@@ -1,8 +1,6 @@
-"""Effect of roughness on the mirror: the coherent share, the diffuse rest.
+"""Effect of roughness on the mirror: the coherent share, the diffuse rest; Kirchhoff regime, no shadowing.
 
-g = 4 pi s cos(theta) / lambda is the rms phase that heights of rms s put on a reflected wave. At grazing g -> 0 and
-every wall is smooth. Heights are zero-mean; shadowing and multiple scattering are neglected, so the laws require
-gentle slopes and a correlation length of a wavelength or more (Kirchhoff regime).
+g = 4 pi s cos(theta) / lambda is the rms phase that heights of rms s put on a reflected wave.
 """
 
 from __future__ import annotations
@@ -13,10 +11,7 @@ from models.physics.fresnel import coherent_power
 
 
 def phase_deviation_rad(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the rms phase g = 4 pi s cos / lambda (broadcast); pi/2 at the Rayleigh criterion.
-
-    Raises ValueError for a negative roughness or a cosine outside 0..1.
-    """
+    """Return the rms phase g = 4 pi s cos / lambda (broadcast); ValueError: negative roughness, no cosine."""
     roughness_m, cos_theta = np.asarray(roughness_m, np.float64), np.asarray(cos_theta, np.float64)
     if not np.all((roughness_m >= 0.0) & np.isfinite(roughness_m)):
         raise ValueError(f"roughness_m must be finite and not negative, got {roughness_m!r}")
@@ -26,10 +21,7 @@ def phase_deviation_rad(roughness_m: np.ndarray, cos_theta: np.ndarray, waveleng
 
 
 def diffuse_share(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the share 1 - exp(-g^2) of the reflected power that leaves the mirror direction (broadcast).
-
-    Exact for vanishing roughness too. The total reflected power is taken to be that of the smooth wall.
-    """
+    """Return the share 1 - exp(-g^2) of the reflected power that leaves the mirror direction (broadcast)."""
     return -np.expm1(-np.square(phase_deviation_rad(roughness_m, cos_theta, wavelength_m)))
 
 

@@ -1,7 +1,4 @@
-"""FMCW beats: from a round-trip length to frequency, phase and range profile, exact at every range.
-
-Phases are reduced to a fraction of a turn in float64 before any cast: f_c tau alone is thousands of turns.
-"""
+"""FMCW beats: from a round-trip length to frequency, phase (float64 turns) and range profile, exact at any range."""
 
 from __future__ import annotations
 
@@ -42,9 +39,7 @@ def beat_phase_rad(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
 
 
 def doppler_turn_rad(radar: RadarParams, radial_speed_mps: np.ndarray) -> np.ndarray:
-    """Return the turn of beats from chirp to chirp, 4 pi v T_c / lambda, of paths with radial speeds; chirps follow
-    each other without rest.
-    """
+    """Return the turn of beats from chirp to chirp without rest, 4 pi v T_c / lambda, of paths with radial speeds."""
     return 4.0 * np.pi * np.asarray(radial_speed_mps, np.float64) * radar.chirp_period_s / radar.wavelength_m
 
 
@@ -58,10 +53,7 @@ def beat_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
 def range_profile(
     radar: RadarParams, length_m: np.ndarray, range_bins: int, window: str = "hann", first_bin: int = 0
 ) -> np.ndarray:
-    """Return the FFT of `beat_samples` over its length at bins from `first_bin`, closed form; complex128 [paths, bins].
-
-    `tone_profile` at the beat's frequency, turned by the beat's phase.
-    """
+    """Return the FFT of `beat_samples` at bins from `first_bin`, by `tone_profile`; complex128 [paths, bins]."""
     tone_bin = beat_frequency_hz(radar, length_m) * radar.chirp_period_s
     profile = tone_profile(radar.samples_per_chirp, tone_bin, range_bins, window, first_bin)
     return profile * np.exp(1j * beat_phase_rad(radar, length_m))[..., None]
@@ -72,8 +64,7 @@ def tone_profile(
 ) -> np.ndarray:
     """Return the windowed FFT of exp(2 pi j q n / N) over N samples over N, in closed form; complex128 [tones, bins].
 
-    The sum of a geometric series: bin i of a tone at fractional bin q is
-    exp(j pi (N-1)/N (q-i)) sin(pi (q-i)) / (N sin(pi (q-i)/N)); the window is applied as taps on neighbouring bins.
+    exp(j pi (N-1)/N (q-i)) sin(pi (q-i)) / (N sin(pi (q-i)/N)), windowed by taps on neighbouring bins.
     """
     taps = WINDOW_TAPS[window]
     reach = len(taps) // 2

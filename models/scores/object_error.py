@@ -1,8 +1,7 @@
 """Position errors of a reported object, at the time it was measured: one definition for all figures.
 
-- Face error: from the reported position to the nearest visible face of the true box, to a visible scattering centre, or
-  to the box's centre, whichever is nearest. Objects are matched by it: a radar sees a face of a vehicle.
-- Centre error: from the centre of the reported box to that of the true one.
+Face error: to the nearest visible face of the true box, visible scattering centre, or its centre; objects are matched
+by it. Centre error: of the boxes' centres.
 """
 
 from __future__ import annotations

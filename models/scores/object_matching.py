@@ -37,11 +37,7 @@ class ObjectMatch:
 
 
 def match_objects(objects: Sequence[HiddenObject], truth: SceneTruth, gate_m: float = 1.0) -> ObjectMatch:
-    """Match one to one by the face error.
-
-    The truth is moved with its velocity to the time the object was measured. Only hidden truths are to be found; an
-    object at a truth in direct sight is unmatched.
-    """
+    """Match hidden truths, moved to the time an object was measured, one to one by the face error."""
     hidden = [item for item in truth.objects if item.hidden]
     distances = object_distances(objects, truth, hidden)
     pairs = assign_within(distances.error_m, gate_m)

@@ -1,7 +1,4 @@
-"""Vehicle state from CAN frames: valid frames, their values in SI units, and their time of validity.
-
-Pure: a frame is an arbitration id, bytes and a stamp; time is only what the caller says it is.
-"""
+"""Vehicle state from CAN frames: valid frames, their values in SI units, and their time of validity; no clock."""
 
 from __future__ import annotations
 
@@ -54,11 +51,7 @@ class Judged(NamedTuple):
 
 
 class CanDecoder:
-    """Decoder of the frames of one car; keeps the last value of each quantity.
-
-    Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have, and where the
-    units of DBC and mapping do not meet.
-    """
+    """Decoder of the frames of one car, its last values; `ValueError` where mapping and DBC do not meet."""
 
     def __init__(self, database: Database, mapping: CanMapping) -> None:
         self._by_name = {message.name: message for message in database.messages}
@@ -327,11 +320,9 @@ class StateReporter:
 
 
 class StampMapper:
-    """Map of stamps of another clock onto the bus clock: the fastest of the last seconds' frames took no time.
+    """Map of stamps of another clock onto the bus clock by the least delay of one to two windows.
 
-    Delays only add, so the least difference between arrival and stamp is the offset between the clocks. It is taken
-    over one to two windows: clocks that drift or are set are followed within two seconds. One stamp alone that is far
-    off sets no clock: its frame is taken to be new.
+    Clocks that drift or are set are followed within two seconds; one stamp alone that is far off is taken to be new.
     """
 
     def __init__(self, window_ns: int = 1_000_000_000) -> None:

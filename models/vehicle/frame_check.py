@@ -1,7 +1,4 @@
-"""Validity of a message's frames: length, checksum and rolling counter, and their signals.
-
-The one implementation, for the vehicle state (`can_state`) and for the signals of any DBC (`mirrorwave can --signals`).
-"""
+"""Validity of a message's frames: length, checksum and rolling counter, and their signals."""
 
 from __future__ import annotations
 
@@ -49,10 +46,7 @@ class Checked(NamedTuple):
 
 
 class FrameCheck:
-    """Checks the frames of one message, one after the other.
-
-    Raises `ValueError` naming the field if the rule's signals are not the message's.
-    """
+    """Checks the frames of one message; `ValueError` names the field of a signal that the message lacks."""
 
     def __init__(self, message: Message, rule: MessageRule) -> None:
         self._message, self._rule = message, rule
@@ -113,10 +107,7 @@ class FrameCheck:
 
 
 def _values(message: Message, data: bytes) -> dict[str, float]:
-    """Return the signals of a frame as numbers; those of a multiplexer's page that the DBC lacks are absent.
-
-    `Message.decode` refuses such a frame as a whole, and with it the signals that every page has.
-    """
+    """Return the signals of a frame as numbers, without those of a multiplexer's page that the DBC lacks."""
     values: dict[str, float] = {}
     nodes = [message._codecs]
     while nodes:

@@ -1,8 +1,4 @@
-"""A view of hidden objects as the messages of a DBC: slot of each object, fitted values, status.
-
-Pure: a view and its age go in, frames come out; the DBC states ids, bits, ranges, cycle times and delays. A value
-beyond its range is clipped to the range and marked.
-"""
+"""A view of hidden objects as the messages of a DBC, which states ids, bits, ranges, cycle times and delays."""
 
 from __future__ import annotations
 
@@ -72,10 +68,7 @@ class Fitted(NamedTuple):
 
 
 class HiddenObjectList:
-    """Makes the frames of one list after the other.
-
-    Raises `ValueError` naming the message and the field if the DBC is not one of a hidden-object list.
-    """
+    """Makes the frames of one list after the other; `ValueError` names what the DBC lacks of one."""
 
     def __init__(self, database: Database) -> None:
         self._messages = {message.name: message for message in database.messages}
@@ -92,10 +85,7 @@ class HiddenObjectList:
         self._modulus = counter_modulus(status, _COUNTER)
 
     def frames(self, view: BevFrame | None, age_ns: int | None, max_age_ns: int, counter: int) -> list[ListFrame]:
-        """Return all frames of the list number `counter`, in the order of their delays.
-
-        The list is valid while `age_ns`, the view's age, is within 0..`max_age_ns`; None is an unknown age.
-        """
+        """Return all frames of list number `counter` in order; valid while `age_ns` (None: unknown) is in its range."""
         fresh = view is not None and age_ns is not None and 0 <= age_ns <= max_age_ns
         objects = listed_objects(view.objects, self.slots) if view is not None and fresh else ()
         frames, saturated = [], False

@@ -26,10 +26,7 @@ class SignalRange(NamedTuple):
 
 
 class Quantity:
-    """The signals of one quantity, and their values in SI units.
-
-    Raises `ValueError` naming the mapping's field if the DBC has no such signal, or if units do not agree.
-    """
+    """The signals of one quantity, and their values in SI units; `ValueError` where mapping and DBC disagree."""
 
     def __init__(self, field: str, rule: QuantityRule, message: Message, dimension: Dimension) -> None:
         self.field, self.rule = field, rule
@@ -58,10 +55,7 @@ class Quantity:
         return (-value if negative else value) + 0.0
 
     def from_si(self, value: float) -> tuple[list[float], bool]:
-        """Return the signals' values for a quantity, and whether its `negative_while` must be set.
-
-        Each of several summed signals takes as much as its own steps allow, and the last one the remainder.
-        """
+        """Return the signals' values for a quantity, the last one the remainder, and the need of `negative_while`."""
         rule = self.rule
         negative = rule.negative_while is not None and value < 0.0
         combined = (rule.sign * (-value if negative else value) - rule.offset) / self.factor
@@ -165,9 +159,7 @@ class Quantity:
 def is_in_counts(signal: Signal, stated: SignalRange) -> bool:
     """Return whether the limits of a signal are those of its raw counts rather than of its scaled values.
 
-    They are if they cover at least half of the range of the bits as counts, and as scaled values would be wrong: one
-    limit lies beyond all values of the bits while the other cuts values off, or both are exactly the ends of the
-    counts. A false positive costs little: the mapping's own `low` and `high` hold in any case.
+    They cover half of the counts at least, and as scaled values would be wrong or exactly the ends of the counts.
     """
     if signal.is_float or (signal.scale == 1 and signal.offset == 0) or not all(map(math.isfinite, stated)):
         return False

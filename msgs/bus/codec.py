@@ -1,10 +1,8 @@
 """Messages as bytes: msgpack header and raw array frames on the wire, one msgpack map in recordings, JSON for people.
 
-Wire: `[topic\\0][header][array]...`. The header is the msgpack map `{"envelope": ..., "body": ...}`; each array of the
-body is replaced by `{"dtype", "shape", "frame"}`, `frame` counting the array frames from 0. Inline (recordings): the
-body alone, each array replaced by `{"dtype", "shape", "data"}` with its little-endian C-order bytes in `data`.
-
-Nothing received is trusted: sizes, names, types, array layouts and unknown fields are checked before a value is built.
+Wire: `[topic\0][header][array]...`, the header `{"envelope": ..., "body": ...}`, each array of the body `{"dtype",
+"shape", "frame"}`. Inline: the body alone, arrays with their little-endian C-order bytes in `data`. Nothing received is
+trusted: sizes, names, types, array layouts and unknown fields are checked before a value is built.
 """
 
 from __future__ import annotations
@@ -106,10 +104,7 @@ def _frames(topic: Topic, envelope: Envelope, message: msgspec.Struct) -> list[B
 
 
 def decode(frames: Sequence[Buffer], any_size: bool = False) -> Received:
-    """Return the message of `frames`; its arrays are read-only views on them.
-
-    Raises `CodecError`, and nothing else, whatever the frames hold.
-    """
+    """Return the message of `frames`, arrays as read-only views on them; raises `CodecError` and nothing else."""
     if len(frames) < 2:
         raise CodecError(f"message must have at least 2 frames, got {len(frames)}")
     topic = _topic_of_frame(bytes(frames[0][:256]))

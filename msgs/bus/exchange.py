@@ -22,10 +22,7 @@ class Parcel(NamedTuple):
 
 
 class Mailbox:
-    """What waits for one node; `descriptor` can be read while anything does.
-
-    A message that would exceed its topic's history is refused, as on a socket: the receiver counts it as lost.
-    """
+    """What waits for one node; a message beyond its topic's history is refused, and the receiver counts it as lost."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -59,10 +56,7 @@ class Mailbox:
 
 
 class Exchange:
-    """Connects the buses of nodes in one process; any thread may call it.
-
-    `nodes`: their names. A bus with an exchange does not connect to the sockets of these.
-    """
+    """Connects the buses of the nodes of one process, `nodes`, past their sockets; any thread may call it."""
 
     def __init__(self, nodes: Iterable[str]) -> None:
         self.nodes = frozenset(nodes)

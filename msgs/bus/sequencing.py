@@ -1,7 +1,4 @@
-"""Frame handling of every bus: number outgoing messages; check, order and count incoming ones.
-
-Guarantee to receivers: at most once, in order per publisher, every gap counted.
-"""
+"""Frame handling of every bus: at most once, in order per publisher, every gap counted."""
 
 from __future__ import annotations
 
@@ -152,10 +149,7 @@ class Tally:
         self._last.clear()
 
     def without_outdated(self, messages: list[Received]) -> list[Received]:
-        """Return `messages`, only the last of each publisher on topics whose receivers want the newest; count the rest.
-
-        Paced messages are kept: their player waits until it is answered.
-        """
+        """Return `messages`, unpaced ones of newest-only topics but the last of each publisher counted and left out."""
         if self._keeps_all:
             return messages
         newest = {(message.topic, message.envelope.publisher): message for message in messages}

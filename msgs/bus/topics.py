@@ -1,7 +1,7 @@
-"""The one table of topics: type, nominal rate, history and byte limit. No other module states these facts.
+"""The one table of topics: type, nominal rate, history and byte limit; those of installed packages and launch files
+too.
 
-Beside the shipped topics stand those of other people: an installed package declares its own in the tuple `TOPICS` of a
-module that it names under `[project.entry-points."mirrorwave.topics"]`, a launch file in its mapping `topics`.
+A package declares its own in the tuple `TOPICS` of a module named under `[project.entry-points."mirrorwave.topics"]`.
 """
 
 from __future__ import annotations
@@ -154,10 +154,9 @@ class _Declared(NamedTuple):
 
 
 class Topics(Mapping[str, Topic]):
-    """Topics by name: the shipped ones, then those of installed packages and of the launch file.
+    """Topics by name: the shipped ones, then those of installed packages and of the launch file, imported when needed.
 
-    Types of other people are imported when their topic is asked for, when a name is not known, or when all topics are
-    listed. A declaration that cannot be used is left out, and `refused` says why.
+    A declaration that cannot be used is left out, and `refused` says why.
     """
 
     def __init__(self, shipped: Iterable[Topic]) -> None:
@@ -198,8 +197,7 @@ class Topics(Mapping[str, Topic]):
     def declare(self, topic: Topic, origin: str) -> None:
         """Add a topic of `origin`, a package or a file; the same one again changes nothing.
 
-        Raises `ValueError`, one line that names origin, topic and rule, for a name, type or fact that cannot be, and
-        for a topic that is declared otherwise already.
+        Raises `ValueError`, one line, for what cannot be, and for a topic that is declared otherwise already.
         """
         where = f"{origin}: topic {topic.name!r}"
         require_topic_name(topic.name, origin)
@@ -356,11 +354,7 @@ RAW_TOPICS = (*(raw for _, raw in SENSOR_TOPICS), DETECTIONS_TOPIC)
 
 
 def topic_facts(name: str) -> Topic:
-    """Return the facts of a topic by name.
-
-    Raises `ValueError` for an unknown name: with the reason where a declaration of it is left out, else with a list of
-    the names that exist.
-    """
+    """Return the facts of a topic; `ValueError` for an unknown name, with its refusal or the names that exist."""
     if name in TOPICS:
         return TOPICS[name]
     if name in TOPICS.refused:

@@ -1,7 +1,6 @@
-"""The live bus: ZeroMQ over Unix sockets, one socket file per topic and publisher, no broker.
+"""The live bus: ZeroMQ over Unix sockets, no broker.
 
-`run_dir` is the meeting point: a publisher binds `<topic with . for />@<node>` in it, subscribers look for
-`<topic>@*` and connect; ZeroMQ reconnects by itself when a publisher comes back to its path.
+A publisher binds `<topic with . for />@<node>` in `run_dir`, subscribers look for `<topic>@*` and connect.
 """
 
 from __future__ import annotations
@@ -104,9 +103,8 @@ class ZmqBus:
             self._poller.register(self._mailbox.descriptor, zmq.POLLIN)
 
     def advertise(self, topic: str, origins: int = 1) -> None:
-        """Open `topic` for subscribers before the first message; `publish` and `forward` do it otherwise.
+        """Open `topic` for subscribers before the first message, for so many `origins` that this node sends for.
 
-        `origins`: number of publishers this node sends for; the queue of a latched topic has room for all of them.
         Raises `ValueError` when a running process of the same node name publishes it already.
         """
         if topic not in self._publishers:
@@ -172,10 +170,7 @@ class ZmqBus:
         self._poller.unregister(source)
 
     def receive(self, timeout_s: float) -> list[Received]:
-        """Return messages waiting, oldest first and at most 64 a topic; wait up to `timeout_s` for the first.
-
-        Empty as soon as a watched source can be read.
-        """
+        """Return messages waiting, at most 64 a topic; wait for the first, or until a watched source can be read."""
         deadline_ns = self.now_ns() + max(0, int(timeout_s * NANOSECONDS_PER_SECOND))
         while True:
             if self.now_ns() >= self._next_scan_ns:
@@ -187,10 +182,7 @@ class ZmqBus:
                 return received
 
     def has_publisher(self, topic: str, publisher: str) -> bool:
-        """Return whether a running process of this name publishes `topic`; of one behind a link, whether any link does.
-
-        True where it cannot be asked.
-        """
+        """Return whether a running process of this name publishes `topic`; true where it cannot be asked."""
         if self._exchange is not None and publisher in self._exchange.nodes:
             return True
         try:
@@ -372,10 +364,9 @@ def run_dir(domain: str) -> Path:
 
 
 def make_run_dir(run_dir: Path) -> None:
-    """Make a run directory that no other user can enter, or accept an existing one.
+    """Make a run directory that no other user can enter, or accept an existing one; `OSError` if it cannot be made.
 
-    Raises `ValueError` if another user made it first, or could write into it or put another in its place: that user
-    would control the graph. `OSError` if it cannot be made.
+    Raises `ValueError` where another user made it or could write into it: that user would control the graph.
     """
     # a parent directory made along with it takes its mode from the umask otherwise
     run_dir.parent.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -1,7 +1,4 @@
-"""Arrays from .npy and .npz files of others: nothing in such a file is trusted before it is checked.
-
-numpy's own reader allocates what a header promises, and passes on any exception of its parsers.
-"""
+"""Arrays from .npy and .npz files of others: nothing is allocated or trusted before it is checked."""
 
 from __future__ import annotations
 
@@ -38,10 +35,7 @@ def load_array(path: Path) -> np.ndarray:
 
 
 def load_arrays(source: Path | IO[bytes], only: Collection[str] | None = None) -> dict[str, np.ndarray]:
-    """Return the arrays of a .npz archive by name, all or those of `only` that it has.
-
-    Raises `ValueError` with the reason in one line, `OSError` if it cannot be read.
-    """
+    """Return the arrays of a .npz archive by name, of `only` those that it has; `ValueError` with the reason."""
     try:
         with zipfile.ZipFile(source) as archive:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}

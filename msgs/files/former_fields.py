@@ -1,8 +1,7 @@
 """Former fields of types that files describe: constants of the code, left out of old files with a line about each.
 
-A type names in `formerly` the places of its former fields and the module in which their constants stand: a group that
-it has lost, a single field, or a group that lost some. The constant of `min_points` is `MIN_POINTS`, or the default of
-a field of that name where parts of the code differ in it.
+A type names in `formerly` the places of its former fields and the module of their constants: `MIN_POINTS` of
+`min_points`, or the default of a field of that name.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Modules by the names that they had before the rooms were named by their steps: scripts and launch files know those.
-
-A former name is the module itself, not a copy of it. Modules follow their room: `models.perception.detection.cfar` is
-`models.perception.find.cfar`.
-"""
+"""Modules by their former names, which scripts and launch files know: the module itself, by its former room too."""
 
 from __future__ import annotations
 

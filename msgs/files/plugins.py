@@ -1,7 +1,7 @@
 """Parts that other installed packages bring: entry points of their distributions, each naming a module.
 
-A package declares them in its `pyproject.toml`, name = module, under `[project.entry-points."mirrorwave.nodes"]`,
-`"mirrorwave.effects"`, `"mirrorwave.topics"` or `"mirrorwave.verbs"`. Nothing of a package is imported before `load`.
+A package declares them, name = module, under `[project.entry-points."mirrorwave.nodes"]`, `"mirrorwave.effects"`,
+`"mirrorwave.topics"` or `"mirrorwave.verbs"`. Nothing of a package is imported before `load`.
 """
 
 from __future__ import annotations
@@ -66,11 +66,7 @@ class Plugins(NamedTuple):
 
 
 def plugins(group: str) -> Plugins:
-    """Return the entry points of a group, in order of name.
-
-    Refused are a name that is none, a value that is no module, and a name that several packages bring: which of them
-    would be used would depend on the order of installation.
-    """
+    """Return the entry points of a group in order of name; names that are none or of several packages are refused."""
     by_name: dict[str, list[Plugin]] = {}
     for point in importlib.metadata.entry_points(group=group):
         package = f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
@@ -98,10 +94,7 @@ def _refusal(candidates: list[Plugin]) -> str:
 
 
 def import_named(module_name: str) -> ModuleType:
-    """Import a module by its dotted name; `ValueError` in one line whatever stops it.
-
-    The line says which module or library is missing, or what the module's own code raised and where.
-    """
+    """Import a module by its dotted name; `ValueError` in one line says what stopped it."""
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:

@@ -29,10 +29,7 @@ class OpenFiles(NamedTuple):
 
 
 def open_files(folder: Path) -> list[OpenFiles]:
-    """Return the open files of `folder`: a finding for each folder in it, and one for each kind of file beside these.
-
-    What lies in a folder that others cannot enter is closed. What comes with a checkout is no user's.
-    """
+    """Return a finding for each open folder in `folder` and each kind of open file; a checkout's are no user's."""
     opened: dict[tuple[Path, str], list[Path]] = {}
     for path in itertools.islice(_open_below(folder, 0), _MAX_ENTRIES):
         inside = path.relative_to(folder).parts

@@ -1,7 +1,4 @@
-"""Text of other people's files: byte-order marks, UTF-16, and the bytes of cp1252 where a file is no UTF-8.
-
-Names, comments and paths in such files are written in whatever a maker's tool takes for text; their numbers are ASCII.
-"""
+"""Text of other people's files: byte-order marks, UTF-16, and the bytes of cp1252 where a file is no UTF-8."""
 
 from __future__ import annotations
 
@@ -60,10 +57,7 @@ def read_text(path: Path, errors: str = "strict") -> str:
 
 @contextlib.contextmanager
 def without_mark(path: Path) -> Iterator[Path]:
-    """Yield a file, or a copy of it for readers that take its UTF-8 mark for text, or a name that is no UTF-8 for none.
-
-    A `ValueError` that names the copy names the file instead.
-    """
+    """Yield a file, or a copy without mark or odd name for readers that trip over these; errors name the file."""
     with path.open("rb") as file:
         if file.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
             file.seek(0)

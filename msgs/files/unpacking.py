@@ -21,10 +21,9 @@ UNPACKING_ERRORS = (zstandard.ZstdError, RuntimeError, zlib.error, EOFError, Mem
 
 
 def unpack(data: bytes, method: str, limit: int) -> bytes:
-    """Return what all frames of `data` unpack to, at most `limit` bytes and one: more is never held.
+    """Return what all frames of `data` unpack to by "zstd", "lz4", "zlib" or "" (none), at most `limit` bytes and one.
 
-    Methods: "zstd", "lz4" (frames), "zlib", and "" for none. May raise any of `UNPACKING_ERRORS`, and `ValueError` for
-    another method and for data that end within a frame.
+    May raise any of `UNPACKING_ERRORS`, and `ValueError` for another method or data that end within a frame.
     """
     if method == "":
         return data
@@ -47,10 +46,7 @@ def unpack(data: bytes, method: str, limit: int) -> bytes:
 
 
 class Budget:
-    """What a stream may unpack to: 8 MiB, and beyond that a hundred times what was read for it.
-
-    Logs and tables become 3 to 30 times smaller; 1,000 times and more is what zeros do.
-    """
+    """What a stream may unpack to: 8 MiB and a hundred times what was read; logs become 3 to 30 times smaller."""
 
     FREE_BYTES, RATIO = 1 << 23, 100
 

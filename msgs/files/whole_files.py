@@ -16,11 +16,7 @@ _BYTES_PER_MB = 1_000_000
 
 @contextmanager
 def whole(path: Path, suffix: str = ".part") -> Iterator[Path]:
-    """Yield a path to write to; it becomes `path` when the context ends without an error, else `path` is unchanged.
-
-    `suffix` ends the temporary name, for writers that depend on it. Raises `OSError` with the name of `path` if its
-    disk refuses.
-    """
+    """Yield a path to write to, ending in `suffix`; without an error it becomes `path`. `OSError` names `path`."""
     # an unpredictable name used by no other process: several may make the same file at once
     part = path.with_name(f".{path.name}.{secrets.token_hex(8)}{suffix}")
     try:

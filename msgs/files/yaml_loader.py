@@ -1,7 +1,4 @@
-"""YAML as values and back: no unbounded growth, no slow parsing, no value that does not match its tag.
-
-Plain values are those of YAML 1.2, not of 1.1: `1e-07` is a number; `off`, `12:30:00` and `2026-01-01` are text.
-"""
+"""YAML 1.2 as values and back (`1e-07` is a number, `off` is text), without unbounded growth or slow parsing."""
 
 from __future__ import annotations
 
@@ -26,9 +23,7 @@ def in_words(value: object) -> str:
 
 
 def _loader() -> Any:
-    """Return a `SafeLoader` whose nodes are composed here, of events that libyaml reads where it is at hand: a megabyte
-    of text takes it a hundredth of a second.
-    """
+    """Return a `SafeLoader` whose nodes are composed here, of events that libyaml reads where it is at hand."""
     if not yaml.__with_libyaml__:
         return yaml.SafeLoader
     return type("_Loader", (Composer, yaml.CSafeLoader), {"__init__": yaml.CSafeLoader.__init__})

@@ -1,8 +1,7 @@
 """Steps of the clock that a stream was stamped with: recognised, said, and taken out of its time.
 
-A step back, or ahead by more than a stream is silent, is no time that passed: what follows comes a usual interval after
-what came before. Where the stamps return to where they were, those in between are off, and lie between their
-neighbours.
+What follows a step comes a usual interval after what came before; where stamps return, those in between lie between
+their neighbours.
 """
 
 from __future__ import annotations

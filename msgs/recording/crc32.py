@@ -1,8 +1,4 @@
-"""Checksum of bytes one behind the other from the checksums of each, without reading them again.
-
-CRC-32 is the remainder of the bytes as a polynomial over {0, 1}, lowest degree in the highest bit; to append n bytes
-multiplies what was before by x^(8 n).
-"""
+"""CRC-32 of joined bytes from those of the parts: to append n bytes multiplies by x^(8 n) over {0, 1}."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Recordings made of recordings: whole ones of damaged ones, spans, selected topics, several in one.
-
-Messages are copied byte for byte, unknown topics included.
-"""
+"""Recordings of recordings, copied byte for byte: whole ones of damaged ones, spans, topics, several in one."""
 
 from __future__ import annotations
 
@@ -75,10 +72,9 @@ def copy_recording(
 def merge_recordings(
     sources: Sequence[Path], target: Path, *, compress: bool = False, on_message: Callable[[], None] = lambda: None
 ) -> Copied:
-    """Copy recordings into one, in order of log time; a message that several hold is copied once.
+    """Copy recordings into one, in order of log time, each message once; errors as `copy_recording`.
 
     Metadata records are those of the first source that has one of the name; others' carry the name of their file.
-    Errors as `copy_recording`.
     """
     return _copied(sources, Path(target), _Selection(), compress, False, on_message)
 

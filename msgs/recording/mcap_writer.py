@@ -1,8 +1,7 @@
 """Writer of MCAP files at the rate of raw beams: each chunk compressed or not, no message copied on its way out.
 
-The `mcap` library's writer has one compression for a whole file and copies each message several times; its records are
-used here, its writer is not. Channels and their schemas are declared in every chunk that holds their messages, so that
-each chunk can be read alone.
+The `mcap` library's writer has one compression a file and copies messages; its records alone are used here. Each chunk
+declares its channels and schemas and can be read alone.
 """
 
 from __future__ import annotations
@@ -347,10 +346,9 @@ def _write_all(descriptor: int, pieces: Iterable[bytes], offset: int) -> None:
 
 
 def reserve(descriptor: int, size: int, length: int) -> None:
-    """Have the system prepare `length` bytes behind the `size` of a file; never fails.
+    """Have the system prepare `length` bytes behind the `size` of a file, which stays; never fails.
 
-    The file's size stays, so that a killed recorder leaves no zeros behind. Recent data starts on its path to the disk
-    and data on the disk leaves memory: the disk works steadily, and a long recording displaces no other memory.
+    Recent data starts for the disk and data on it leaves memory: a long recording displaces no other memory.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "fallocate"):

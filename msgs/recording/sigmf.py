@@ -1,12 +1,8 @@
 """Raw captures as SigMF recordings (`ci16_le`), read and written beam by beam.
 
-One `captures` entry is one beam of chirps x samples, beams follow each other without gaps in order of acquisition.
-`mirrorwave:background` names a file beside the capture, `<name>.background.npy`: complex64 [beams, samples], one chirp
-a beam in units of the int16 codes (an array of that size has no place in JSON). `mirrorwave:steering_weights` of a beam
-is a list of [re, im], one pair a column. Parts of a radar setup beyond the contract are further optional keys, so that
-writing and reading back loses nothing.
-
-Any fault of a capture is one `ValueError` of one line: file, field, value, rule.
+One `captures` entry is one beam of chirps x samples, without gaps in order of acquisition. `mirrorwave:background`
+names a file beside the capture, complex64 [beams, samples] in int16 codes; `mirrorwave:steering_weights` of a beam is a
+list of [re, im]. Any fault of a capture is one `ValueError` of one line: file, field, value, rule.
 """
 
 from __future__ import annotations
@@ -115,8 +111,7 @@ class _Beam(NamedTuple):
 class SigmfCapture:
     """A capture on disk; `len` counts its beams, the last scan may be partial.
 
-    Beams are read one by one and not mapped into memory: a file that is cut while it is open then gives an error, where
-    a mapped one would kill the process.
+    Beams are read, not mapped: a mapped file that is cut while it is open would kill the process.
     """
 
     def __init__(self, data_path: Path, setup: RadarSetup, beams: list[_Beam]) -> None:
@@ -126,10 +121,7 @@ class SigmfCapture:
 
     @classmethod
     def open(cls, path: Path, *, verify: bool = True) -> Self:
-        """Read the metadata of a capture, named by its meta file, its data file or their common stem.
-
-        `verify` compares the data with `core:sha512` where the metadata give it. Raises `ValueError` only.
-        """
+        """Read the metadata of a capture by its meta file, data file or stem, `verify` its data; `ValueError`."""
         meta_path, data_path = capture_paths(Path(path))
         metadata = _load_metadata(meta_path)
         fields = _Fields(meta_path, metadata)

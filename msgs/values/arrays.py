@@ -1,8 +1,4 @@
-"""What the fields of a message may hold: dtype and shape of arrays, and the range of every number.
-
-A field says its rule in its annotation: `msgspec.Meta` for single numbers, which msgspec also checks while it decodes
-and writes into the JSON Schema of a recording; `Array` for arrays. `Checked` holds messages to them.
-"""
+"""What the fields of a message may hold, by their annotations: `msgspec.Meta` for numbers, `Array` for arrays."""
 
 from __future__ import annotations
 
@@ -183,10 +179,7 @@ def _length(message: Any, path: str) -> int:
 
 
 def require_range(name: str, array: np.ndarray, least: float, greatest: float, or_nan: bool = False) -> None:
-    """Raise `ValueError` naming the field unless all numbers lie in `least`..`greatest`, or are NaN where that may be.
-
-    The array must not be empty.
-    """
+    """Raise `ValueError` naming the field unless all numbers, at least one, lie in range or are permitted NaN."""
     low, high = (np.fmin.reduce(array, None), np.fmax.reduce(array, None)) if or_nan else (array.min(), array.max())
     if (least <= low and high <= greatest) or (or_nan and np.isnan(low)):
         return

@@ -54,10 +54,7 @@ class CameraImage(Checked, frozen=True, kw_only=True, eq=False):
 
 
 def jpeg_size(data: bytes) -> tuple[int, int]:
-    """Return width and height of a JPEG by its header; `ValueError` for other bytes, a cut file and too large ones.
-
-    What is compressed in it is not looked at.
-    """
+    """Return width and height of a JPEG by its header alone; `ValueError` for other bytes, cut or too large ones."""
     if not data:
         raise ValueError("image must be a JPEG, it is empty")
     if not data.startswith(_START):

@@ -38,11 +38,7 @@ def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
 
 
 def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
-    """Raise `ValueError` for a field or a choice that `wanted` does not have; it lists those that are known.
-
-    `where` names the value; keys of mappings are named as they are written. Values of a wrong type are passed over:
-    what converts them says what is wrong with them.
-    """
+    """Raise `ValueError` for a field or choice that `wanted` lacks, listing the known; `where` names the value."""
     for kind in alternatives(wanted):
         if _is_struct(kind) and isinstance(value, Mapping):
             valid = fields_of(kind)

@@ -32,9 +32,7 @@ def duration_text(seconds: float) -> str:
 
 
 def as_utf8(text: str) -> str:
-    r"""Return a text that can be written as UTF-8: bytes of a file's name that are none, which Python keeps as lone
-    surrogates, as `\xNN`.
-    """
+    r"""Return a text that can be written as UTF-8: bytes of a file's name that are none as `\xNN`."""
     try:
         text.encode()
     except UnicodeEncodeError:

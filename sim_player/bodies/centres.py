@@ -1,17 +1,11 @@
 """Centres of bodies of known shape: cells of their faces, the ways by several of these, spheres, cylinders.
 
-- A face is cut into triangles, which are gathered in cells; a cell is a centre. `CELL_M` is under a range bin, so that
-  each part of a body is at its own range, and far under what a lobe turns while a scene moves from one instant of
-  tracing to the next. A body of no more than `WHOLE_M` has one centre for each of its sides.
-- A body that is not convex hides parts of itself (rays, see `sim_player.bodies.fields`) and mirrors in itself: two and
-  three faces in a row, each by its images. These ways belong to the point where their faces meet: of a trihedral its
-  apex, which in a small one has all the rest too; of a dihedral the middle of its edge.
-- A sphere is one centre. A cylinder's side has one for each `CELL_M` of its height.
-
-Bounds: at most `MAX_CENTRES` cells a body, which grow until they are so few; `MAX_PIECES` triangles, beyond which
-neighbours of one direction become one; ways by the `MAX_MIRRORS` largest plane and convex faces, `MAX_SEQUENCES` of
-two and as many of three. Not modelled: creeping waves, diffraction by edges beyond physical optics, transmission
-through thin dielectric faces, mirrors that are curved, four bounces.
+Triangles of a face are gathered in cells of `CELL_M`, under a range bin; a body of no more than `WHOLE_M` has one
+centre a side. One that is not convex hides parts of itself and mirrors in itself, by two and three faces in a row, at
+the point where these meet. A sphere is one centre, a cylinder's side one for each `CELL_M` of height. Bounds:
+`MAX_CENTRES` cells, `MAX_PIECES` triangles, the `MAX_MIRRORS` largest plane and convex faces, `MAX_SEQUENCES` ways of
+two and of three. Not modelled: creeping waves, edges beyond physical optics, transmission through thin dielectric
+faces, curved mirrors, four bounces.
 """
 
 from __future__ import annotations
@@ -91,10 +85,7 @@ Bodies = tuple[np.ndarray | tuple[np.ndarray, ...], ...]
 
 
 def body_of(mesh: Mesh, wavelength_m: float, primitive: str | None = None, range_m: float = math.inf) -> Body:
-    """Return the centres of a mesh; of a sphere or cylinder by name those of the round shape, not of its facets.
-
-    `range_m`: least distance at which it is looked at closely; nearer, it has smaller triangles.
-    """
+    """Return the centres of a mesh (of a sphere or cylinder by name the round shape's) looked at from `range_m` on."""
     size_m = mesh.extent_m
     low_m = float(mesh.vertices_m[:, 2].min())
     if primitive == "sphere":
@@ -321,10 +312,7 @@ def _mean(values: np.ndarray, area: np.ndarray, label: np.ndarray) -> np.ndarray
 
 
 def _labels(pieces: np.ndarray, normal: np.ndarray, cell_m: float, steps: float) -> np.ndarray:
-    """Return the number of the cell that each piece belongs to, by place and direction, no number left out.
-
-    Cells are centred on the body, a little off so that sides of a symmetric one do not lie on a border between two.
-    """
+    """Return the number of the cell that each piece belongs to, by place and direction, no number left out."""
     points = pieces.reshape(-1, 3)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     cell = np.floor((pieces.mean(axis=1) - middle) / cell_m + 0.5 + 1e-6).astype(np.int64)
@@ -471,10 +459,10 @@ def _polygon_area(corners: np.ndarray) -> float:
 def _sequences(
     faces: list[np.ndarray], normal: np.ndarray, two_sided: bool, slack: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ways by two and three faces [Q, 3] that can send a wave back, and where the faces of each meet [Q, 3].
+    """Return the ways by two and three faces [Q, 3] that can send a wave back, largest first, and where these meet [Q,
+    3].
 
-    By two faces where these stand nearly at right angles, by three wherever each shows itself to the next: three
-    mirrors send some direction back at any angles. The largest first.
+    By two where these stand nearly at right angles, by three wherever each shows itself to the next.
     """
     count = min(len(faces), MAX_MIRRORS)
     shown = np.zeros((count, count), bool)

@@ -33,8 +33,7 @@ SMALL_RAD = 1e-3
 def body_echo(bodies, centre, wavenumber, there, here):  # type: ignore[no-untyped-def]
     """Return the field of a centre, the lengths to it of both routes, and where on the body that is, from its position.
 
-    `bodies`: `sim_player.bodies.centres.joined_bodies`; `there` and `here`: routes out and back. Either order of two
-    routes gives the same.
+    `bodies`: `sim_player.bodies.centres.joined_bodies`; `there` and `here`: routes out and back, in either order.
     """
     size = bodies[1]
     source, receiver = ahead((0.0, 0.0, 0.0), -there.length_m, there.arrive), (0.0, 0.0, 0.0)
@@ -83,8 +82,7 @@ def _between(first, last):  # type: ignore[no-untyped-def]
 def triangle_mean(phases):  # type: ignore[no-untyped-def]
     """Return the mean of e^{j phase} over a triangle from the phases at its corners and at its middle.
 
-    Linear between the corners, and in the mean that of a spherical wave (exact for a phase of second degree). Twice the
-    second divided difference of the exponential; a series where the phases are nearly alike.
+    Exact for a phase of second degree; a series where the phases are nearly alike.
     """
     bend = 0.75 * phases[3] - 0.25 * (phases[0] + phases[1] + phases[2])
     a, b, c = phases[0] + bend, phases[1] + bend, phases[2] + bend
@@ -228,10 +226,7 @@ def _area(polygon, count):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _in_beam(face, corners, window, apex, plane, other):  # type: ignore[no-untyped-def]
-    """Write into `window` what of a face lies in the beam from an apex through a window [corners, 3], beyond its plane.
-
-    Return its number of corners. `plane`: normal and offset of the window's plane; `other` is room of the same size.
-    """
+    """Write into `window` [corners, 3] what of a face lies in the beam from an apex through it; return its corners."""
     beam = window[:corners].copy()
     middle = (0.0, 0.0, 0.0)
     for i in range(corners):
@@ -255,11 +250,7 @@ def _in_beam(face, corners, window, apex, plane, other):  # type: ignore[no-unty
 
 @compiled(error_model="numpy")
 def _sequence(bodies, centre, sequence, ends, root, wavenumber, cut, waiting):  # type: ignore[no-untyped-def]
-    """Return the way from a source by two or three faces to a receiver, in units of sqrt(4 pi) / lambda.
-
-    The source's images in one face after the other, and beams from these through what the last one has lit: rays as
-    dense as one likes. On the last face physical optics.
-    """
+    """Return the way by two or three faces by images and beams, on the last physical optics; sqrt(4 pi) / lambda."""
     spans, polygons, corners, plane_normals, offsets = bodies[2], bodies[5], bodies[6], bodies[7], bodies[8]
     faces = bodies[12][sequence]
     bounces = 3 if faces[2] >= 0 else 2

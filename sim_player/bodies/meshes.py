@@ -1,7 +1,6 @@
 """Triangle meshes as objects: read from OBJ, PLY, STL or glTF, or built as primitives; validated on input.
 
-A mesh has its own frame like an object class: x forward, y left, z up, on the ground (min z = 0) and centred in plan by
-its box.
+Frame of its own: x forward, y left, z up, on the ground (min z = 0) and centred in plan by its box.
 """
 
 from __future__ import annotations
@@ -80,9 +79,8 @@ class Mesh:
 def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis | None = None) -> Mesh:
     """Return a mesh from an OBJ, PLY, STL, GLB or glTF file, in metres, z up, on the ground, centred in plan.
 
-    glTF is y up with its front along +z: turned so that the front is x and up is z (also for other formats read with
-    `up="y"`). Closed parts are wound outward; open ones keep the file's winding, made consistent. ValueError in one
-    line: file, field, value, rule. An OBJ cut off between two lines cannot be told from a whole one.
+    glTF (and `up="y"`) is turned so that its front, +z, is x. Closed parts are wound outward; open ones keep the file's
+    winding, made consistent. ValueError in one line: file, field, value, rule.
     """
     if unit not in ("m", "mm"):
         raise ValueError(f"{path}: unit: must be m or mm, got {unit!r}")
@@ -101,11 +99,7 @@ def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis 
 
 
 def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, name: str) -> Mesh:
-    """Return a mesh from plain arrays: welded, faces without area or drawn before dropped, wound outward, on the
-    ground, centred in plan.
-
-    Raises ValueError where no face has an area.
-    """
+    """Return a mesh from arrays: welded, wound outward, on the ground, centred; ValueError for no area."""
     vertices_m, faces = np.asarray(vertices_m, np.float64), np.asarray(faces, np.int64)
     # vertices at one position are one, so that faces share them with their neighbours
     step = WELD_SHARE * max(float(np.ptp(vertices_m, axis=0).max()), 1e-12)
@@ -243,9 +237,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_cut_obj(path: Path) -> None:
-    """Raise ValueError where the last face of an OBJ has fewer than three corners; readers drop such a line
-    silently.
-    """
+    """Raise ValueError where an OBJ's last face has under three corners: readers drop such a line silently."""
     if path.suffix.lower() != ".obj":
         return
     with path.open("rb") as file:
@@ -317,12 +309,9 @@ def directed_edges(faces: np.ndarray) -> np.ndarray:
 
 
 def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the connected part of each face, which faces to turn over so that a part is wound alike, which parts are
-    closed.
+    """Return the connected part of each face, which faces to turn over for one winding, which parts are closed.
 
-    Two nodes a face, as it is and turned over; neighbours join the nodes that are wound alike. A part then falls into
-    two components, one the other turned over (a Moebius strip into one: its winding stays as it is). Only edges of
-    exactly two faces join.
+    Two nodes a face, as it is and turned over, joined where wound alike: two components (a Moebius strip: one).
     """
     count = len(faces)
     edges = directed_edges(faces)

@@ -16,18 +16,14 @@ LEAF_FACES, TABLE_SIZE = 4, 2049
 
 
 def reflection_table(material: str, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the half-space reflection of TE and TM over cosines 0..1 in `TABLE_SIZE` steps; TM with the sign of Eq.
-    (13).
-    """
+    """Return the half-space reflection of TE and TM (Eq. (13)) over cosines 0..1 in `TABLE_SIZE` steps."""
     epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
     cosine = np.linspace(0.0, 1.0, TABLE_SIZE)
     return half_space_reflection(np.array(epsilon), cosine), half_space_reflection(np.array(epsilon), cosine, "tm")
 
 
 def cut_triangles(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came
-    from.
-    """
+    """Return the triangles halved at their longest edge until none is longer, [P, 3, 3], and where each came from."""
     owner = np.arange(len(triangles))
     done, done_owner = [np.zeros((0, 3, 3))], [np.zeros(0, int)]
     while len(triangles):
@@ -54,9 +50,7 @@ Tree = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def search_tree(corners: np.ndarray) -> Tree:
-    """Return the triangles in the order of a tree of boxes; of its nodes: bounds [N, 2, 3], first child or face,
-    faces (or 0).
-    """
+    """Return triangles in the order of a tree of boxes; its nodes: bounds [N, 2, 3], first child or face, faces."""
     return _ordered_tree(corners)[1]
 
 
@@ -128,10 +122,7 @@ def row(array, index):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def first_hit(faces, bounds, first, count, root, start, direction, nearest):  # type: ignore[no-untyped-def]
-    """Return distance and index of the first triangle on a ray beyond `nearest`; (inf, -1): none (Moeller-Trumbore).
-
-    `root`: the node that the tree begins with, of several in one.
-    """
+    """Return distance and index of the first triangle on a ray from `root`; (inf, -1): none (Moeller-Trumbore)."""
     best, hit = np.inf, -1
     inverse = (_inverse(direction[0]), _inverse(direction[1]), _inverse(direction[2]))
     stack = np.empty(64, np.int64)

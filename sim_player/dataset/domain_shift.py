@@ -1,8 +1,6 @@
 """A harder copy of a series for tests of generalisation: rougher walls, clutter, and a board with faults.
 
-The places are those of the series itself; the changes are drawn separately from the same seed. Clutter scatters, blocks
-and is mirrored as walls are, and has truth points like theirs. The receiver knows the dead beams, but no gains and
-phases.
+The receiver knows the dead beams, but no gains and phases.
 """
 
 from __future__ import annotations
@@ -97,11 +95,7 @@ def draw_faults(rng: np.random.Generator, beams: int, params: ShiftParams = HARD
 
 
 def faulty_profiles(profiles: np.ndarray, faults: BoardFaults, setup: RadarSetup, seed: int) -> np.ndarray:
-    """Return the profiles complex64 [beams, bins] of such a board; dead beams hold zeros.
-
-    Weaker echoes have the same thermal noise: fresh noise replaces the part that the gain removes, so the noise power
-    stays as stated.
-    """
+    """Return the profiles complex64 [beams, bins] of such a board, with as much noise; dead beams hold zeros."""
     # a gain of one may be over it by a rounding
     refill = np.sqrt(np.maximum(1.0 - np.abs(faults.gain[:, None]) ** 2, 0.0))
     # a seed of its own: the same draw would add up in amplitude

@@ -1,7 +1,6 @@
 """Executors of jobs: processes of this machine, a Ray cluster, a Slurm cluster, behind one function.
 
-Jobs and results must be able to travel between processes; results come in the order in which they are done. Workers of
-a cluster need the project and the jobs' folder at the same place (a shared file system).
+Workers of a cluster need the project and the jobs' folder at the same place (a shared file system).
 """
 
 from __future__ import annotations
@@ -34,13 +33,11 @@ def map_jobs(
     scratch: Path | None = None,
     slurm: dict[str, Any] | None = None,
 ) -> Iterator[Result]:
-    """Yield the results of `function` over all jobs as they are done; `function` is defined at module level.
+    """Yield the results of `function`, defined at module level, over all jobs as they are done.
 
-    workers: processes at a time (of Slurm: tasks of the array that run at once). scratch: a folder for Slurm's own
-    files, on the shared file system; it is deleted when all jobs are done. slurm: parameters of submitit by name
-    (`partition`, `timeout_min`, ...); `cluster` = "local" or "debug" runs the same without Slurm. Raises the error of a
-    job and cancels the rest; ValueError for an unknown executor, no worker, or no cluster; ImportError without its
-    package.
+    workers: processes (of Slurm: tasks) at a time. scratch: a shared folder for Slurm's own files, deleted at the end.
+    slurm: parameters of submitit by name; `cluster` = "local" or "debug" runs without Slurm. Raises the error of a job
+    and cancels the rest; ValueError for no executor, worker or cluster; ImportError without its package.
     """
     if executor not in EXECUTORS:
         raise ValueError(f"executor must be one of {', '.join(EXECUTORS)}, got {executor!r}")

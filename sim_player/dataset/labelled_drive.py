@@ -1,9 +1,7 @@
 """Scans of a drive at the kernel level, with labels, truth and odometry: the records of a moving series.
 
-A scan's profiles are those that the RA former has after folding its beams: slow-time sums, the strongest Doppler bin,
-the vehicle's motion taken out by the odometry of the scan's first beam. Its labels say where its map shows an echo:
-each path is taken at the time of the beam that looks at it and carried to the scan's first pose, as the former carries
-it (a car at 15 m/s moves by 4.5 m in a scan).
+Profiles are those that the RA former has after folding its beams. Labels say where the map shows an echo: each path at
+the time of the beam that looks at it, carried to the scan's first pose as the former carries it.
 """
 
 from __future__ import annotations
@@ -70,9 +68,7 @@ class DriveScan:
 
 @dataclass(frozen=True)
 class _Beam:
-    """One beam of a scan: its paths, the former's correction of the vehicle's motion, slow-time sums without noise
-    [groups, 512], and why drawn noise cannot stand for its converter.
-    """
+    """One beam: its paths, the former's correction, noiseless slow-time sums [groups, 512], a converter objection."""
 
     paths: Paths
     ego: EgoCorrection
@@ -81,11 +77,7 @@ class _Beam:
 
 
 class LabelledDrive:
-    """Scans of one scene in motion under the radar of `setup`, in any order: same arguments, same bytes.
-
-    `effects`: "basic", "auto" (planned for a `purpose`), "all" or names with commas between them, as of `ScenePlayer`.
-    ValueError as there.
-    """
+    """Scans of one scene in motion under the radar of `setup`, in any order, same bytes; `effects` as `ScenePlayer`."""
 
     def __init__(
         self,
@@ -179,9 +171,7 @@ class LabelledDrive:
         return float(density_mw[0]) * window_noise_gain(WINDOW)
 
     def _shown(self, beams: list[Paths]) -> tuple[Paths, np.ndarray]:
-        """Return the paths that can have labels as the scan's map shows them, each by the beam that looks at it most
-        directly, and when that was after the stamp [s].
-        """
+        """Return the paths that can have labels, each by the beam that looks at it most directly, and when [s]."""
         beam_rad, ego = self._setup.beams.azimuth_rad, self._scene.ego
         parts, elapsed_s, off_rad = [], [], []
         for beam, paths in enumerate(beams):
@@ -216,10 +206,7 @@ def state_of(odometry: np.ndarray) -> VehicleState:
 
 
 def carried(paths: Paths, pose: Pose2) -> Paths:
-    """Return paths traced by a radar at `pose` as one at the origin would have them: the same points, seen from there.
-
-    Lengths change by those to the virtual points; weights stay.
-    """
+    """Return paths traced by a radar at `pose` as seen from the origin: lengths change, weights stay."""
     virtual_m, point_m = paths.virtual_m.copy(), paths.point_m.copy()
     virtual_m[:, :2], point_m[:, :2] = pose.apply(virtual_m[:, :2]), pose.apply(point_m[:, :2])
     farther_m = np.linalg.norm(virtual_m, axis=1) - np.linalg.norm(paths.virtual_m, axis=1)

@@ -1,7 +1,6 @@
 """One scan of a scene at rest at the kernel level, with its labels: the record of each scene in a data set.
 
-Basic effects give the signal that `sim_player.signal.fmcw` has after folding, window and FFT, at a thousandth of the
-work: noise is drawn per range bin, with the window's correlation. Any other choice of effects goes through
+Basic effects give the signal of `sim_player.signal.fmcw` at a thousandth of the work; others
 `sim_player.signal.levels`.
 """
 
@@ -44,10 +43,7 @@ WALL = "wall"
 
 @dataclass(frozen=True)
 class Labels:
-    """Truth points of one scene, strongest first, N of them; one for each LOS or mirrored echo that can be resolved.
-
-    Points come from geometric paths alone (`sim_player.paths.truth.labelled`): direct sight, one mirror, two mirrors.
-    """
+    """Truth points of one scene, strongest first, N of them: one for each LOS or mirrored echo that can be resolved."""
 
     range_m: np.ndarray
     azimuth_rad: np.ndarray

@@ -145,9 +145,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return len(setup.beams) * RANGE_BINS * np.dtype(np.complex64).itemsize + _SCENE_TEXT_BYTES
 
     def described(self, seed: int) -> dict[str, Any]:
-        """Return a series as `series.json` states it: the generator by name, effects resolved, no budget where none is
-        used.
-        """
+        """Return a series as `series.json` states it: the generator by name, effects resolved, a budget if used."""
         choice = self.choice
         plain = msgspec.to_builtins(self) | {"seed": seed}
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
@@ -225,10 +223,7 @@ def shard_done(job: ShardJob, state: Literal["kept", "made", "rewritten"]) -> Sh
 
 
 def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
-    """Return the reason to make a shard: "" where it is missing or incomplete, else its fault; None: no reason.
-
-    A shard must be readable to its last array (npz carries CRC-32) and have its checksum where that is known.
-    """
+    """Return why to make a shard: "" where it is missing, else its fault by checksum and reading; None: no reason."""
     if not job.path.exists():
         return ""
     try:

@@ -59,11 +59,10 @@ def write_dataset(
     executor: Executor = "local",
     slurm: dict[str, Any] | None = None,
 ) -> Path:
-    """Write the first `count` scenes or drives of a series as npz shards and a manifest; returns the manifest's path.
+    """Write the first `count` scenes or drives of a series as npz shards and a manifest, whose path it returns.
 
-    Shards already there are kept if they are whole (an interrupted run goes on), made again if not. `on_shard` hears
-    of each shard once it is there. Raises ValueError for a bad count or seed, a folder that holds another series or
-    more scenes; OSError with the file's name where it cannot be written; what `executors.map_jobs` raises.
+    Whole shards are kept, others made again. ValueError for a bad count or seed, and a folder of another series or of
+    more scenes; OSError with the file's name; what `executors.map_jobs` raises.
     """
     for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if value < least:

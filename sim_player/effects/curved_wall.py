@@ -1,7 +1,4 @@
-"""Curved walls as mirrors: every Fermat point of an arc, its focusing, its bounded field at the caustic.
-
-Skipped, a curved piece of wall mirrors like its chord. Also the radar's own image in an arc.
-"""
+"""Curved walls as mirrors of objects and the radar: every Fermat point of an arc, focusing, the caustic's field."""
 
 from __future__ import annotations
 
@@ -32,10 +29,7 @@ def apply(tracing: TraceContext) -> Echoes:
 
 
 def as_chords(tracing: TraceContext) -> Echoes:
-    """Return the view that is traced where the effect is skipped: every arc as the mirror that its chord would be.
-
-    Their legs are not stopped by the arc itself, which the chord is not on.
-    """
+    """Return the view where the effect is skipped: every arc as its chord's mirror, which the arc does not stop."""
     view = tracing.view
     parts = []
     for wall in np.flatnonzero(view.world.is_curved):
@@ -48,9 +42,7 @@ def as_chords(tracing: TraceContext) -> Echoes:
 
 
 def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray, own_wall: np.ndarray | None = None) -> Routes:
-    """Free routes by any arc to points [N, 3]; by none to points of its own, where `own_wall` [N] says whose they
-    are.
-    """
+    """Free routes by any arc to points [N, 3]; by none to points of its own, `own_wall` [N]."""
     parts = []
     for wall in np.flatnonzero(view.world.is_curved):
         asked = np.arange(len(point_m)) if own_wall is None else np.flatnonzero(own_wall != wall)

@@ -1,7 +1,7 @@
 """Diffuse echoes of rough walls: the power |r|^2 (1 - rho) that roughness takes from the mirror, in a lobe.
 
-RCS per area over the height that the antenna lights, patches of random phase along the wall. Lambert's lobe: 4 |r|^2
-(1 - rho) cos^2; Kirchhoff's, where the surface says so: `models.physics.rough_lobe`.
+Patches of random phase. Lambert: 4 |r|^2 (1 - rho) cos^2; Kirchhoff, where a surface says so:
+`models.physics.rough_lobe`.
 """
 
 from __future__ import annotations
@@ -48,8 +48,7 @@ def apply(tracing: TraceContext) -> Echoes:
 def rcs_per_area(
     world: World, wall: np.ndarray, cosine: np.ndarray, rough: np.ndarray, elevation_rad: np.ndarray
 ) -> np.ndarray:
-    """Return the cross section per area back to the radar of pieces of wall at cosines of incidence, as perfect
-    mirrors but for their roughness, [N].
+    """Return the cross section per area back to the radar of perfect but rough pieces of wall at cosines, [N].
 
     `rough`: field that roughness leaves of the mirror; `elevation_rad`: half of the height that is lit.
     """

@@ -216,8 +216,7 @@ def height_span(height, point):  # type: ignore[no-untyped-def]
 def bend_field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
     """Return the uniform field of a bend over that of a free ray as long, with whole walls and their front faces.
 
-    At the border of its shadow the edge has what the open side lets pass over what the wall lets through: 1 - T of a
-    free end, of a corner whose border lies behind both faces 1 - T1 T2.
+    At the border of its shadow 1 - T of a free end, 1 - T1 T2 of a corner whose border lies behind both faces.
     """
     builds, (transmission, wall_build), _, wavelength_m = scene
     first, last, n = int(edge[2]), int(edge[3]), edge[6]
@@ -250,8 +249,7 @@ def bend_field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-un
 def most_bent(edge, source, image, climb, wavelength_m):  # type: ignore[no-untyped-def]
     """Return a bound of what an edge (a row of `Edges.table`) bends from a source towards points of a circle.
 
-    Over the field of free rays as long, which rise by `climb` at most. `source`: its turn from the first face and its
-    distance in plan; `image`: middle of the circle from the edge, and radius.
+    Over free rays, which rise by `climb`. `source`: turn from the first face, distance; `image`: middle, radius.
     """
     (to_source, source_plan), (x, y, radius) = source, image
     away = math.hypot(x, y)
@@ -266,10 +264,7 @@ def most_bent(edge, source, image, climb, wavelength_m):  # type: ignore[no-unty
 
 @compiled(error_model="numpy")
 def bend_bound(edge, to_source, to_target, lengths, stretch, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return a bound of `bend_field` for targets between two turns: |F| <= 1, four cotangents that peak at the ends.
-
-    `lengths` of both legs, which are `stretch` times (at most) as long as in plan.
-    """
+    """Return a bound of `bend_field` for targets between two turns: |F| <= 1, four cotangents that peak at the ends."""
     n = edge[6]
     # across the first face turns begin again
     if min(to_target) < 0.0 or max(to_target) > 2.0 * np.pi:
@@ -304,11 +299,7 @@ def edges_of(view: Snapshot) -> Edges:
 
 
 def open_edges(world: World) -> Edges:
-    """Free ends of walls, corners of two walls with the side that is wider than a half turn, wherever it opens, and
-    joints of two builds in one plane.
-
-    Found once and kept with the world.
-    """
+    """Free ends of walls, corners by their side of over a half turn, joints of two builds in one plane; kept."""
     return _kept(world)[0]
 
 

@@ -1,7 +1,6 @@
 """The ground as a mirror under every way to an object, straight or by one wall: echoes of three ways beside the first.
 
-Level ground at height 0; the wave is polarised in the plane of incidence there (TM). The bounce on the ground does not
-change the plan of a way, only its heights. Of each chain of walls: ground on one way (twice, either may), or on both.
+Level ground at height 0, TM; the bounce changes only the heights of a way. On one way (either), or on both.
 """
 
 from __future__ import annotations

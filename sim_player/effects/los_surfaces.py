@@ -73,10 +73,7 @@ def structure(view: Snapshot) -> Echoes:
 
 
 def _flashes(view: Snapshot) -> Echoes:
-    """The foot of the perpendicular on every straight piece of wall, where it lies on it and is in sight; the ends.
-
-    Ends of arcs are among them.
-    """
+    """The foot of the perpendicular on every straight piece of wall, where it lies on it and is in sight; all ends."""
     world = view.world
     nodes = world.end_nodes
     scene = world.builds, view.blockers.pieces, world.radar.wavelength_m
@@ -98,11 +95,7 @@ def _flashes(view: Snapshot) -> Echoes:
 
 @compiled(error_model="numpy")
 def _feet(antenna, flat, walls, ends, screens, scene):  # type: ignore[no-untyped-def]
-    """Walls, their points and the routes there; one bounce on a round trip is half of it each way.
-
-    Where something stands before a part of the wall, the foot has what is left of the integral over the wall without
-    what the wall's ends in sight have.
-    """
+    """Walls, their points and the routes there (half a round trip each), with what is in sight of the integral."""
     _, _, normal, offset, top = walls
     position, node_of, face_rad = ends
     builds, pieces, wavelength_m = scene
@@ -160,8 +153,7 @@ def _feet(antenna, flat, walls, ends, screens, scene):  # type: ignore[no-untype
 def _shadows(start, line, places, zone, screens, wavelength_m):  # type: ignore[no-untyped-def]
     """Return from where to where along a wall, from its foot, something before it hides it from the radar, [N, 2].
 
-    In order and none touching another, within `zone`; `line`: the wall's normal, offset and distance. What meets the
-    wall itself is no screen: that is a corner.
+    In order, apart, within `zone`; `line`: normal, offset and distance. What meets the wall is no screen but a corner.
     """
     a, b, height = screens
     nx, ny, offset, distance = line
@@ -211,10 +203,9 @@ def _shadows(start, line, places, zone, screens, wavelength_m):  # type: ignore[
 
 @compiled(error_model="numpy")
 def _share_in_sight(places, on, shadows, distance, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return the Fresnel integral over what is visible of a wall, without the parts of its ends in sight.
+    """Return the Fresnel integral over what is visible of a wall without its ends in sight, and the middle of most.
 
-    And the middle of the longest visible stretch.
-    1 where nothing hides it and its foot is on it, 0 where that is not. `places` of its ends along it from the foot.
+    1 where nothing hides it and its foot is on it, 0 off it. `places` of its ends along it from the foot.
     """
     if len(shadows) == 0:
         return (1.0 if on[0] and on[1] else 0.0) + 0.0j, 0.0
@@ -249,8 +240,7 @@ def _below(place, distance, wavelength_m):  # type: ignore[no-untyped-def]
 def _ends(antenna, nodes, top, scene):  # type: ignore[no-untyped-def]
     """Nodes, their points and the routes there; `Routes.edge` tells two of one node apart.
 
-    Of each node the wedge of air between two faces that the radar is in: half a turn for a straight joint, a whole one
-    around a free end. In a corner of 90 deg or less no face has its foot beyond the apex: its images are all there is.
+    Of each node the wedge of air that the radar is in; in a corner of 90 deg or less its images are all there is.
     """
     position, start_of, slack_m, face_wall, face_rad, curvature = nodes
     builds, pieces, wavelength_m = scene

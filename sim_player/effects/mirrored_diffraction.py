@@ -83,7 +83,7 @@ def mirrored_edge_routes(
 ) -> tuple[Routes, np.ndarray]:
     """Routes by one edge and one straight wall, in either order, to points [N, 3], and what each bend leaves [M].
 
-    That is the field over that of a free ray as long, `LEAST_BEND` at least. Free routes, and through `walls` if asked.
+    The field over a free ray's, `LEAST_BEND` at least. Free routes, and through `walls` if asked.
     """
     world, flat = view.world, np.flatnonzero(view.world.is_flat)
     edges = open_edges(world).take(~open_edges(world).joint)
@@ -100,10 +100,9 @@ def mirrored_edge_routes(
 def mirrors_beside(
     world: World, edges: Edges, asked: np.ndarray, ends: tuple[np.ndarray, np.ndarray, np.ndarray], blockers: Blockers
 ) -> np.ndarray:
-    """Return which straight pieces of wall send on to points what edges bend of a ray from an antenna, bool [W].
+    """Return which pieces of wall `asked` [W] send on to points what edges bend of a ray from an antenna, bool [W].
 
-    `asked` [W]: the pieces to test; `ends`: antenna [3], points [N, 3] and their owners [N]; `blockers`: what stands in
-    the way.
+    `ends`: antenna [3], points [N, 3] and their owners [N].
     """
     antenna, point_m, owner = ends
     scene = world.builds, (world.transmission, world.wall_build), blockers.pieces, world.radar.wavelength_m
@@ -307,10 +306,7 @@ def _is_hidden(edge, image, group, top, line, pieces):  # type: ignore[no-untype
 
 @compiled(error_model="numpy")
 def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
-    """Return where a wall's line mirrors two points of the plan to each other, and whether that is on a share of it.
-
-    `first` has its height over the line as its third number.
-    """
+    """Return where a wall's line mirrors two points of the plan to each other, and whether on a share of it."""
     nx, ny, offset = line
     height = second[0] * nx + second[1] * ny + offset
     if height * first[2] <= 0.0 or abs(height) <= 1e-9:
@@ -327,10 +323,7 @@ def _met(line, first, second, a, b, share):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _fill_turns(row, turns, bent, passed, incident, line, builds):  # type: ignore[no-untyped-def]
-    """Write what turns a route, an edge and a wall met along `incident`, with the factors of both together.
-
-    `passed`: what all that stands beside the route leaves of it, and what `series` says of its legs before and behind.
-    """
+    """Write what turns a route, an edge and a wall met along `incident`, with the factors of both together."""
     row.edge, wall = turns
     row.other, before, behind = passed
     row.foliage = before[1] * behind[1]

@@ -1,8 +1,6 @@
 """Out by one way, back by another: direct and mirrored, two walls, two points of a curved wall; arrays set apart.
 
-Every object that the radar reaches by two ways echoes by their mixture too, in both orders. They are one echo of twice
-the field where transmitter and receiver stand in one place and steer alike. Where these stand apart, the orders differ
-in length, and their lengths to an image differ from the radar's own.
+Both orders are one echo of twice the field where transmitter and receiver are one; else they differ in length.
 """
 
 from __future__ import annotations

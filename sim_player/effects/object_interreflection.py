@@ -1,7 +1,6 @@
 """One object lit by another: antenna -> first -> second -> antenna, straight or both in the same wall.
 
-Between the centres without a lobe (corners and wheels, all of bicycles and pedestrians) of different objects: flat
-sides send such light elsewhere. Either may come first.
+Between centres without a lobe (corners, wheels, bicycles, pedestrians), in either order.
 """
 
 from __future__ import annotations

@@ -95,10 +95,7 @@ def _by_arcs(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _without_apexes(
     view: Snapshot, point_m: np.ndarray, pairs: np.ndarray, vertices: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same ways, but one alone of those that both meet a right-angled corner's apex.
-
-    There both orders of the walls have one image, and which of them meets the walls is a matter of rounding.
-    """
+    """Return the ways, but one alone of those by either order of walls that meet a right-angled corner's apex."""
     corners = view.world.corners
     by_apex, at = _apex_ways(view.antenna, point_m, corners.pairs, corners.geometry, view.world.radar.wavelength_m)
     if not len(by_apex):
@@ -111,9 +108,7 @@ def _without_apexes(
 
 
 def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where the flat walls that may be seen in each wall begin in a list [W + 1], the list [N] and the shares of
-    them [N, 2]; of a view that knows no pairs all three empty.
-    """
+    """Return the flat walls that may be seen in each wall: begins [W + 1], list [N], shares [N, 2]; or all empty."""
     if view.seen_pairs is None:
         return _ALL_IN_ALL
     flat = np.flatnonzero(view.world.is_flat[view.seen_pairs.second])
@@ -122,10 +117,7 @@ def _seconds(view: Snapshot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.ndarray, other: np.ndarray) -> Routes:
-    """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free.
-
-    `pairs` [M, 3]: first wall, second wall, target; `vertices` [M, 3, 3]: points of both walls and the end.
-    """
+    """Routes by `vertices` [M, 3, 3] of `pairs` (two walls, target) [M, 3] of walls high enough, three legs free."""
     world, blockers = view.world, view.blockers.pieces
     scene = view.walls, world.is_curved, world.builds, blockers
     return Routes(_free_routes(view.antenna, pairs, vertices, owner, other, *scene))
@@ -266,11 +258,9 @@ def _apart(first, second):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _apex_ways(antenna, point, pairs, geometry, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return first wall, second wall and target of all ways to points by the apexes of right-angled corners, and the
-    points of both walls and the end.
+    """Return first wall, second wall and target of all ways to points by right-angled corners' apexes, and the points.
 
-    The walls in the order of their numbers. Right-angled is a corner whose two images of the antenna lie closer to each
-    other than a share of the wavelength; the way is by the apex where the line from there passes it as close.
+    Right-angled: both images of the antenna within a share of the wavelength, the line from there as near the apex.
     """
     kept, vertices, count = np.empty((4, 3), np.int64), np.empty((4, 3, 3)), 0
     for corner in range(len(pairs)):
@@ -302,10 +292,7 @@ def _apex_ways(antenna, point, pairs, geometry, wavelength_m):  # type: ignore[n
 
 @compiled(error_model="numpy")
 def _shares_of_ends(antenna, pairs, vertices, walls, pieces, wavelength_m):  # type: ignore[no-untyped-def]
-    """Return the share of each loop that the upright ends of both its walls leave, as a wall's top leaves of a ray.
-
-    Nothing of a loop beside a wall's end that the radar does not see.
-    """
+    """Return the share of each loop that both walls' upright ends leave; nothing beside an end out of sight."""
     a, b, normal = walls[0], walls[1], walls[2]
     share = np.ones(len(pairs), np.complex128)
     for m in range(len(pairs)):
@@ -403,8 +390,7 @@ def _cut(start, end, line):  # type: ignore[no-untyped-def]
 def _search(origin, point, flat, walls, lit, visible, wide):  # type: ignore[no-untyped-def]
     """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3].
 
-    Only by what the radar sees of the first wall and, where `visible` says so, of the second wall in the first. With
-    `wide` > 0 also by points beside it, by up to so much times the root of the route's length across the ray.
+    By what the radar sees of the first and, where `visible` says so, of the second in it. `wide` > 0: also beside it.
     """
     a, b, normal, offset, _ = walls
     start, seconds, shares = visible

@@ -1,10 +1,7 @@
 """The table of all effects: one row each, by kind, in the order in which they act.
 
-A path effect makes echoes, a weight effect changes those that are there, an array effect changes the two-way pattern,
-and any other signal effect changes the waveform or the receiver. What an effect can change at most is the planner's
-business (`sim_player.planner.changes`).
-
-Installed packages bring path effects and weight effects of their own (`effect_of`): behind ours, in order of name.
+A path effect makes echoes, a weight effect changes them, an array effect changes the two-way pattern, any other signal
+effect the waveform or the receiver. Packages bring path and weight effects (`effect_of`), behind ours, by name.
 """
 
 from __future__ import annotations
@@ -140,10 +137,9 @@ SHIPPED = frozenset((*PATHS, *WEIGHTS, *SIGNAL))
 
 
 def effect_of(plugin: Plugin) -> PathEffect | WeightEffect:
-    """Return the effect that a module of another package describes; `ValueError` for one that cannot be used.
+    """Return the effect that a package's module describes; `ValueError` for one that cannot be used.
 
-    The module defines `ABOUT`, `absent(world)`, and either `apply(tracing)`, which returns the echoes of a path effect,
-    or `factor(echoes, world, used)`, which returns those of a weight effect.
+    It has `ABOUT`, `absent(world)`, and `apply(tracing)` (its echoes) or `factor(echoes, world, used)` (weights).
     """
     if plugin.name in SHIPPED:
         raise ValueError(f"{plugin}: mirrorwave has an effect of this name")

@@ -1,7 +1,6 @@
 """Straight and mirrored ways that lead through walls: glass and wood let 10 GHz pass, 40 cm of concrete does not.
 
-A centre may also be reached out through a wall and back by another way, clear or through walls. Left out: ways through
-walls by arcs, by two mirrors and by the ground, and mixtures that leave little (`LEAST_BOTH`).
+Left out: arcs, two mirrors and the ground, and mixtures that leave little (`LEAST_BOTH`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Weight effects: factors on the field of the paths that are there, and when a scene has none of one.
-
-Each factor is that of every echo, with the effect (`used`) or without it.
-"""
+"""Weight effects: factors on the field of every echo, with the effect (`used`) or without, and their absences."""
 
 from __future__ import annotations
 

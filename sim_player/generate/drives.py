@@ -1,8 +1,6 @@
 """Random drives from a seed: the places of `sim_player.generate.places` with the radar and road users in motion.
 
-All keep their heading (the radar its yaw rate) and speed over the whole drive, so a drive's scene says all of it. A
-speed is drawn by class and lowered until nobody runs into a wall or into another: outlines are rows of discs, looked at
-every half metre.
+All keep heading (the radar its yaw rate) and speed, which is lowered until nobody runs into a wall or another.
 """
 
 from __future__ import annotations
@@ -40,10 +38,7 @@ Discs = tuple[np.ndarray, float]
 
 
 def draw_drive(seed: int, index: int, preset: Preset, duration_s: float, kind: PlaceKind | None = None) -> Place:
-    """Return the place number `index` of the series `seed` in motion for `duration_s`, its classes by `STREET_MIX`.
-
-    Fixed by its arguments. ValueError as `draw_place`, and for a duration that is not positive.
-    """
+    """Return place `index` of series `seed` in motion for `duration_s`, by `STREET_MIX`; ValueError as `draw_place`."""
     if not duration_s > 0.0:
         raise ValueError(f"duration_s must be positive, got {duration_s!r}")
     place = draw_place(seed, index, preset, kind, class_mix=STREET_MIX)

@@ -1,7 +1,6 @@
-"""Plans of four types of place: positions of walls, traffic and parked vehicles.
+"""Plans of four types of place: positions of walls, traffic and parked vehicles, the hidden side on the left.
 
-A plan is drawn with the radar at (0, 0) looking along x, the hidden side on the left; whoever uses it turns it and
-exchanges left and right. It lists the kinds of wall that suit each line, not the one that is built.
+The radar at (0, 0) looks along x; users turn and mirror it. A line lists the kinds of wall that suit it.
 """
 
 from __future__ import annotations
@@ -179,10 +178,7 @@ def _mixed_intersection(rng: np.random.Generator) -> Layout:
 
 
 def _residential_block(rng: np.random.Generator) -> Layout:
-    """Return a narrow street of houses behind garden walls and hedges, broken by drives, up to a lane on the left.
-
-    Half of them end at a wall or house across the street, behind the lane.
-    """
+    """Return a narrow street of houses behind garden walls, hedges and drives, up to a lane on the left; half end."""
     left, right = rng.uniform(3.0, 5.0), rng.uniform(3.0, 5.5)
     start = rng.uniform(-6.0, 0.0)
     lane = start + rng.uniform(11.0, 15.0)
@@ -211,9 +207,7 @@ def _residential_block(rng: np.random.Generator) -> Layout:
 def _plot(
     rng: np.random.Generator, start: float, end: float, kerb: float, drive: float
 ) -> tuple[Block, Line, Zone | None]:
-    """Return a house set back from the kerb at y, its fence along the street, and a drive (width in metres) at its
-    end.
-    """
+    """Return a house set back from the kerb at y, its fence along the street, and a drive (width in metres)."""
     side = math.copysign(1.0, kerb)
     low, high = sorted((kerb + side * rng.uniform(2.0, 4.0), kerb + side * rng.uniform(11.0, 14.0)))
     stop = end - drive

@@ -1,7 +1,6 @@
-"""Placement of road users: occlusion, mirrors and free room at many candidate spots at once.
+"""Placement of road users at many candidate spots at once: occlusion, mirrors, free room, in plan with chords.
 
-The geometry is in plan, with arcs as chords. Only straight opaque walls and vehicles hide objects: not glass, plants or
-arcs. Every wall blocks a path by a mirror. The final visibility is traced.
+Only straight opaque walls and vehicles hide; every wall blocks a path by a mirror. Final visibility is traced.
 """
 
 from __future__ import annotations
@@ -156,9 +155,7 @@ def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, rang
 
 
 def indoors(points: np.ndarray, rings: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return which points [N, 2] lie within some ring of points (a building, a container), by counting crossings;
-    [N].
-    """
+    """Return which points [N, 2] lie within a ring of points (a building, a container), by counting crossings; [N]."""
     inside = np.zeros(len(points), bool)
     far = points + np.array([1e4, 137.0])
     for ring in rings:

@@ -1,7 +1,6 @@
 """Random places from a seed (section 2.1.2): streets, parking lots, residential blocks, mixed intersections.
 
-The steps are: a plan of the place, walls, parked vehicles, hidden road users with a mirror image, others in the open,
-the radar's faults and the weather. Where no road user can hide, a new plan is drawn.
+A plan of the place, walls, parked vehicles, hidden road users with a mirror image, others, faults and weather.
 """
 
 from __future__ import annotations
@@ -92,11 +91,10 @@ def random_place(
     kind: PlaceKind | None = None,
     motion: bool = False,
 ) -> Scene:
-    """Return the scene number `index` of the series `seed`: a place of a kind (None: any of the four), at rest unless
-    `motion`.
+    """Return scene `index` of series `seed`, a place of a kind (None: any), at rest unless `motion`; `check_scene`
+    passes.
 
-    Fixed by its arguments, whatever was drawn before; always passes `check_scene`. A 77 GHz scene has only materials
-    known there, so it also stands at X-band. ValueError for a negative seed or index and an unknown preset or kind.
+    A 77 GHz scene has only materials known there. ValueError for a negative seed or index, unknown preset or kind.
     """
     return draw_place(seed, index, preset, kind, motion).scene
 
@@ -109,11 +107,7 @@ def draw_place(
     motion: bool = False,
     class_mix: Mapping[str, float] | None = None,
 ) -> Place:
-    """Return `random_place` with the parts of the scene.
-
-    class_mix: share of each class among all but the parked; None: whatever fits first, so that hidden objects are
-    mostly small.
-    """
+    """Return `random_place` with the parts of the scene; `class_mix`: share of each class, None: what fits first."""
     for name, number in (("seed", seed), ("index", index)):
         if number < 0:
             raise ValueError(f"{name} must not be negative, got {number!r}")
@@ -210,9 +204,7 @@ class _Crowd:
         beside_m: float | None = None,
         classes: tuple[str, ...] | None = None,
     ) -> bool:
-        """Add a road user out of sight (with an image at about a range) or in the open, the first of some classes that
-        fits (None: drawn here); return False where none fits.
-        """
+        """Add a road user out of sight or in the open, the first of some classes that fits; False where none fits."""
         spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
         boxes = Boxes.of(tuple(self.objects))
         keep = ~indoors(spot, self.rings) & (np.hypot(*spot.T) > IMAGE_RANGE_M[0])

@@ -1,8 +1,7 @@
 """Kinds of wall a place is built of: the surfaces that serve as mirrors, and some that do not.
 
-Thickness and roughness are drawn by finish, in the bands of textbooks (glass and metal nearly smooth, painted plaster
-0.05-0.2 mm, concrete and brick 0.2-1.5 mm, render 1-2 mm rms): where the choice of wavelength matters. Windows reach
-down to the ground, containers are smooth: their corrugation is left out.
+Thickness and roughness by finish, in the bands of textbooks (glass and metal nearly smooth, painted plaster 0.05-0.2
+mm, concrete and brick 0.2-1.5 mm, render 1-2 mm rms). Containers are smooth.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Surfaces that a level ray of light can meet in a frozen world, and the patches of objects that scattered light
-reaches.
+"""Surfaces that a level ray of light can meet in a frozen world, and the patches of objects that light reaches.
 
-Walls with their faces at 850 nm, objects as matt surfaces: classes as boxes, meshes by their faces.
+Walls by their faces at 850 nm, objects as matt surfaces: classes as boxes, meshes by their faces.
 """
 
 from __future__ import annotations
@@ -194,9 +193,7 @@ def _cells(corner: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.nd
 
 
 def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the positions, normals and areas of a mesh: pieces of its faces, merged where they share a cube and face
-    alike.
-    """
+    """Return positions, normals and areas of a mesh: pieces of its faces, merged in cubes where they face alike."""
     corners, _ = cut_triangles(_triangles(view, index), PATCH_M)
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if not view.world.scene.objects[index].shape.closed:  # type: ignore[union-attr]

@@ -11,7 +11,7 @@ from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.perception import SceneTruth
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, optical_paths, spad_histograms
+from sim_player.lidar.spad import BUDGET, OpticalPaths, optical_paths, spad_histograms
 from sim_player.paths.ray_tracing import trace
 from sim_player.paths.truth import scene_truth
 from sim_player.scene.clear_path import ego_meeting, require_unmet
@@ -23,23 +23,20 @@ BLOCK = 8
 
 
 class LidarPlayer:
-    """Histograms and truth of a scene at any scan, in any order: same seed, same bytes.
+    """Histograms and truth of a scene at any scan, in any order: same seed, same bytes; ValueError for no LiDAR.
 
-    Scans count from `start_ns`; within a scan azimuth follows azimuth. Nothing moves within a measurement, nor between
-    the `BLOCK` azimuths of a block; a scene at rest is traced once. Raises ValueError for a scene whose preset is no
-    LiDAR, or that cannot be simulated.
+    Nothing moves between the `BLOCK` azimuths of a block; a scene at rest is traced once.
     """
 
-    def __init__(self, scene: Scene, seed: int = 0, options: SpadOptions = DEFAULT, start_ns: int = 0) -> None:
+    def __init__(self, scene: Scene, seed: int = 0, start_ns: int = 0) -> None:
         if scene.radar.preset != "spad":
             raise ValueError(f"radar.preset: must be 'spad' for a LiDAR, got {scene.radar.preset!r}")
         self.scene = scene
-        self.options = options
         self.setup: LidarSetup = msgspec.structs.replace(scene.lidar, stamp_ns=start_ns)
         self._meeting = ego_meeting(scene)
         self._seed = seed
         self._world = prepare(scene, seed)
-        self._still = None if scene.moves else optical_paths(self._world, self.setup, 0.0, options)
+        self._still = None if scene.moves else optical_paths(self._world, self.setup)
 
     def stamp_ns(self, scan: int, azimuth: int = 0) -> int:
         """Return when the measurement of an azimuth starts."""
@@ -51,18 +48,10 @@ class LidarPlayer:
             return self._still
         starts = range(0, self.setup.grid.azimuth_bins, BLOCK)
         every = np.arange(self.setup.grid.azimuth_bins)
-        return OpticalPaths.joined(
-            [
-                optical_paths(
-                    self._world,
-                    self.setup,
-                    self._elapsed_s(self.stamp_ns(scan, start)),
-                    self.options,
-                    every[start : start + BLOCK],
-                )
-                for start in starts
-            ]
-        )
+        times_s = [self._elapsed_s(self.stamp_ns(scan, start)) for start in starts]
+        blocks = np.split(every, starts[1:])
+        traced = zip(times_s, blocks, strict=True)
+        return OpticalPaths.joined([optical_paths(self._world, self.setup, at, BUDGET, block) for at, block in traced])
 
     def scan(self, scan: int) -> PhotonHistograms:
         """Return one scan's histograms, as measured; ValueError for a negative number."""
@@ -72,7 +61,7 @@ class LidarPlayer:
         return PhotonHistograms(
             stamp_ns=stamps[0],
             scan_id=scan,
-            counts=spad_histograms(self.setup, self.paths(scan), [self._seed, scan], self.options),
+            counts=spad_histograms(self.setup, self.paths(scan), [self._seed, scan]),
             azimuth_stamp_ns=np.array(stamps, np.int64),
         )
 

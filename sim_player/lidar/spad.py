@@ -1,39 +1,25 @@
 """A scene seen by a single-photon LiDAR: level rays at the sensor's height, optical paths, photon histograms.
 
-Each azimuth of the grid is one ray. The first surface on it scatters light straight back. A wall's smooth face sends
-the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes back the same way. And from
-the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to the spot: the confocal
-return of Eq. (8), in patches. Ranges are half the way there and back.
-
-Walls and foliage are opaque, foliage is a matt surface where its line runs, objects are matt. Left out: light through
-panes, the glint of a wall seen head-on, matt returns of hidden walls, and three bounces after a mirror.
+A ray's first surface scatters light straight back; a wall's smooth face sends the rest on, over up to `MIRRORS` walls;
+and from its spot on a wall light reaches hidden objects in patches and returns: Eq. (8). Left out: light through panes,
+the glint of a wall seen head-on, matt returns of hidden walls, three bounces after a mirror.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal
 
 import msgspec
 import numpy as np
 
 from models.physics.curved_mirror import arc_from_ends
 from models.physics.mirror import CLEARANCE_M, crossing_parameters
-from models.physics.photons.counting import (
-    draw_histogram,
-    event_histogram,
-    exact_closed_form,
-)
-from models.physics.photons.optics import (
-    confocal_photons,
-    direct_photons,
-)
+from models.physics.photons.counting import draw_histogram, exact_draw
+from models.physics.photons.optics import confocal_photons, direct_photons
 from msgs.values.array_table import ArrayTable
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
@@ -48,22 +34,6 @@ MIRRORS = 2
 MAX_PAIRS = 1 << 18
 #: Detections over a whole scan below which a contribution is left out.
 BUDGET = 1e-3
-
-#: Counting engines: in closed form wherever that is exact and event by event elsewhere, or one of them
-#: (`draw_histogram`: where the closed form is not exact, it keeps the means).
-Engine = Literal["auto", "closed", "events"]
-
-
-class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the simulation."""
-
-    engine: Engine = "auto"
-    #: Expected detections a scan below which a contribution is skipped; 0: none is.
-    budget: float = BUDGET
-
-
-#: Options that nobody set.
-DEFAULT = SpadOptions()
 
 
 class LightRoute(IntEnum):
@@ -106,15 +76,14 @@ def optical_paths(
     world: World,
     lidar: LidarSetup,
     time_s: float = 0.0,
-    options: SpadOptions = DEFAULT,
+    budget: float = BUDGET,
     azimuths: np.ndarray | None = None,
 ) -> OpticalPaths:
-    """Return all paths of light at a time after start, for all azimuths of the grid or those of an index array.
+    """Return all paths of light at a time after start, of all azimuths or an index array; ValueError: no finite time.
 
-    Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range.
-    Raises ValueError for a time that is not finite.
+    Without contributions of at most `budget` detections a scan, and what lies beyond the unambiguous range.
     """
-    sight = _Sight.of(world, lidar, time_s, options, azimuths)
+    sight = _Sight.of(world, lidar, time_s, budget, azimuths)
     used = {plan.name for plan in _contributions(sight) if plan.used}
     parts = [sight.direct()]
     if "mirror" in used:
@@ -124,35 +93,21 @@ def optical_paths(
     return _within(OpticalPaths.joined(parts), lidar.spad)
 
 
-def plan_optics(
-    world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
-) -> tuple[OpticPlan, ...]:
-    """Return the contributions that a scene needs and the counting engine, each with a bound and a reason.
+def plan_optics(world: World, lidar: LidarSetup) -> tuple[OpticPlan, ...]:
+    """Return the contributions that a scene needs at its start, each with a bound and a reason."""
+    return *_contributions(_Sight.of(world, lidar, 0.0, BUDGET, None)), _carry_over(lidar)
 
-    A bound ignores occlusion and takes every cosine as 1; raises ValueError as `optical_paths`.
+
+def spad_histograms(lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int]) -> np.ndarray:
+    """Return the photon histograms of all azimuths, uint32 [azimuth, bins], each by its own stream [*seed, azimuth].
+
+    Raises ValueError for paths off the grid, and as `models.physics.photons.counting`.
     """
-    return *_contributions(_Sight.of(world, lidar, time_s, options, None)), *_counting(lidar, options)
-
-
-def spad_histograms(
-    lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int], options: SpadOptions = DEFAULT
-) -> np.ndarray:
-    """Return the photon histograms of all azimuths, uint32 [azimuth, bins].
-
-    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends neither on others nor on the number
-    of threads. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
-    """
-    spad, closed = lidar.spad, _closed(lidar.spad, options)
-    draw = draw_histogram if closed else event_histogram
-    measured = _measured(lidar, paths)
-
-    def histogram(azimuth: int) -> np.ndarray:
-        group = measured[azimuth]
-        return draw(spad, _delay_s(group), group.photons, np.random.default_rng([*seed, azimuth]))
-
-    # counting events releases the interpreter lock; a draw in closed form is too short for that
-    with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
-        return np.array(list(pool.map(histogram, range(len(measured))))).astype(np.uint32)
+    histograms = [
+        draw_histogram(lidar.spad, _delay_s(group), group.photons, np.random.default_rng([*seed, azimuth]))
+        for azimuth, group in enumerate(_measured(lidar, paths))
+    ]
+    return np.array(histograms).astype(np.uint32)
 
 
 # -- rays ------------------------------------------------------------------------------------------------------------
@@ -174,9 +129,7 @@ class _Rays(ArrayTable):
 
 @dataclass(frozen=True)
 class _Hits:
-    """First hits of N rays: `rays` moved to the hit, the piece, its level normal towards the ray, cosine of
-    incidence.
-    """
+    """First hits of N rays: `rays` moved there, piece, level normal towards the ray, cosine of incidence."""
 
     rays: _Rays
     piece: np.ndarray
@@ -250,9 +203,7 @@ def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction
 
 
 def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
-    """Return the rays after a mirror that leaves a share of their power in each direction; rays without power are
-    dropped.
-    """
+    """Return the rays after a mirror that leaves a share of their power in each direction, unless none is left."""
     rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
     along = surfaces.b[hits.piece] - surfaces.a[hits.piece]
     left = along[:, 0] * hits.normal[:, 1] - along[:, 1] * hits.normal[:, 0] > 0.0
@@ -276,16 +227,14 @@ class _Sight:
 
     view: Snapshot
     lidar: LidarSetup
-    options: SpadOptions
+    budget: float
     surfaces: Surfaces
     first: _Hits
     #: Share of the scan's azimuths in use.
     part: float
 
     @classmethod
-    def of(
-        cls, world: World, lidar: LidarSetup, time_s: float, options: SpadOptions, azimuths: np.ndarray | None
-    ) -> _Sight:
+    def of(cls, world: World, lidar: LidarSetup, time_s: float, budget: float, azimuths: np.ndarray | None) -> _Sight:
         """Freeze the world and send the first rays."""
         if not math.isfinite(time_s):
             raise ValueError(f"time_s must be finite, got {time_s!r}")
@@ -304,7 +253,7 @@ class _Sight:
             slope=zero + 1.0,
         )
         part = len(index) / lidar.grid.azimuth_bins
-        return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
+        return cls(view, lidar, budget, surfaces, _first_hits(surfaces, rays), part)
 
     def returns(self, hits: _Hits, route: LightRoute) -> OpticalPaths:
         """Return the light that the surfaces hit scatter straight back along the rays."""
@@ -390,11 +339,7 @@ def _optical_paths(
 def _condensed(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, object_index: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
-    """Return the diffuse paths, with those of one object and azimuth within the timing resolution merged at their mean
-    range.
-
-    Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
-    """
+    """Return the diffuse paths, those of one object, azimuth and timing cell merged at their mean range."""
     cell_m = 0.25 * SPEED_OF_LIGHT_MPS * spad.timing_rms_s
     key = np.stack([azimuth_index, object_index, np.floor(range_m / cell_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
@@ -411,7 +356,7 @@ def _condensed(
 def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
     """Return the bounds of the mirror and diffuse contributions of hidden objects, from the first hits."""
     bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
-    budget = sight.options.budget
+    budget = sight.budget
     return tuple(
         OpticPlan(
             name=name,
@@ -434,9 +379,7 @@ def _mirror_bound(sight: _Sight) -> float:
 
 
 def _diffuse_bound(sight: _Sight) -> float:
-    """Return the detections of confocal returns if each object showed all of its faces, head-on, at its nearest
-    point.
-    """
+    """Return the detections of confocal returns if each object showed all its faces, head-on, at its nearest point."""
     spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
     albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m)
     total = 0.0
@@ -454,27 +397,12 @@ def _diffuse_bound(sight: _Sight) -> float:
     return spad.pulses * total
 
 
-def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, OpticPlan]:
-    """Return the plans of the dead time that reaches into the next period, and of the engine."""
-    spad = lidar.spad
-    exact, closed = exact_closed_form(spad), _closed(spad, options)
-    carried = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s"
-    how = "drawn in closed form" if closed else "event by event"
-    law = "exact" if exact or not closed else "means exact, periods drawn apart"
-    return (
-        OpticPlan(
-            name="carry_over",
-            used=not exact,
-            bound=0.0 if exact else float(lidar.grid.azimuth_bins * spad.pulses),
-            reason=carried,
-        ),
-        OpticPlan(name="closed_form", used=closed, bound=0.0, reason=f"{how}, {law}; engine {options.engine!r}"),
-    )
-
-
-def _closed(spad: SpadParams, options: SpadOptions) -> bool:
-    """Return whether histograms are drawn in closed form."""
-    return options.engine == "closed" or (options.engine == "auto" and exact_closed_form(spad))
+def _carry_over(lidar: LidarSetup) -> OpticPlan:
+    """Return the plan of the dead time that reaches into the next period."""
+    spad, exact = lidar.spad, exact_draw(lidar.spad)
+    bound = 0.0 if exact else float(lidar.grid.azimuth_bins * spad.pulses)
+    reason = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s: in the means"
+    return OpticPlan(name="carry_over", used=not exact, bound=bound, reason=reason)
 
 
 def _measured(lidar: LidarSetup, paths: OpticalPaths) -> list[OpticalPaths]:

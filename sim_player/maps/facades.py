@@ -1,8 +1,6 @@
 """Facades: the walls of buildings that border open air, each once, whatever a map draws twice, inside or side by side.
 
-One rule: a stretch of outline is a wall where no other building lies outside it. So walls between neighbours, walls of
-what stands inside another building, and outlines with the parts that fill them come to their outer walls. Of outlines
-that coincide the smallest building, a part, says what its wall is made of; of equal ones the first.
+A stretch of outline is a wall where no other building lies outside it; of coinciding ones the smallest says its build.
 """
 
 from __future__ import annotations
@@ -108,9 +106,7 @@ def _edges(buildings: list[list[Ring]]) -> _Edges:
 
 
 def _cuts(edges: _Edges) -> list[list[tuple[float, int]]]:
-    """Return where each edge is cut: shares of it and nodes, its ends among them; by corners of others that lie on it
-    and by edges of others that cross it.
-    """
+    """Return where each edge is cut, shares and nodes: its ends, corners of others on it, and crossings."""
     lines = shapely.linestrings(np.stack([edges.start, edges.end], axis=1))
     tree = shapely.STRtree(lines)
     along = edges.end - edges.start

@@ -19,10 +19,9 @@ WGS84_NAMES = ("urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "u
 
 
 def read_geojson(path: Path, metric: bool = False) -> FootprintFile:
-    """Read the building footprints of a file; `metric`: its positions are metres, east and north.
+    """Read the building footprints of a file (metres if `metric`); ValueError without the file's name.
 
-    Where some features have a property `building`, only these are buildings; else all polygons are. Raises ValueError
-    without the file's name.
+    Where some features have a property `building`, only these are buildings; else all polygons are.
     """
     check_size(path)
     try:

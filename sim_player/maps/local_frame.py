@@ -16,9 +16,7 @@ MAX_LATITUDE_DEG = 89.9
 
 @dataclass(frozen=True)
 class MapPose:
-    """A radar on a map: latitude and longitude in degrees, or x (east) and y (north) in metres; heading from north,
-    clockwise.
-    """
+    """A radar on a map: latitude, longitude in degrees, or x, y in metres; heading from north, clockwise."""
 
     first: float
     second: float
@@ -49,11 +47,7 @@ class MapPose:
         return positions[:, 0] - self.first, positions[:, 1] - self.second
 
     def _tangent_plane(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return metres east and north in the plane that touches the ellipsoid at the radar (ENU, by way of
-        geocentric coordinates).
-
-        A distance d comes out shorter by d^3 / (6 R^2): 4 um at 1 km.
-        """
+        """Return metres east and north (ENU by geocentric coordinates) in the radar's tangent plane."""
         latitude, longitude = math.radians(self.first), math.radians(self.second)
         offset = _geocentric(np.radians(positions[:, ::-1])) - _geocentric(np.array([[latitude, longitude]]))
         east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])

@@ -112,10 +112,9 @@ def map_scene(
     radar: SceneRadar | None = None,
     ground: str | None = None,
 ) -> MapScene:
-    """Return the scene of all buildings of which some part lies within a radius; ValueError where there is none, where
-    the radar stands in one, and for more walls than a scene may have.
+    """Return the scene of all buildings within a radius, without walls that border another building.
 
-    Walls that border another building are left out (`sim_player.maps.facades`): nobody stands between them.
+    ValueError where there is none, the radar stands in one, or there are more walls than a scene may have.
     """
     if not RADIUS_M[0] <= radius_m <= RADIUS_M[1]:
         raise ValueError(f"--radius must be {RADIUS_M[0]:g}..{RADIUS_M[1]:g} m, got {radius_m!r}")
@@ -152,10 +151,7 @@ def map_scene(
 
 
 def _once(outlines: list[tuple[shapely.Polygon, Footprint]]) -> list[tuple[shapely.Polygon, Footprint]]:
-    """Return buildings of different outlines, each with the courtyards and the tags that any of the same outline has.
-
-    An outline and its multipolygon are both buildings to some tools.
-    """
+    """Return buildings of different outlines, with the courtyards and tags that any of the same outline has."""
     rings = np.array([shape.exterior for shape, _ in outlines], object)
     first, second = shapely.STRtree(rings).query(rings, predicate="dwithin", distance=TOUCH_M)
     ahead = first < second

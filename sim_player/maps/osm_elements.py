@@ -1,7 +1,6 @@
 """Elements of an OpenStreetMap file as libosmium reads them: the newest of each that exists, nodes before ways.
 
-libosmium takes an element for what it is whatever JOSM marked as deleted, keeps every version of a history, and knows
-no node that stands behind its way.
+libosmium keeps what JOSM marked as deleted, every version, and knows no node behind its way.
 """
 
 from __future__ import annotations
@@ -34,11 +33,7 @@ class _Element:
 
 
 def plain_osm(content: bytes) -> bytes:
-    """Return an OpenStreetMap file without versions that were replaced and elements that were deleted, in order.
-
-    Nodes that ways bring with them (`out geom` of Overpass) are written out. Raises `ValueError` for what is no XML of
-    `<osm>`.
-    """
+    """Return an OSM file without replaced and deleted elements, in order, ways' own nodes written out."""
     elements = _Elements()
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = elements.start, elements.end

@@ -23,8 +23,7 @@ ATTRIBUTION = "map data: OpenStreetMap contributors, Open Database Licence"
 def read_osm(path: Path) -> FootprintFile:
     """Read the buildings of a file; ValueError without the file's name where it is no OSM XML.
 
-    A way whose nodes are missing and a multipolygon that does not close (maps that were cut) are broken footprints. An
-    outline that is also the outer ring of a multipolygon is read as that, with its courtyards.
+    Cut ways and multipolygons are broken footprints; an outer ring's outline is read as its multipolygon.
     """
     check_size(path)
     reader = _Reader()

@@ -1,8 +1,4 @@
-"""Whether the tags of a map say that a building stands and has walls at the height of a car.
-
-One table for all formats. Keys and values are those of the OpenStreetMap wiki (https://wiki.openstreetmap.org); each
-row names the pages that it follows.
-"""
+"""Whether the tags of a map say that a building stands and has walls at a car's height: one table, with its pages."""
 
 from __future__ import annotations
 

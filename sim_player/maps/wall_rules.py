@@ -1,7 +1,6 @@
-"""Walls of buildings by rule: what they are made of and how high they are, from the tags of a map.
+"""Walls of buildings by rule, the first that its tags meet: what they are made of and how high they are.
 
-The first rule that a building's tags meet decides. Walls have no back unless a rule says how thick they are: maps know
-nothing of what stands inside a house.
+Walls have no back unless a rule says how thick they are: maps know nothing of what stands inside a house.
 """
 
 from __future__ import annotations
@@ -96,10 +95,7 @@ def rule_of(tags: Mapping[str, str], rules: tuple[WallRule, ...]) -> WallRule:
 
 
 def read_rules(texts: list[str]) -> tuple[WallRule, ...]:
-    """Return rules given as KEY=VALUE:MATERIAL[,THICKNESS_MM[,ROUGHNESS_MM]] or as YAML files, then the default ones.
-
-    Raises ValueError in one line that names the rule.
-    """
+    """Return rules given as KEY=VALUE:MATERIAL[,THICKNESS_MM[,ROUGHNESS_MM]] or YAML files, then the default ones."""
     given: list[WallRule] = []
     for text in texts:
         given += _rule_file(Path(text)) if text.lower().endswith((".yaml", ".yml")) else [_rule(text)]

@@ -47,9 +47,7 @@ def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
 
 
 def _separated(view: Snapshot, echoes: Echoes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lengths from the transmitting and to the receiving array, half the separation left and right of the
-    radar. Directions stay the radar's: for 0.3 m apart and 5 m away, the arrays' differ by 1.7 deg, in opposite senses.
-    """
+    """Return lengths from the transmitting and to the receiving array, half the separation left and right."""
     yaw = view.pose.yaw_rad
     half = 0.5 * view.world.scene.radar.separation_m * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     # the virtual point stays; the array moves against it

@@ -1,9 +1,7 @@
-"""Paths of a moving scene between the instants at which it is traced.
+"""Paths of a moving scene between the instants at which it is traced: a beam's signal costs less than a trace.
 
-To trace anew for every beam costs more than the beam's signal. A path that is there at two instants in a row is
-carried from one to the other: its length by the cubic through both lengths and both rates of change, the rest in
-straight lines. One that comes or goes in between is faded in or out. Rays begin and end at once; waves do so over a
-Fresnel zone, and the scene moves by less than one from instant to instant.
+A path there at two instants is carried: its length by the cubic through both lengths and rates, the rest in straight
+lines. Others are faded in or out, as waves over a Fresnel zone, less than which the scene moves.
 """
 
 from __future__ import annotations
@@ -24,10 +22,7 @@ LONGEST_MOVE_M = 0.3
 
 
 def tracing_step_s(world: World, own_speed_mps: float, longest_s: float) -> float:
-    """Return the time between two instants of tracing: a scene whose radar has a speed moves `LONGEST_MOVE_M` at most.
-
-    Never over `longest_s`.
-    """
+    """Return the time between two tracings, `longest_s` at most: a radar moves `LONGEST_MOVE_M` at most."""
     speeds = np.append(np.linalg.norm(world.velocity_mps, axis=1), 0.0)
     return float(min(longest_s, LONGEST_MOVE_M / max(own_speed_mps + speeds.max(), 1e-6)))
 

@@ -64,10 +64,9 @@ def _within_a_chirp(view: Snapshot, echoes: Echoes) -> Echoes:
 
 
 def is_kept(view: Snapshot, echoes: Echoes) -> np.ndarray:
-    """Return which echoes of a part of a world are those of the whole, bool [E].
+    """Return which echoes of a part of a world are those of the whole, bool [E]: within reach, or distant flashes.
 
-    Up to its reach: what stands in the way of longer ones is not in it. Flashes of the distant walls, of which nothing
-    else is there, stay. If asked for, only those that neither leave nor arrive behind the antenna.
+    If asked for, only those that neither leave nor arrive behind the antenna.
     """
     kept = echoes.out_m + echoes.back_m <= 2.0 * view.world.reach_m
     if len(view.distant):

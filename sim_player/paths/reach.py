@@ -1,10 +1,8 @@
 """The part of a world that a radar's echoes can reach: what is traced of a scene of many walls.
 
-An echo that touches a point at a distance d has a half round trip of d at least, so walls and objects beyond the reach
-have no part in shorter echoes, not even by standing in their way. Of the walls within reach all may stand in the way;
-mirrors, edges and scatterers are only those that the radar sees (through walls too, as far as anything comes back) or
-that it sees in another wall, since paths have two mirrors at most. All echoes up to the reach are those of the whole
-world. Longer ones are left out, but for flashes of straight walls that leak into the map.
+Walls and objects beyond the reach have no part in shorter echoes. Of the walls within all may stand in the way;
+mirrors, edges and scatterers are those that the radar sees, through walls too, or in another wall. Longer echoes are
+left out, but for flashes of straight walls that leak into the map.
 """
 
 from __future__ import annotations
@@ -57,8 +55,7 @@ def reachable_snapshot(
 ) -> Snapshot:
     """Return what a radar's echoes can reach of a world at a time; a small world whole.
 
-    `radar`: its state where it does not move as the scene says. `ahead_only`: without the echoes that leave or arrive
-    behind the antenna, where its elements are blind; in a small world they stay.
+    `radar`: its state if not the scene's. `ahead_only`: without echoes that leave or arrive behind the antenna.
     """
     radar = scene_radar(world.scene, time_s) if radar is None else radar
     if len(world.wall_a) <= WHOLE_WALLS:
@@ -192,9 +189,8 @@ def _with_neighbours(world: World, walls: np.ndarray) -> np.ndarray:
 def _leaks(setup: RadarSetup, away_m: np.ndarray) -> np.ndarray:
     """Return which flashes of mirrors so far off may leave more than `LEAK_DB` in the last range bin, bool [N].
 
-    Bound: nothing is lost at the mirror and the array points there. A Hann window's skirt d bins off is 1 / (pi d^3).
-    What is cut off at the overlapped start, where the window has risen to h, leaves h / (pi d), and so does the echo of
-    the last chirp in its place, a band away. Echoes later than a chirp are left out.
+    Bound: no loss, on boresight. A Hann window's skirt d bins off is 1 / (pi d^3); what is cut off at the overlapped
+    start, where the window is h, leaves h / (pi d), and so does the last chirp's echo, a band away.
     """
     radar, array = setup.radar, setup.array
     peak = float(element_field(setup.element, np.zeros(1), np.zeros(1))[0]) ** 2 * array.columns * array.rows
@@ -238,10 +234,10 @@ def _objects_within(world: World, origin: np.ndarray, time_s: float) -> np.ndarr
 def _lit(
     near: _Surroundings, around: World, origin: np.ndarray, ahead: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the share of each piece of wall that the radar sees, also through walls, [W, 2]; (inf, -inf) for none.
+    """Return the share of each piece of wall that the radar sees `ahead`, also through walls, [W, 2]; none: (inf,
+    -inf).
 
-    Only that `ahead` of it, a unit vector, if there is one. And the pairs [N, 2] of a flat piece that it sees, none
-    between, and a piece that it sees in that one, with the share of it that it sees so, [N, 2].
+    And the pairs [N, 2] of a flat piece and one seen in it, with the share of it that is seen, [N, 2].
     """
     world = near.world
     direct = clear = _ahead(world, origin, ahead, lit_walls(origin, near.plan, near.beside))
@@ -278,10 +274,7 @@ def _beside_edges(
     kept: np.ndarray,
     ahead: np.ndarray | None,
 ) -> np.ndarray:
-    """Return which further pieces of wall mirror to objects what bends at an edge in direct sight, bool [W].
-
-    `kept` [W]: those that are there anyhow.
-    """
+    """Return which pieces of wall beside `kept` [W] mirror to objects what edges in direct sight bend, bool [W]."""
     edges = open_edges(near.world)
     low, high = lit[edges.first].T
     share = (edges.number % 2).astype(np.float64)
@@ -335,8 +328,7 @@ def _lit_specks(world: World, direct: np.ndarray, lit: np.ndarray) -> np.ndarray
 def _least_through(world: World, origin: np.ndarray, walls: int) -> float:
     """Return the field factor of walls, one way, behind which all objects together stay `HIDDEN_DB` under the noise.
 
-    Bound: every centre as bright as it can be, at its distance, straight and in each of so many walls, in the array's
-    full gain.
+    Bound: every centre as bright as it can be, straight and in each of so many walls, in the array's full gain.
     """
     setup, radar = world.setup, world.setup.radar
     distance_m = np.maximum(norm(world.centre_m[:, :2] - origin), 1.0)

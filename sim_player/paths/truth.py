@@ -43,9 +43,7 @@ def labelled(paths: Paths) -> np.ndarray:
 
 
 def may_be_seen(setup: RadarSetup, paths: Paths, most: np.ndarray) -> np.ndarray:
-    """Return which paths truth is made of, bool [P]: objects, and walls over the noise; `most` their fields at the
-    array's peak, sqrt(mW).
-    """
+    """Return which paths truth is made of, bool [P]: objects, walls over the noise; `most`: fields, sqrt(mW)."""
     visible = np.square(most) > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
     return labelled(paths) & ((paths.object_index >= 0) | visible)
 
@@ -61,8 +59,7 @@ def visible_paths(
 ) -> np.ndarray:
     """Return the indices of the truth points, strongest first: in the grid, over the noise, thinned greedily.
 
-    Noise is the receiver's, and in the beam next to a path the mean power of the air's echoes in profiles, [beams,
-    bins].
+    Noise: the receiver's, and the air's echoes in the next beam, [beams, bins].
     """
     grid = setup.map_grid if grid is None else grid
     power = best_power_mw(setup, paths)
@@ -90,9 +87,7 @@ def _cells(paths: Paths, grid: RangeAzimuthGrid) -> tuple[np.ndarray, np.ndarray
 
 
 def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Thin points greedily, first come first kept: indices whose cells differ from all kept ones by 4 in one
-    coordinate.
-    """
+    """Thin points greedily, first come first kept: indices of cells 4 apart in one coordinate from all kept ones."""
     kept: list[int] = []
     free = np.ones(len(row), bool)
     for index in range(len(row)):
@@ -116,8 +111,7 @@ def scene_truth(
 ) -> SceneTruth:
     """Return the truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
 
-    `start_from_radar`: the radar's pose at that time; None: the pose from the scene's `ego`. `clutter_mw` as of
-    `visible_paths`.
+    `start_from_radar`: None: the pose from the scene's `ego`. `clutter_mw` as of `visible_paths`.
     """
     pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
     radar_from_start = pose.inverse()

@@ -15,11 +15,9 @@ CLEARANCE_M = 1e-6
 
 
 def outbound_vertices(world: World, paths: Paths) -> list[np.ndarray]:
-    """Return the outbound vertices [N, 3] of every path: antenna, bounces at walls, scatterer; in the radar's frame at
-    the start.
+    """Return the outbound vertices [N, 3] of every path (antenna, bounces, scatterer) in the radar's frame at start.
 
-    The ray follows the direction of departure from the antenna, with as many mirrors as the path has bounces. Bends at
-    edges and bounces on the ground are drawn straight.
+    Bends at edges and bounces on the ground are drawn straight.
     """
     a, b, normal = _pieces(world)
     back = radar_pose(world.scene, 0.0).inverse()

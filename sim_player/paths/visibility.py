@@ -1,7 +1,6 @@
 """Visibility of upright walls from a point, in the plane: every wall that some ray from there may meet.
 
-A sweep over the directions of all ends: between two of them the same walls lie one behind the other. Nothing that a
-ray can meet is left out: rays that graze an end pass it, and a wall that is seen edge-on counts as seen.
+Between two ends' directions the same walls lie one behind the other. Grazing rays pass, edge-on walls count as seen.
 """
 
 from __future__ import annotations
@@ -51,8 +50,7 @@ def lit_walls(
 ) -> np.ndarray:
     """Return which share of each piece of wall [W] rays from a point may meet, [W, 2]; (inf, -inf): none of it.
 
-    `passing` [W]: factor that is left of a ray behind each piece of wall; a ray ends where its product is `least` or
-    less. `window`: two ends of a line that all rays come through; they begin there.
+    `passing` [W]: factor left behind each piece, a ray ends at `least`. `window`: ends of a line where rays begin.
     """
     through = np.zeros((2, 2)) if window is None else np.stack(window)
     lit: np.ndarray = _sweep(
@@ -69,10 +67,9 @@ def lit_walls(
 def lit_in_mirrors(
     source: np.ndarray, walls: PlanWalls, passing: np.ndarray, mirrors: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pieces of wall rays from a point may meet by way of each of K mirrors, and which share of them.
+    """Return which pieces of wall rays from a point meet by K mirrors: pairs int64 [N, 2] in order, shares [N, 2].
 
-    Pairs of mirror and piece of wall, int64 [N, 2] in order, and shares [N, 2]. `mirrors`: normals [K, 2] and offsets
-    [K] of their lines, and the ends [K, 2, 2] between which rays meet them.
+    `mirrors`: normals [K, 2] and offsets [K] of their lines, and the ends [K, 2, 2] between which rays meet them.
     """
     plan = walls.a, walls.b, walls.begin, walls.end, walls.wall
     pairs, share = _mirrored_sweeps(np.asarray(source, np.float64), plan, passing, *mirrors)

@@ -1,7 +1,4 @@
-"""One bounce at a wall, compiled: reflection by its whole build and by its front face, what roughness leaves.
-
-The laws are those of `models.physics.fresnel`, vertical polarisation (TE).
-"""
+"""One bounce at a wall, compiled, by the laws of `models.physics.fresnel` (TE): whole build, front face, roughness."""
 
 from __future__ import annotations
 
@@ -55,8 +52,7 @@ def bounce(builds, wall, cosine):  # type: ignore[no-untyped-def]
 def below_top(wavelength_m, clearance_m, before_m, behind_m, rise):  # type: ignore[no-untyped-def]
     """Return the field that a wall's top leaves of a mirrored ray that meets the wall so far below it (negative: over).
 
-    Lengths of the ray before and behind, `rise` its upright direction cosine. The mirror ends there as it does at its
-    upright ends: 1/2 where the ray meets the top, exactly 1 well below it and 0 well over it (`passed_edge_at`).
+    Lengths before and behind, `rise` its upright cosine; 1/2 at the top, exactly 1 and 0 far off (`passed_edge_at`).
     """
     upright = math.sqrt(max(1.0 - rise * rise, 0.0))
     return passed_edge_at(clearance_m * upright, max(before_m, 1e-3), max(behind_m, 1e-3), wavelength_m)

@@ -14,10 +14,7 @@ _CHORDS = 720
 
 
 def first_meeting(scene: Scene, time_s: np.ndarray, position_m: np.ndarray) -> tuple[float, int] | None:
-    """Return the time at which a path meets the first wall, and the number of its surface; None where it meets none.
-
-    The path has straight lines between the positions [N, 2] at the times [N].
-    """
+    """Return when straight lines between positions [N, 2] meet the first wall, and its surface; None: none."""
     owner, a, b = wall_pieces(scene.surfaces)
     if not len(owner) or len(time_s) < 2:
         return None
@@ -33,9 +30,7 @@ def first_meeting(scene: Scene, time_s: np.ndarray, position_m: np.ndarray) -> t
 
 
 def ego_meeting(scene: Scene) -> tuple[float, int] | None:
-    """Return when the radar of a scene, or one of several, that drives on as it does meets the first wall, and the
-    number of its surface; None where it never does.
-    """
+    """Return when the radar of a scene, or one of several, meets the first wall, and its surface; None: never."""
     if scene.radars:
         meetings = (ego_meeting(scene.of_radar(name)) for name in scene.radars)
         return min((meeting for meeting in meetings if meeting is not None), default=None)

@@ -1,9 +1,7 @@
 """Walls drawn in one place: the last one drawn stands there, the others are cut.
 
-Two flat walls, or two arcs of one circle, coincide where they lie within `NODE_M` of each other: a mirror counts
-once. Of those higher than the radar the last one drawn stands; one that is no higher yields to one that is. What stands
-is as high there as the highest. Mirrors and foliage do not cut each other. Walls further apart are two walls, of which
-the nearer hides the other.
+Two flat walls, or arcs of one circle, coincide within `NODE_M`. One no higher than the radar yields to one that is;
+what stands is as high there as the highest. Mirrors and foliage do not cut each other.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Description of a scene in YAML: upright walls, objects and the radar's own motion, validated on input.
 
-All in the radar frame at start (x forward, y left, metres; heights above the ground). Every error is one line: file,
-field, value, rule.
+Radar frame at start, heights above the ground. Every error is one line: file, field, value, rule.
 """
 
 from __future__ import annotations
@@ -192,10 +191,7 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """An object by its class, a mesh file or a primitive; its centre on the ground, heading, speed along the heading.
-
-    Exactly one of `class`, `mesh`, `primitive` is given; the fields after it belong to meshes and primitives alone.
-    """
+    """An object by exactly one of `class`, `mesh`, `primitive`; its centre on the ground, heading, speed along it."""
 
     class_: ObjectClass | None = msgspec.field(name="class", default=None)
     #: File, relative to the scene's; formats as in `sim_player.bodies.meshes.load_mesh`.
@@ -331,9 +327,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def load_scene(path: Path) -> Scene:
-    """Read and check a scene file, or the shipped one of that name; ValueError in one line that names file, field,
-    value and rule.
-    """
+    """Read and check a scene file, or the shipped one of that name; ValueError in one line with the file."""
     try:
         path = shipped_path(path)
         # check before reading: a foreign scene must not exhaust the memory of a graph

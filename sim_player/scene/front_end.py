@@ -1,7 +1,4 @@
-"""Faults of a real front end that a scene may give its radar, all absent unless stated.
-
-Perception never gets these values; each is the parameter of one effect in `sim_player/effects/`.
-"""
+"""Faults of a real front end that a scene may give its radar, all absent unless stated; each is one effect's."""
 
 from __future__ import annotations
 

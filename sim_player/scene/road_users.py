@@ -1,7 +1,6 @@
 """Road users as boxes of scattering centres: along the faces, stronger at corners and wheels, random in phase.
 
-Not modelled: curved bodies, cavities (wheel arches, windows), multiple scattering inside an object, roofs,
-micro-motion of legs and wheels. The mean over all aspects equals the class's RCS; speckle gives the variation.
+The mean over all aspects is the class's RCS. Not modelled: curved bodies, cavities, multiple scattering, roofs, legs.
 """
 
 from __future__ import annotations
@@ -42,9 +41,7 @@ class ScatteringCentres:
 
 
 def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCentres:
-    """Return the centres of an object, fixed by (seed, index of the object in its scene), so consecutive scans
-    agree.
-    """
+    """Return the centres of an object, fixed by (seed, index of the object in its scene) over all scans."""
     kind = OBJECT_KINDS[object_class]
     rng = np.random.default_rng([seed, 1, index])
     position, normals, gain, exponent = _layout(kind, object_class in WHEELED, rng)
@@ -71,9 +68,7 @@ def seen_rcs_m2(
     direction: np.ndarray,
     lobe_floor: np.ndarray | float = LOBE_FLOOR,
 ) -> np.ndarray:
-    """Return the RCS towards unit vectors `direction` [..., K, 3] (or [..., K, 2], level) from the centres; 0 if
-    turned away.
-    """
+    """Return the RCS towards unit vectors [..., K, 3] (or [..., K, 2], level) from the centres; 0 if turned away."""
     axes = direction.shape[-1]
     first = np.einsum("...ki,ki->...k", direction, normals[:, 0, :axes])
     second = np.einsum("...ki,ki->...k", direction, normals[:, 1, :axes])

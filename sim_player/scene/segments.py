@@ -112,18 +112,14 @@ class Occlusion:
 def segment_occlusion(
     start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1
 ) -> Occlusion:
-    """Test segments from `start` to `end` ([N, 3], or one point for all, heights above ground) against the blockers.
-
-    `owner` [N] is the object at a segment's end whose own body does not block it.
-    """
+    """Test segments from `start` to `end` ([N, 3], or one point for all); `owner` [N]: the object at its end."""
     return _passage((start, end), blockers, owner, False)
 
 
 def free_segments(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Occlusion:
-    """Test segments in series from point to point, for callers that need free ones only: a blocked series ends early.
+    """Test segments in series from point to point ([N, 3] or one): `through` is 0 of blocked ones, which end early.
 
-    `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to the last segment. Where a
-    series is not free, `through` is 0.
+    `owner` [N] belongs to the last segment.
     """
     return _passage(points, blockers, owner, True)
 
@@ -198,10 +194,7 @@ def _bounds(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @compiled(error_model="numpy")
 def _boxes(low, high, leaf):  # type: ignore[no-untyped-def]
-    """Order of pieces in which neighbours stand together, [M], and boxes around boxes around them, depth first.
-
-    Boxes are halved at the median of the longer side.
-    """
+    """Order of pieces in which neighbours stand together, [M], and nested boxes halved at medians, depth first."""
     count = len(low)
     order, boxes, stop = np.arange(count), np.empty((2 * count + 1, _BOX_COLUMNS)), np.empty(2 * count + 1, np.int64)
     waiting, waits, made = np.empty((2 * count + 2, 2), np.int64), 1, 0
@@ -258,11 +251,9 @@ def _follow(vertices_m, owners, pieces, give_up):  # type: ignore[no-untyped-def
 
 @compiled(error_model="numpy")
 def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
-    """Return of one segment the factor of what passes over all tops (1: nothing near, 0: blocked; not yet `faded`), the
-    same with what walls let through, and that of all foliage.
+    """Return the factor of all tops on a segment (1: none near, 0: blocked), with walls, and of foliage; not `faded`.
 
-    `start` and `end` are three numbers each, `pieces` those of `Blockers`; `own` is the owner whose pieces do not
-    block. With `give_up` the first piece that blocks ends the search. For callers that are compiled themselves.
+    `pieces` as of `Blockers`; `own`: owner whose pieces do not block; `give_up`: end at the first that blocks.
     """
     piece, passing, boxes, faces, wavelength_m = pieces
     sx, sy, sz = start
@@ -380,10 +371,10 @@ def _misses(sx, sy, rx, ry, boxes, box):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def series(points, own, pieces, walls):  # type: ignore[no-untyped-def]
-    """Return of segments from point to point the field factor of all tops (0: blocked), and that of foliage.
+    """Return the field factor of all tops on segments from point to point (0: blocked), and that of foliage.
 
-    With `walls`, of what those let through too, `LEAST_LEFT` and more, and whether it crosses one. `points` are three
-    numbers each; `own` belongs to the last segment. Two equal points have no segment.
+    With `walls`, of what they let through too, `LEAST_LEFT` and more, and whether it crosses one. `own`: last
+    segment's.
     """
     field, leaves, crosses = 1.0 + 0.0j, 1.0, False
     for index in range(len(points) - 1):
@@ -401,10 +392,7 @@ def series(points, own, pieces, walls):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def may_pass(points, pieces, walls):  # type: ignore[no-untyped-def]
-    """Return whether lower rays along the same plan may have a factor in `series`.
-
-    Tops let less of them pass, and walls hardly more: four times as much, at most, where no top is near.
-    """
+    """Return whether lower rays along the same plan may have a factor in `series`: at most four times as much."""
     for index in range(len(points) - 1):
         over, through, _ = passage(points[index], points[index + 1], -1, pieces, not walls)
         if over == 0.0 and not (walls and abs(through) > 0.25 * LEAST_LEFT):
@@ -426,8 +414,7 @@ def is_clear(points, pieces):  # type: ignore[no-untyped-def]
 def is_screened(source, circle, between, top, line, pieces):  # type: ignore[no-untyped-def]
     """Return whether one straight wall blocks what rays from a source to a circle have on the positive side of a line.
 
-    All in plan, rays no higher than `top`; circle: place and radius; line: unit normal and offset, source and circle on
-    different sides. Looked for are walls that stand between two points of the middle ray; no does not mean free.
+    In plan, no higher than `top`; circle: place and radius; line: unit normal and offset between. No is not: free.
     """
     piece, _, boxes, _, wavelength_m = pieces
     away = math.hypot(circle[0] - source[0], circle[1] - source[1]) + circle[2]
@@ -492,9 +479,7 @@ def crossing_factor(passing, build, cosine):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _straight(segment, piece):  # type: ignore[no-untyped-def]
-    """Return the cosine of incidence where a segment meets a straight piece in plan, -1 where it does not, and the
-    share of the segment before it.
-    """
+    """Return the cosine of incidence of a segment and a straight piece in plan (-1: none), and the share before."""
     sx, sy, _, rx, ry, rise, ray = segment
     ax, ay, wx, wy, wall, wider = piece
     # shares along segment and piece times `turn`: most pieces are rejected without a division

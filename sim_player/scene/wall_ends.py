@@ -116,10 +116,7 @@ def wall_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirr
 
 
 def end_nodes(a: np.ndarray, b: np.ndarray, curvature_per_m: np.ndarray, is_mirror: np.ndarray) -> EndNodes:
-    """Return where the mirrors among walls a -> b [W, 2] of some curvature [W] end, alone, together or on another.
-
-    A straight wall that goes on past the end of another has two faces there.
-    """
+    """Return where the mirrors among walls a -> b [W, 2] end, alone, together or on another, which has two faces."""
     along = np.arctan2(*(b - a).T[::-1])
     bend = np.arcsin(np.clip(0.5 * curvature_per_m * np.hypot(*(b - a).T), -1.0, 1.0))
     face_rad = np.column_stack([along - bend, along + np.pi + bend]) % (2.0 * np.pi)

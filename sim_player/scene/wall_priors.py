@@ -43,11 +43,7 @@ POOR = MapErrors()
 def scene_walls(
     scene: Scene, start_from_vehicle: Pose2, stamp_ns: int, seed: int, errors: MapErrors | None = None
 ) -> WallPriors:
-    """Return the walls of a scene about the vehicle, with `errors` drawn once for each wall; None: exact.
-
-    Each straight piece of a polyline is a wall; of more than a message holds the nearest are in it. Same seed, same
-    walls at every pose: errors belong to the map, not to the scan.
-    """
+    """Return the nearest walls about the vehicle, straight pieces, with a map's `errors` by the seed; None: exact."""
     stated = EXACT if errors is None else errors
     pieces = [
         _drawn(np.array(ends_m), errors, [seed, 31, number, piece])

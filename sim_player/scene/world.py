@@ -114,10 +114,7 @@ class World:
 
     @property
     def orders_alike(self) -> bool:
-        """True if an echo that goes out by one route and back by another is the same in the other order.
-
-        So it is where transmitter and receiver stand in one place and steer alike.
-        """
+        """True if both orders of two routes make one echo: transmitter and receiver in one place, steered alike."""
         return self.scene.radar.separation_m == 0.0 and self.setup.array.steered_ways == 2
 
     @property
@@ -156,9 +153,7 @@ class World:
         return np.asarray(np.abs(self.transmission).max(axis=1)[self.wall_build])
 
     def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return one bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by
-        roughness).
-        """
+        """Return one bounce of pieces of wall [N]: (as built, front face alone, field left by roughness)."""
         return all_bounces(self.builds, np.asarray(wall, np.int64), np.asarray(cosine, np.float64))
 
     @cached_property
@@ -452,10 +447,7 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
 def _builds(
     scene: Scene, radar: RadarParams, stacks: tuple[Layers, ...], wall_stack: np.ndarray, wall_surface: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of `World.transmission`, and which of them each piece of wall has, int32 [W].
-
-    Walls: field transmission, 0 where they have no back; foliage: the field left after one way through it.
-    """
+    """Return the rows of `World.transmission` (walls, 0 without a back, then foliage) and each piece's, int32 [W]."""
     cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
     volumes, place = np.unique(wall_surface[wall_stack < 0], return_inverse=True)
     wall_build = wall_stack.astype(np.int32)

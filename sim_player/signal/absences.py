@@ -1,8 +1,4 @@
-"""Absences of signal effects: when a scene has none of one of the array, the air, the waveform or the receiver.
-
-Each is a switch of its name in `SignalEffects` (`sim_player.signal.switches`, which says what off means); its physics
-stands where the signal is made.
-"""
+"""Absences of signal effects: when a scene has none of a switch of `SignalEffects` (`sim_player.signal.switches`)."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """Echoes of what fills the air, as signals: complex Gaussian draws with a range profile, a beam pattern and a Doppler.
 
-Half range bins of the sweep are independent and fill its spectrum evenly, as are directions half a beam apart. Over a
-beam's chirps a draw fades by the spread of the drops' speeds, exp(-(t / tau)^2 / 2) with tau = lambda / (4 pi sigma_v):
-2.4 ms at 10 GHz. Beams of a steered array, 12 ms apart, are drawn independently, which holds from 3 tau on; those of a
-digital array are of one time and share their draws. Squint and overlap do not act on it: they blur a profile that has
-no edges.
+Half range bins and directions half a beam apart are independent. Over a beam's chirps a draw fades by the spread of the
+drops' speeds, exp(-(t / tau)^2 / 2), tau = lambda / (4 pi sigma_v): 2.4 ms at 10 GHz. Beams of a steered array are
+drawn apart (from 3 tau on), those of a digital one share draws. Squint and overlap do not act on it.
 """
 
 from __future__ import annotations
@@ -108,9 +106,7 @@ def clutter_profiles(
 
 
 def with_clutter(setup: RadarSetup, terms: Terms, clutter: Clutter, cells: np.ndarray, beam: int) -> Terms:
-    """Return the terms of a beam with its drawn cells, complex [slow terms, CELLS], in their own slow time where it
-    holds them.
-    """
+    """Return the terms of a beam with its drawn cells, in their own slow time where it holds them."""
     beats, carrier, basis = terms
     count = setup.radar.samples_per_chirp
     # draws need no more digits than noise

@@ -1,9 +1,7 @@
 """Sums of echoes at a low rate, compiled: what beats of one chirp, at rest and in motion, are made of.
 
-All echoes lie in a small part of the sampled band. So each instant of the sweep and each row (a beam, or a slow-time
-term of one) is summed at a low rate, by a non-uniform FFT; the instants of all groups of paths are joined there, and
-one interpolation a row brings the sum to the converter's rate. In double precision to 1e-11 of the strongest echo, in
-single precision to 1e-5. Cost follows the paths, rows and instants of each group.
+Each instant of the sweep and row (a beam, or a slow-time term) is summed at a low rate by a non-uniform FFT, and one
+interpolation a row raises it to the converter's. To 1e-11 of the strongest echo in double precision, 1e-5 in single.
 """
 
 from __future__ import annotations
@@ -100,10 +98,7 @@ def _spreading_transform(low: int, size: int, spread: int) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _taps(step: int, highest: float, precision: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the real and imaginary parts of the taps that raise the rate by `step`, [step, taps].
-
-    Least squares over the band of tones, 0 to `highest` cycles per low-rate sample and some skirts.
-    """
+    """Return the taps that raise the rate by `step`, real and imaginary [step, taps]: least squares over the band."""
     taps = TAPS[precision]
     tone = np.linspace(-0.01, highest + 0.01, 8 * taps)
     near = np.exp(2j * np.pi * np.multiply.outer(tone, np.arange(taps) - (taps // 2 - 1)))

@@ -1,9 +1,7 @@
 """Sums of tones that each stop at their own sample: what overlapping chirps change at the start of a beat, compiled.
 
-An echo of delay tau fills the first tau f_s samples with the previous chirp's beat. The start is cut into parts. Parts
-that a path fills whole are summed on a grid of frequencies, which is small, for a start is short. In the part in which
-a path stops its beat, for delay and frequency are one thing, is the part's own tone times little: a few values there
-say it, and they add up from the part's end to its start. Within a part the slow factor is a straight line.
+The start is cut into parts. What fills a part whole is summed on a small grid of frequencies; where a path stops, its
+beat is the part's own tone times little, a few values that add up from the part's end. The slow factor is linear.
 """
 
 from __future__ import annotations
@@ -105,10 +103,7 @@ def _factors_at_starts(instants: int, span: float, near: int, near_span: float) 
 
 @lru_cache(maxsize=32)
 def _grid(count: int, part: int, parts: int, turn: float) -> tuple[int, np.ndarray]:
-    """Return the steps of a start's grid of frequencies, and its tones over the samples.
-
-    Float32 [parts, steps, 2, part]. The kernel's own transform is divided out.
-    """
+    """Return the steps of a start's grid of frequencies, and its tones, float32 [parts, steps, 2, part]."""
     length = part * parts
     # the longest delay has the highest beat
     steps = int(np.ceil(2.0 * length * turn * length / count)) + SPREAD + 2

@@ -1,8 +1,7 @@
 """Recorded weights of all echoes of a beam at instants of the sweep, compiled: antenna, beat, Doppler in few terms.
 
-The slow factor of an echo, conj(B_t B_r W) e^{j beat phase} with its Doppler, at instants counted in chirps from the
-start of the echo's own chirp. What the previous chirp leaves at the start of this one is the same factor a chirp
-later, but for a constant of each path and a phase that moves by 1e-4 rad (`previous_chirp`).
+conj(B_t B_r W) e^{j beat phase} with its Doppler, at instants in chirps from the echo's own; the previous chirp's
+factor is the same a chirp later, but for a constant and a phase that moves by 1e-4 rad (`previous_chirp`).
 """
 
 from __future__ import annotations
@@ -29,9 +28,8 @@ _LENGTH, _DELAY, _TURN, _RE, _IM, _ACROSS_IN, _UP_IN, _ACROSS_OUT, _UP_OUT = ran
 class EchoWeights:
     """Recorded weights of the echoes of one beam in R slow-time terms, at instants [K] in chirps.
 
-    Echoes that have no power in the beam are left out: each under `tolerance` of the strongest, shared by all.
-    `weights` of the kind of real numbers [2, K, R, P], real parts first, of those that are left, longest first; `rows`
-    [P] says which these are.
+    Without echoes under `tolerance` of the strongest, shared by all. `weights` [2, K, R, P], real parts first, longest
+    first; `rows` [P] says which are left.
     """
 
     def __init__(
@@ -73,9 +71,9 @@ class EchoWeights:
         return self._in_terms(self._factors(instants)[0], instants)
 
     def previous_chirp(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what turns the weights of instant x + 1 into the previous chirp's at x: start and slope; [P] each.
+        """Return what turns weights of instant x + 1 into the previous chirp's at x: start (1 + slope x), [P] each.
 
-        Factor start (1 + slope x), complex128. Zero where the low pass takes the previous chirp's beat.
+        Zero where the low pass takes the previous chirp's beat.
         """
         radar, own_m, turn = self._radar, self.length_m, self._table[_TURN]
         length_m = previous_length_m(radar, own_m)

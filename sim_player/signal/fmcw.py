@@ -1,9 +1,7 @@
 """Beats from paths: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
 
-Beats follow the recorded convention m(t) = sum conj(W) exp{+j(2 pi S tau t + 2 pi f_c tau - pi S tau^2)}.
-Left out by this plain signal chain: range migration within one beam (a path moves under 1/10 of a range bin in 0.7 ms
-at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, flicker noise, I/Q imbalance: those are in
-`sim_player.signal.levels`, which is built from the parts here.
+m(t) = sum conj(W) exp{+j(2 pi S tau t + 2 pi f_c tau - pi S tau^2)}. Left out: range migration, overlap, squint,
+coupling, flicker, I/Q imbalance: those are in `sim_player.signal.levels`.
 """
 
 from __future__ import annotations
@@ -38,10 +36,7 @@ def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) ->
 
 
 def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return the azimuth and elevation of departure; (None, None) where all paths return along their outbound route
-    (half the
-    work).
-    """
+    """Return the azimuth and elevation of departure; None where all paths return along their outbound route."""
     azimuth_rad, elevation_rad = paths.departure_azimuth_rad, paths.departure_elevation_rad
     if np.array_equal(azimuth_rad, paths.azimuth_rad) and np.array_equal(elevation_rad, paths.elevation_rad):
         return None, None
@@ -78,8 +73,7 @@ def kernel_transform(count: int) -> np.ndarray:
 class SlowTimeTable:
     """Phases of moving paths over a beam's chirps in few terms: exp(j w c) = carrier[c] sum_r share_r(w) basis[r, c].
 
-    Chirps count from the middle of the beam. A common turn is taken out first, then the band that is left needs only as
-    many Slepian sequences as it has turns, and a few.
+    Chirps count from the beam's middle; a common turn is out, the rest in Slepian sequences.
     """
 
     #: Complex128 [chirps], and float64 [terms, chirps], symmetric and antisymmetric ones in turn.
@@ -116,9 +110,7 @@ def _chirps(count: int) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _slow_time_basis(chirps: int, widest_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the tolerance,
-    and the series of their shares, [terms, powers].
-    """
+    """Return the orthonormal sequences [terms, chirps] of every |w| <= widest, and series of shares [terms, powers]."""
     basis = _sequences(chirps, widest_rad)
     # what rounding leaves of the other symmetry goes: codes are made of halves
     mirrored = basis[:, ::-1] * (-1.0) ** np.arange(len(basis))[:, None]
@@ -159,8 +151,7 @@ def _rounded_up(value: float) -> float:
 
 
 def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
-    """Return the white complex noise of power k T0 f_s F, float32 [2, slots * samples] in sqrt(mW): what `chirp_codes`
-    reads.
+    """Return white complex noise of power k T0 f_s F, float32 [2, slots * samples] in sqrt(mW), for `chirp_codes`.
 
     One slot more than a beam's chirps (64 at least): a beam reads its slots without overlap at a random shift.
     """
@@ -219,7 +210,7 @@ def beam_codes(
 
 
 def _halves(beats: np.ndarray, basis: np.ndarray, sign: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the terms that are symmetric over the chirps (antisymmetric with sign -1), or have a part that is.
+    """Return the terms that have a part symmetric over the chirps (antisymmetric with sign -1).
 
     Beats float32 [2, terms, samples], real parts first, and the basis over half of the chirps [chirps, terms].
     """

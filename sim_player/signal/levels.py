@@ -1,13 +1,8 @@
 """One signal at three levels with one answer: kernel (profiles), beat (samples, codes), literal (Eq. (6) in time).
 
-- Kernel: echoes are gathered on a grid of half range bins and convolved with the window's spectrum, by FFT: exact to
-  rounding, at a cost that hardly grows with the number of paths. Scenes that move have profiles of
-  slow-time sums in place of one profile a beam (`sim_player.signal.slow_time_profiles`).
-- Beat: sums of tones over the chirp, terms of slow time over the beam, faults of the receiver, int16 codes.
-- Literal (`sim_player.signal.literal`): the reference. Chirps delayed and mixed, pattern at every sample; nothing
-  expanded.
-
-All take `SignalEffects` and `FrontEnd`; `PLAIN` effects give the signal of `sim_player.signal.fmcw`.
+Kernel: echoes on a grid of half range bins, convolved with the window's spectrum; scenes that move:
+`sim_player.signal.slow_time_profiles`. Beat: sums of tones over the chirp, slow-time terms, faults of the receiver,
+int16 codes. Literal (`sim_player.signal.literal`): the reference. `PLAIN` effects give `sim_player.signal.fmcw`.
 """
 
 from __future__ import annotations
@@ -88,12 +83,10 @@ def kernel_profiles(
     precision: str = "float64",
     seed: int = 0,
 ) -> np.ndarray:
-    """Return the Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins] of the
-    precision.
+    """Return the Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins].
 
-    Echoes, leakage and spurs (`seed` draws their phases), with I/Q imbalance; noise is `noise_profiles`'. Agrees with
-    the beat level to 1e-9 in float64, 1e-5 in float32. ValueError where this level cannot hold the signal, with the
-    reason (`kernel_objections`).
+    Echoes, leakage and spurs (`seed`: phases), with I/Q imbalance; the beat level's to 1e-9 in float64, 1e-5 in
+    float32. ValueError where this level cannot hold the signal (`kernel_objections`).
     """
     _refuse(motion_objection(paths, effects))
     echoes = swept_echoes(setup, paths, effects, front_end, precision=precision)
@@ -111,12 +104,7 @@ def kernel_profiles(
 def kernel_objections(
     setup: RadarSetup, paths: Paths, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> list[str]:
-    """Return the reasons why the kernel level cannot hold a signal, empty where it can: motion, little dither, a
-    clipping
-    converter.
-
-    The converter's peak is first bounded by the sum of amplitudes; only beams over that are summed up in time.
-    """
+    """Return why the kernel level cannot hold a signal, if so: motion, little dither, a clipping converter."""
     objections = [motion_objection(paths, effects)]
     if effects.adc:
         objections.append(dither_objection(setup, front_end, effects.thermal_noise))
@@ -125,9 +113,7 @@ def kernel_objections(
 
 
 def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
-    """Return the reason why one profile a beam cannot hold Doppler, or None: the former searches the strongest Doppler
-    bin.
-    """
+    """Return the reason why one profile a beam cannot hold Doppler, or None."""
     if not effects.motion or not np.any(paths.radial_speed_mps):
         return None
     fastest = float(np.abs(paths.radial_speed_mps).max())
@@ -142,8 +128,7 @@ def _refuse(reason: str | None) -> None:
 def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
     """Return the Hann-windowed profiles of swept echoes in their precision, complex [rows, bins].
 
-    Each echo is spread over the `KERNEL_WIDTH` nearest half bins; the grid is convolved with the spectrum of
-    window x cardinal function, once per instant. The overlapped start is corrected in time.
+    On the `KERNEL_WIDTH` nearest half bins, convolved with window x cardinal function; the start in time.
     """
     # imported here: basic effects have no sweep
     from scipy.sparse import csr_array
@@ -192,10 +177,7 @@ def _range_kernels(count: int, instants: int, bins: range, blocks: int, precisio
 
 
 def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BINS)) -> np.ndarray:
-    """Return the Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero.
-
-    Complex [rows, bins].
-    """
+    """Return the Hann-windowed profiles [rows, bins] of chirps of `count` samples; missing ones are zero."""
     window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples.shape[1]) / count)).astype(samples.real.dtype) / count
     return fft.fft(samples * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]
 
@@ -224,10 +206,7 @@ def noise_profiles(
     front_end: FrontEnd = NO_FAULTS,
     range_bins: int = RANGE_BINS,
 ) -> np.ndarray:
-    """Return the noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
-
-    Independent draws per bin, scaled to `noise_density_mw`, then the window's taps.
-    """
+    """Return the noise of all beams as windowed profiles: thermal, flicker, rounding; complex128 [beams, bins]."""
     power_mw = noise_density_mw(setup, np.arange(-1, range_bins + 1), effects, front_end)
     rng = np.random.default_rng([seed, 6])
     return windowed_noise(rng, np.broadcast_to(power_mw, (len(setup.beams), len(power_mw))))
@@ -270,9 +249,7 @@ def noise_rms(setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: Fron
 
 
 def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:
-    """Return the largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is
-    harmless.
-    """
+    """Return the largest magnitude at the converter in any beam, noise at five sigma; a bound where harmless."""
     # the overlap exchanges echoes for similar ones
     lone = msgspec.structs.replace(effects, chirp_overlap=False)
     echoes = swept_echoes(setup, paths, lone, front_end, precision="float32")
@@ -309,9 +286,7 @@ def group_beats(
     beams: slice = slice(None),
     precision: str = "float64",
 ) -> np.ndarray:
-    """Return the same of groups of paths that each have effects of their own, at the price of one; in float32 to 3e-6
-    of all echoes together.
-    """
+    """Return the same of groups of paths with effects of their own, at one price; in float32 to 3e-6 of all."""
     rows = len(range(len(setup.beams))[beams])
     with _one_thread():
         make = single_echoes if precision == "float32" else swept_echoes
@@ -328,10 +303,9 @@ def echo_terms(
     precision: str = "float64",
     overlaps: np.ndarray | None = None,
 ) -> Terms:
-    """Return the echoes of one beam alone, which stay the same from scan to scan while nothing moves.
+    """Return the echoes of one beam alone, the same from scan to scan at rest; in float32 to 1e-4 of the strongest.
 
-    In float32 to 1e-4 of the strongest echo. `overlaps`: the paths of which the last chirp's echoes count where
-    `effects` has them, bool [P]; None: all. ValueError for an unknown precision.
+    `overlaps` bool [P]: paths with the last chirp's echoes; None: all. ValueError for an unknown precision.
     """
     check_precision(precision)
     radar = setup.radar
@@ -413,10 +387,7 @@ def record_beam(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """Return int16 I/Q codes of one beam, [chirps, samples, 2]; the converter always has int16 codes.
-
-    `terms` are those of `echo_terms` with `with_electronics`.
-    """
+    """Return int16 I/Q codes of one beam, [chirps, samples, 2], of `echo_terms` with `with_electronics`."""
     radar = setup.radar
     noise = noise_reads(radar, bank if effects.thermal_noise else np.zeros_like(bank), seed)
     if effects.flicker and front_end.flicker_corner_hz > 0.0:

@@ -1,8 +1,6 @@
-"""The literal level, reference of all others: chirps in time, delayed and mixed, with the antenna pattern at every
-sample.
+"""The literal level, reference of all others: chirps in time, delayed and mixed, pattern at every sample, float64.
 
-Nothing is expanded, gridded or summed in closed form; float64, phases reduced to fractions of a turn. For few paths,
-beams and chirps: every path costs its samples times the columns of the array.
+For few paths, beams and chirps: every path costs its samples times the columns of the array.
 """
 
 from __future__ import annotations
@@ -30,8 +28,7 @@ def literal_echoes(
 ) -> np.ndarray:
     """Return the reference: chirps of Eq. (6) back to back, delayed, mixed; complex128 [chirps, samples], in sqrt(mW).
 
-    Every transmitted chirp is Eq. (6) with t from its own start; the transmitter was on before the beam. Delays
-    change sample by sample with range migration, chirp by chirp in phase alone without. Low pass: `sampled`.
+    Delays change by samples with range migration, by chirps in phase alone without. Low pass: `sampled`.
     """
     setup_seen = setup if effects.element_pattern else isotropic(setup)
     columns = column_weights(setup, effects, front_end)[beam]
@@ -54,9 +51,7 @@ def literal_profiles(
 
 
 def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
-    """Return the phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an
-    angle.
-    """
+    """Return the phase of Eq. (6) in turns, f_c t + S t^2 / 2; reduce it to a fraction before it becomes an angle."""
     return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
 
 
@@ -103,9 +98,7 @@ def _add_literal_echo(
 def _literal_pattern(
     setup: RadarSetup, columns: np.ndarray, azimuth_rad: np.ndarray, elevation_rad: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Return the one-way field of one direction, element by element, at every sample's frequency ratio; [samples] or
-    [1].
-    """
+    """Return the one-way field of one direction, element by element, at samples' frequency ratios; [samples] or [1]."""
     array, wavelength_m = setup.array, setup.radar.wavelength_m
     across = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m) * ratio
     step_rad = across * np.sin(azimuth_rad) * np.cos(elevation_rad)

@@ -68,9 +68,7 @@ def _solid_angle(view: Snapshot, setup: RadarSetup, step_m: float) -> np.ndarray
 
 
 def _weights(setup: RadarSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the elevations of the integral, and for each direction and elevation the solid angle times the power
-    pattern, and the ray in plan; [E], [directions, E] each.
-    """
+    """Return elevations [E], and for each direction solid angle times power pattern, and ray; [directions, E]."""
     sines = direction_sines(setup)
     edges = np.linspace(-1.0, 1.0, ELEVATIONS + 1)
     edges = 0.5 * math.pi * edges * np.abs(edges)
@@ -112,10 +110,7 @@ def _add_stretch(change, weight, ray, gain, first_m, last_m, step_m):  # type: i
 
 
 def _free_stretches(view: Snapshot, elevation_rad: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return stretches of range that hold drops: gain, first and last range; [RAYS, elevations] each.
-
-    In direct sight; in the wall that ends it on the horizon; behind that wall.
-    """
+    """Return stretches of range that hold drops, in sight, in a wall, behind it: gain, first, last [RAYS, E]."""
     world, slope = view.world, np.tan(elevation_rad)
     height_m, walls = world.radar_height_m, len(world.wall_a)
     azimuth_rad = view.pose.yaw_rad + ((np.arange(RAYS) + 0.5) / RAYS - 0.5) * math.pi
@@ -170,10 +165,7 @@ def _distances(
 
 
 def _free_m(view: Snapshot, distance_m: np.ndarray, before_m: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Return how far each ray goes at each elevation before a wall that is high enough; [R, elevations].
-
-    `before_m`: how far it has come from the radar, [R].
-    """
+    """Return how far rays, `before_m` from the radar, go at each elevation before a high wall; [R, elevations]."""
     return np.asarray(_nearest_high(distance_m, before_m, view.blockers.height_m - view.world.radar_height_m, slope))
 
 

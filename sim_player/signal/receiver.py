@@ -1,7 +1,6 @@
 """Receiver: signals added to the echoes and distortions of them, sample by sample and, where possible, per bin.
 
-Order: echoes and leakage, spurs, thermal and flicker noise; then I/Q imbalance; then the converter. Per-bin laws
-hold for profiles as the plain mean over chirps and the FFT / N make them.
+Echoes and leakage, spurs, thermal and flicker noise; then I/Q imbalance; then the converter.
 """
 
 from __future__ import annotations
@@ -40,11 +39,7 @@ def spur_turns(spurs: Sequence[Spur], seed: Sequence[int]) -> np.ndarray:
 
 
 def spur_beat(radar: RadarParams, spur: Spur, start_turns: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a free-running tone: one chirp of it [samples], and its phasor at each chirp's start [chirps].
-
-    The phase turns by 2 pi f T from chirp to chirp, T the time between them: a mean over chirps takes sin(pi f T_f) /
-    (N_c sin(pi f T)).
-    """
+    """Return a free-running tone: one chirp of it [samples], and its phasor at each chirp's start [chirps]."""
     tone = np.exp(2j * np.pi * ((spur.frequency_hz / radar.sample_rate_hz * np.arange(radar.samples_per_chirp)) % 1.0))
     turns = spur.frequency_hz * radar.repetition_interval_s * np.arange(radar.chirps_per_beam) + start_turns
     return math.sqrt(ratio_from_db(spur.power_dbm)) * tone, np.exp(2j * np.pi * (turns % 1.0))
@@ -59,9 +54,7 @@ def spur_profile(radar: RadarParams, spur: Spur, start_turns: float, bins: range
 
 
 def flicker_ratio(radar: RadarParams, frequency_hz: np.ndarray, corner_hz: float) -> np.ndarray:
-    """Return the density of 1/f noise over the white noise's: f_corner / |f|, flat below what a beam resolves, 1 /
-    T_f.
-    """
+    """Return the density of 1/f noise over the white noise's: f_corner / |f|, flat below 1 / T_f."""
     return corner_hz / np.maximum(np.abs(frequency_hz), 1.0 / radar.beam_duration_s)
 
 
@@ -94,10 +87,7 @@ def with_flicker(radar: RadarParams, noise: Noise, corner_hz: float, seed: list[
 
 
 def iq_factors(front_end: FrontEnd) -> tuple[complex, complex]:
-    """Return (mu, nu) of y = mu m + nu conj(m): I = Re m, Q = g (cos(phi) Im m + sin(phi) Re m).
-
-    mu = (1 + g e^{j phi}) / 2, nu = (1 - g e^{-j phi}) / 2; the image lies |nu / mu|^2 below, at -f.
-    """
+    """Return (mu, nu) of y = mu m + nu conj(m), (1 + g e^{j phi}) / 2 and (1 - g e^{-j phi}) / 2."""
     gain = 10.0 ** (front_end.iq_gain_db / 20.0) * np.exp(1j * math.radians(front_end.iq_phase_deg))
     return complex(0.5 * (1.0 + gain)), complex(0.5 * (1.0 - np.conj(gain)))
 
@@ -110,10 +100,7 @@ def iq_mixing(front_end: FrontEnd) -> np.ndarray:
 
 
 def iq_imbalance(values: np.ndarray, mirrored: np.ndarray, front_end: FrontEnd, beat_sign: int = 1) -> np.ndarray:
-    """Return the imbalance of samples (`mirrored` = the same) or of profiles (`mirrored` = the bins at -f).
-
-    Profiles are those of conjugated beats where `beat_sign` is -1: both factors are then conjugates.
-    """
+    """Return the imbalance of samples (`mirrored` = the same) or of profiles (`mirrored` = the bins at -f)."""
     wanted, image = iq_factors(front_end)
     if beat_sign < 0:
         wanted, image = wanted.conjugate(), image.conjugate()
@@ -133,9 +120,7 @@ def quantisation_power_mw(setup: RadarSetup, step: int) -> float:
 
 
 def dither_objection(setup: RadarSetup, front_end: FrontEnd, thermal: bool) -> str | None:
-    """Return the reason why rounding is no white noise, or None: thermal noise under `DITHER_STEPS` steps per
-    component.
-    """
+    """Return why rounding is no white noise, or None: thermal noise under `DITHER_STEPS` steps per component."""
     step = converter_step(front_end)
     rms = math.sqrt(0.5 * setup.radar.noise_power_mw / setup.milliwatt_per_code_squared) if thermal else 0.0
     if rms >= DITHER_STEPS * step:
@@ -144,9 +129,7 @@ def dither_objection(setup: RadarSetup, front_end: FrontEnd, thermal: bool) -> s
 
 
 def overload_objection(setup: RadarSetup, peak_mw_root: float) -> str | None:
-    """Return the reason why a converter would clip, or None: a component's peak over full scale; `peak_mw_root` in
-    sqrt(mW).
-    """
+    """Return why a converter would clip, or None: a component's peak `peak_mw_root` [sqrt(mW)] over full scale."""
     codes = peak_mw_root / math.sqrt(setup.milliwatt_per_code_squared)
     if codes < 32767.0:
         return None

@@ -1,16 +1,10 @@
 """The kernel level of scenes that move: a beam as the profiles of its slow-time sums, without its chirps.
 
-The former sums a beam's chirps in groups, moves the sums along range to the pose of the scan's first beam, transforms
-them over fast time and keeps the strongest Doppler bin of each range bin. All of it but the last is linear, and the
-echoes of a beam are a few slow-time terms (`Terms`). So the profiles of the terms, times what each group sums of a
-term, are the profiles that the former has of the chirps: Doppler, the loss of a coherent sum, range migration within a
-chirp and over the beam, and the former's own correction of the vehicle's motion are all in them, to the tolerance of
-the terms (1e-5 of the strongest echo).
-
-Drawn per bin instead of per sample: noise, rounding. Left out, as at the beat level: within a beam (0.7 ms) a path
-keeps its direction and its radial speed. At a speed v and a distance R the array of N columns turns an echo by up to
-pi (N - 1) v T_f / (2 R) at the beam's ends (0.03 at 8 m/s and 2 m), with opposite signs, so that it cancels in their
-sum to first order; its phase errs by pi v^2 T_f^2 / (2 R lambda) (5e-3 at 30 m/s and 5 m).
+All that the former does of a beam but the choice of the Doppler bin is linear, and its echoes are a few slow-time terms
+(`Terms`): the terms' profiles times each group's sums are the former's, to 1e-5 of the strongest echo. Noise and
+rounding are drawn per bin. Left out: within a beam (0.7 ms) a path keeps direction and radial speed; of N columns this
+turns an echo by up to pi (N - 1) v T_f / (2 R) at the beam's ends (0.03 at 8 m/s and 2 m), cancelled to first order,
+and its phase errs by pi v^2 T_f^2 / (2 R lambda) (5e-3 at 30 m/s and 5 m).
 """
 
 from __future__ import annotations
@@ -35,12 +29,11 @@ def group_profiles(
     front_end: FrontEnd = NO_FAULTS,
     sample_phase: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the Hann-windowed profiles of a beam's sums over groups of chirps, without noise, as shares of the mean
-    over all chirps; sqrt(mW), complex [groups, 512] of the terms' precision.
+    """Return the Hann-windowed profiles of a beam's sums over groups of chirps, as shares of the mean over all.
 
-    `terms` are those of `levels.echo_terms` with `levels.with_electronics`; `group_edges` the first chirp of each group
-    and the number of chirps; `sample_phase` [samples] the factor on each sample that moves the sums along range, which
-    the receiver's faults do not see.
+    Sqrt(mW), complex [groups, 512], without noise. `terms` of `levels.echo_terms` with `levels.with_electronics`;
+    `group_edges` first chirps and their number; `sample_phase` [samples] moves the sums along range, without the
+    faults.
     """
     beats, carrier, basis = terms
     count = setup.radar.samples_per_chirp
@@ -66,8 +59,7 @@ def group_noise(
 ) -> np.ndarray:
     """Return the noise of the same profiles, complex128 [groups, 512], moved along range by `shift_bins`.
 
-    Independent draws per range and Doppler bin by the density at the frequency of both, then over slow time to the
-    groups. ValueError where rounding is no white noise.
+    Drawn per range and Doppler bin; ValueError where rounding is no white noise.
     """
     chirps, groups = int(group_edges[-1]), len(group_edges) - 1
     doppler = fft.fftfreq(groups, 1.0 / groups) / chirps
@@ -82,10 +74,7 @@ def group_noise(
 def converter_objection(
     setup: RadarSetup, terms: Terms, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> str | None:
-    """Return the reason why drawn noise cannot stand for the converter in a beam, or None: little dither, clipping.
-
-    The peak is bounded by the sum of the terms' magnitudes; only beams over that are summed up chirp by chirp.
-    """
+    """Return why drawn noise cannot stand for the converter in a beam, or None: little dither, clipping."""
     reason = dither_objection(setup, front_end, effects.thermal_noise)
     if reason is not None:
         return reason

@@ -1,8 +1,7 @@
 """Echoes whose weight changes slowly along the chirp: squint, range migration, and the previous chirp's tail.
 
-A beat is a tone times a slow factor a(t). The factor is taken at a few instants of the chirp (Chebyshev points) and
-interpolated: beat(t) = sum_k l_k(t) a(t_k) tone(t), so every level adds up plain tones. How many instants is known
-beforehand: a phase that swings by +-alpha over the chirp needs them until the Bessel functions J_k(alpha) are gone.
+The slow factor is taken at Chebyshev instants, beat(t) = sum_k l_k(t) a(t_k) tone(t); a phase that swings by +-alpha
+needs them until the Bessel functions J_k(alpha) are gone.
 """
 
 from __future__ import annotations
@@ -128,9 +127,7 @@ def swept_echoes(
     beams: slice = slice(None),
     precision: str = "float64",
 ) -> SweptEchoes:
-    """Return the echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown
-    precision.
-    """
+    """Return the echoes of a scene at rest (Doppler left out), one row per beam; ValueError: unknown precision."""
     check_precision(precision)
     factors = _Factors(setup, paths, effects, front_end, beams)
     swing_rad = sweep_swing_rad(setup, paths, effects)
@@ -216,9 +213,7 @@ class _Factors:
         return out
 
     def recorded(self, previous: bool) -> np.ndarray:
-        """Return the factor that is constant along the chirp: conj(W), turned by the phase of the beat; complex128
-        [P].
-        """
+        """Return what is constant along the chirp: conj(W), turned by the beat's phase; complex128 [P]."""
         radar, length_m = self.setup.radar, self.paths.length_m
         if not previous:
             return np.conj(self.paths.amplitude) * np.exp(1j * beat_phase_rad(radar, length_m))
@@ -235,10 +230,7 @@ def sweep(
     values: Callable[[list[tuple[float, bool]]], np.ndarray],
     precision: str,
 ) -> SweptEchoes:
-    """Return echoes whose slow factor swings so much over a chirp, their weights from `values`.
-
-    `values` gives weights [instants, R, P] at instants (share of the chirp, previous chirp's?).
-    """
+    """Return echoes of a slow factor of such a swing, of `values` [instants, R, P] at (share, previous chirp's?)."""
     head_samples = int(overlap_samples(radar, length_m).max(initial=0)) if overlaps else 0
     span = -(-head_samples // CHUNK) * CHUNK / radar.samples_per_chirp
     tolerance = TOLERANCE[precision]
@@ -263,11 +255,9 @@ def sweep(
 
 
 def overlap_correction(echoes: SweptEchoes) -> np.ndarray:
-    """Return the samples to add at the start of the chirp: previous chirp's echo minus this one's, for t < tau; [R,
-    head].
+    """Return the samples to add at the chirp's start: previous chirp's echo less this one's, for t < tau; [R, head].
 
-    Paths sorted by delay, so that in every chunk of samples the active ones are the first: one matrix product a
-    chunk, over the few instants that its short stretch of the sweep needs.
+    Paths by delay: in every chunk the active ones come first, one matrix product each.
     """
     radar = echoes.radar
     out = np.zeros((echoes.weights.shape[1], echoes.head_samples), echoes.weights.dtype)

@@ -63,9 +63,7 @@ def exact_phases(setup: RadarSetup) -> RadarSetup:
 
 
 def column_weights(setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd) -> np.ndarray:
-    """Return the excitation of the columns: steering weights, exact or in steps, coupled or not; complex128 [beams,
-    columns].
-    """
+    """Return the excitation of the columns: steering weights, exact or in steps, coupled or not; [beams, columns]."""
     weights = setup_weights(setup if effects.quantised_phases else exact_phases(setup))
     if not effects.mutual_coupling or front_end.coupling_db is None:
         return weights
@@ -76,19 +74,15 @@ def column_weights(setup: RadarSetup, effects: SignalEffects, front_end: FrontEn
 def sweep_ratio(radar: RadarParams, since_sent_s: np.ndarray) -> np.ndarray:
     """Return f / f_c seen by the array when an echo comes in, `since_sent_s` = t - tau after its chirp began.
 
-    The array is made for the middle of the sweep: the band lies around f_c. (Eq. (6) counts phases from f_c at the
-    chirp's start: pi B tau apart, a turn of each echo that no pattern sees.) The delay between columns acts through
-    this frequency alone; left out is S d^2 / 2, 1e-5 turns at d = 0.4 ns.
+    The array is made for the middle of the sweep. Left out is S d^2 / 2, 1e-5 turns at d = 0.4 ns.
     """
     return 1.0 + (radar.chirp_slope_hz_per_s * since_sent_s - 0.5 * radar.bandwidth_hz) / radar.carrier_hz
 
 
 def overlap_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Return the samples at the start of a chirp in which an echo is still the previous chirp's: those with t < tau;
-    int64.
+    """Return the samples at the start of a chirp in which an echo is still the previous chirp's (t < tau); int64.
 
-    ValueError for an echo later than a chirp. tau is that of the beam's middle: at 30 m/s it moves by a tenth of a
-    sample within a beam, so at most one sample of a chirp falls on the wrong side.
+    ValueError for an echo later than a chirp. tau is the beam's middle's: at 30 m/s one sample may fall wrong.
     """
     samples = np.ceil(np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS * radar.sample_rate_hz).astype(np.int64)
     if samples.max(initial=0) >= radar.samples_per_chirp:
@@ -98,14 +92,10 @@ def overlap_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
 
 
 def previous_length_m(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Return the length whose beat is that of the previous chirp's echo: tau - T_c in place of tau, every chirp
-    being Eq. (6).
-    """
+    """Return the length whose beat is that of the previous chirp's echo: tau - T_c in place of tau."""
     return np.asarray(length_m, np.float64) - SPEED_OF_LIGHT_MPS * radar.chirp_period_s
 
 
 def sampled(radar: RadarParams, beat_hz: np.ndarray) -> np.ndarray:
-    """Return which beats pass the low pass of Eq. (7): the converter's anti-alias filter, ideal, +-f_s / 2
-    (complex).
-    """
+    """Return which beats pass the ideal low pass of Eq. (7), the anti-alias filter, +-f_s / 2."""
     return np.abs(beat_hz) <= 0.5 * radar.sample_rate_hz

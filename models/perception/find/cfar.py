@@ -50,10 +50,9 @@ PHOTON_CFAR = CfarParams(
 
 
 def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Return the OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
+    """Return the OS-CFAR against a quantile of a window of ranges in the same azimuth; bool [R, A].
 
-    Walls fill many cells: they raise a mean, but not the quarter of quiet cells between them. Each stretch of
-    `stride` ranges shares one window, which stays inside the map.
+    Walls raise a mean, but not the quarter of quiet cells between them. `stride` ranges share one window.
     """
     bins = power.shape[0]
     window = min(WINDOW, bins)
@@ -66,10 +65,7 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def warm(params: CfarParams) -> None:
-    """Compile the kernels that maps need, or load them, with the threshold of maps no shorter than the window.
-
-    The first map must not wait for that: it took a second on a busy machine, and the next maps were outdated by then.
-    """
+    """Compile the kernels that maps need, or load them: the first map must not wait for that."""
     from models.perception.mirrors.peaks_to_view import made_up_peaks
 
     ridge_cells(np.zeros((1, 1)), params.ridges.spacing)
@@ -99,9 +95,7 @@ def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     """Return the ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
 
-    Echoes from beyond the azimuths of a radar's map are left out: they would stand at its border.
-
-    The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
+    Echoes from beyond the map's azimuths are left out. The score is 1 - 1 / sqrt(SNR), 0.78 at 13 dB.
     """
     power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
     has_lobes = ra_map.mode != "photons"
@@ -117,10 +111,8 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 def classify_behind_walls(peaks: Peaks) -> Peaks:
     """Mark as mirrored the detections behind a wall that nearer detections form; no network, no truth.
 
-    All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
-    than `MIN_DEPTH_M`; walls are then fitted again among the direct ones, so that images never form a wall that is
-    used.
-    Ends when no wall hides a direct peak.
+    The nearest wall marks what its rays cross deeper than `MIN_DEPTH_M`; walls are fitted again among the direct ones
+    until none hides a direct peak, so that images never form a wall.
     """
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
     covariance_m2 = cartesian_covariance(peaks.range_m, peaks.azimuth_rad, peaks.covariance)

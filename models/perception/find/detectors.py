@@ -52,11 +52,9 @@ class Detector(Protocol):
 class NetworkDetector:
     """Dense prediction (section 3.1.1): a heatmap of LOS and mirrored returns, then peaks.
 
-    `refine` "pursuit" (True) takes as many peaks as the heatmap's mass explains; "none" (False) are the published local
-    maxima, also of networks that answer at anchors. `flip_test`: as `DensePredictor`. `params` None: the released
-    settings with the card's threshold. Peaks of a radar that is not the one in training are flagged "untrained_setup",
-    and `doubt` names the difference. Raises `ValueError` for another word, and where the network's input is too coarse
-    for the set-up's array.
+    `refine` "pursuit" (True) takes as many peaks as the heatmap's mass explains; "none" (False) the published maxima.
+    `flip_test`: as `DensePredictor`. Peaks of a radar unlike the one in training are flagged "untrained_setup", and
+    `doubt` says why. `ValueError` for another word, and where the input is too coarse for the array.
     """
 
     def __init__(
@@ -119,10 +117,7 @@ class CfarDetector:
 
 
 class PhotonDetector:
-    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed.
-
-    A radar cross-section says nothing about light.
-    """
+    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed."""
 
     def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:
         self._params = params

@@ -1,9 +1,8 @@
 """Network input from a complex range-azimuth map: one function for training and for the vehicle.
 
-The azimuth axis of a map carries only the 2N-1 = 15 coefficients of the co-array, so its power is sampled without loss
-by 29 columns; the default network sees 32 of the 256. An array of 57 columns needs more (`Encoding.check_array`).
-Column j stands for the output columns 8j..8j+7 that the network's pixel shuffle makes of it, and is read at their
-centre. The published networks see all 256.
+The azimuth axis carries only the 2N-1 = 15 coefficients of the co-array, so 29 columns sample its power without loss;
+the default network sees 32 of the 256, each read at the centre of the output columns 8j..8j+7. The published networks
+see all.
 """
 
 from __future__ import annotations
@@ -92,10 +91,9 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
             )
 
     def is_turned(self, channels: np.ndarray) -> bool:
-        """Return whether a map is louder at its higher azimuths, by its encoded channels [channels, ..., columns]:
-        networks then look at its mirror image, so that a mirrored map gives the mirrored answer.
+        """Return whether a map is louder at its higher azimuths, by its encoded channels [channels, ..., columns].
 
-        Without levels among the channels no map is turned.
+        Networks then look at its mirror image. Without levels among the channels no map is turned.
         """
         if "level" not in self.channels:
             return False
@@ -112,11 +110,7 @@ def encode_map(encoding: Encoding, ra_map: RangeAzimuthMap) -> np.ndarray:
 
 
 def sample_columns(encoding: Encoding, values: np.ndarray) -> np.ndarray:
-    """Return the map values at the centres of the columns, complex64 [..., range, columns], of maps [..., range,
-    azimuth].
-
-    The centre of an even number of azimuths lies between the middle two: their mean.
-    """
+    """Return the map values [..., range, azimuth] at the centres of the columns, complex64 [..., range, columns]."""
     width = values.shape[-1] // encoding.columns
     cropped = values[..., : encoding.range_bins, :]
     if width == 1:
@@ -125,11 +119,9 @@ def sample_columns(encoding: Encoding, values: np.ndarray) -> np.ndarray:
 
 
 def encode_columns(encoding: Encoding, columns: np.ndarray, noise_power_mw: np.ndarray) -> np.ndarray:
-    """Return the network input, float32 [..., channels, range, columns], of sampled maps [..., range, columns] and
-    noise [...].
+    """Return the network input, float32 [..., channels, range, columns], of sampled maps and noise [...].
 
-    Finite for every input: cells that are not finite count as empty. Levels are over the noise, so a gain common to
-    signal and noise changes nothing.
+    Finite for every input, cells that are not count as empty. Levels are over the noise: a common gain has no effect.
     """
     sampled = _Sampled(encoding, columns, noise_power_mw)
     pad = encoding.pad_columns

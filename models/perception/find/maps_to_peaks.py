@@ -20,10 +20,7 @@ NOISE_LIMITS_MW = (1e-60, 1e60)
 
 
 class DetectionStage:
-    """One detector for a radar's maps, made for its set-up, and another for those of a LiDAR.
-
-    `detector_for` makes the first; it is called for `setup` at once, so that a missing model shows before any map.
-    """
+    """One detector for a radar's maps, made for its set-up by `detector_for`, and another for those of a LiDAR."""
 
     def __init__(
         self,

@@ -60,10 +60,7 @@ class Fidelity(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
-    """Description of a network file: how it was made, its input, its scores; a JSON file beside the ONNX file.
-
-    Fields that are not listed here are ignored: an older card loads, with the defaults of what it lacks.
-    """
+    """Description of a network file, in JSON beside it: how it was made, input, scores; unknown fields are ignored."""
 
     name: str
     sha256: str
@@ -122,12 +119,10 @@ def load_card(model_path: Path) -> ModelCard:
 
 
 class DensePredictor:
-    """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
+    """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors; warm.
 
-    The session is warm when the constructor returns. A heatmap of a mirrored map is the mirrored heatmap: the network
-    looks at the map or at its mirror image, whichever is louder at its lower azimuths (`Encoding.is_turned`).
-    `flip_test` averages both looks: twice the time. Raises `ValueError` naming file and field when the file, its card
-    and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
+    It looks at a map or its mirror image (`Encoding.is_turned`), with `flip_test` at both. `ValueError` naming file and
+    field where file, card and shapes do not belong together, or `flip_test` meets anchors.
     """
 
     def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
@@ -141,8 +136,7 @@ class DensePredictor:
         self._input = self._session.get_inputs()[0].name
 
     def predict(self, ra_map: RangeAzimuthMap) -> np.ndarray:
-        """Return the probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the
-        network sees.
+        """Return the probabilities, float32 [2, range, azimuth] by `PathClass`; 0 beyond the network's range.
 
         Raises `ValueError` when the map's grid is not the card's, or the network answers at anchors.
         """
@@ -154,10 +148,7 @@ class DensePredictor:
         return confidence
 
     def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
-        """Return the points of the output alone: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
-
-        Raises `ValueError` when the map's grid is not the card's.
-        """
+        """Return the points of the output: maxima (section 3.1.1), or anchors moved; `ValueError` for another grid."""
         return answered_points(self.card, self.answer(ra_map), threshold, min_distance)
 
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:

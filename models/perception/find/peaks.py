@@ -15,10 +15,7 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class Points(msgspec.Struct, frozen=True, kw_only=True):
-    """Points that a network detects in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
-
-    LOS before mirrored, strongest first within a class.
-    """
+    """Points of a map, LOS before mirrored, strongest first: fractional cells [N, 2], score [N], `PathClass` [N]."""
 
     cells: np.ndarray
     score: np.ndarray
@@ -49,10 +46,7 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
-    """Return the local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
-
-    Raises ValueError where the heat map does not lie on the map's grid.
-    """
+    """Return the maxima of a heat map [2, range, azimuth] as `Points`; `ValueError` where it is not the map's size."""
     _require_on_grid(probabilities, ra_map)
     points = heatmap_points(probabilities, params.threshold, params.min_distance)
     cells = points.cells.astype(np.int64)
@@ -96,9 +90,7 @@ def _of_classes(by_class: list[tuple[np.ndarray, np.ndarray]]) -> Points:
 
 
 def echo_power(ra_map: RangeAzimuthMap, at: tuple[np.ndarray, np.ndarray] | EllipsisType = ...) -> np.ndarray:
-    """Return |values|^2, float64 [range, azimuth], or those at some rows and columns; fewer photons than ambient light
-    brings are no echo: they count as zero.
-    """
+    """Return |values|^2, float64 [range, azimuth] or at rows and columns; a lack of photons is zero."""
     values = ra_map.values[at]
     values = values.real.clip(0.0) if ra_map.mode == "photons" else np.abs(values)
     # the square of a float32 magnitude may leave float32
@@ -113,11 +105,9 @@ def peaks_at(
     path_class: np.ndarray,
     params: PeakParams,
 ) -> Peaks:
-    """Return the message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it
-    peaks.
+    """Return the message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map.
 
-    At most `MAX_PEAKS`: an untrained network gives more, and the highest scores are kept. Scores beyond 0..1, of a
-    network that does not end in probabilities, are taken for the nearer end.
+    At most `MAX_PEAKS`, the highest scores; scores beyond 0..1, of an untrained network, are clipped.
     """
     if len(cells) > MAX_PEAKS:
         best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MAX_PEAKS])
@@ -160,10 +150,9 @@ def _radial_speeds(
 
 
 def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.ndarray:
-    """Return the cells [N, 2] of maxima over `threshold`, none nearer than `min_distance` cells (both axes) to a
-    higher one.
+    """Return the cells [N, 2] of maxima over `threshold`, highest first, none within `min_distance` of a higher.
 
-    A plateau gives one peak, at its middle. Highest first; equal ones in the order of the cells.
+    A plateau gives one peak, at its middle; equal ones come in the order of the cells.
     """
     # imported here: pursuit needs no maxima, and a restarted node must not wait for it
     from scipy import ndimage
@@ -192,10 +181,7 @@ def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
 
 
 def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Return the indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before.
-
-    No more than `MAX_PEAKS`.
-    """
+    """Return the indices of cells [N, 2], best first, at least `spacing` apart in one axis; at most `MAX_PEAKS`."""
     free = np.ones(len(cells), bool)
     kept: list[int] = []
     for index in range(len(cells)):
@@ -223,10 +209,7 @@ def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _refined_range(ra_map: RangeAzimuthMap, cells: np.ndarray, fallback: np.ndarray) -> np.ndarray:
-    """Return the fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
-
-    The peak may lie one bin off the heat map's; where the map has none there, `fallback` stays.
-    """
+    """Return the fractional range bins [N] of parabolas through the log powers about the map's peaks, or `fallback`."""
     bins, column = ra_map.values.shape[0], cells[:, 1]
     reach = np.clip(cells[:, 0, None] + np.arange(-1, 2), 0, bins - 1)
     strongest = echo_power(ra_map, (reach, column[:, None])).argmax(axis=1)

@@ -1,8 +1,6 @@
 """Pursuit of peaks in a confidence map: take the highest cell, subtract what one point there explains, repeat.
 
-A trained heatmap holds one Gaussian per point where it is certain. Where the cells of several points are uncertain, it
-holds one broad hill with the mass of all of them. Maxima with a fixed least distance give a hill one peak; pursuit
-gives it as many peaks as its mass is worth.
+Where several points are uncertain the map holds one broad hill, which gives as many peaks as its mass is worth.
 """
 
 from __future__ import annotations
@@ -49,10 +47,7 @@ def _gaussian(std: float) -> np.ndarray:
 
 @compiled
 def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return a map [rows, columns] blurred by both kernels, float64; zero beyond its edges and where it is not finite.
-
-    A mean is no higher than the highest of its cells: rows that have none at the threshold within reach stay zero.
-    """
+    """Return a map [rows, columns] blurred by both kernels, float64; rows without a cell at the threshold stay zero."""
     rows, columns = confidence.shape
     reach_row, reach_column = len(down) // 2, len(across) // 2
     hot = np.zeros(rows, np.bool_)

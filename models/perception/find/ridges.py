@@ -1,7 +1,6 @@
-"""Ridges of a range-azimuth map: cells whose level is a maximum of their range bin.
+"""Ridges of a range-azimuth map: cells that are a maximum of their range bin; lobes give azimuth to sub-beam.
 
-They are not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a maximum. On a
-ridge, the vertex of the lobe gives the azimuth to a small part of a beam.
+A wall seen at an angle is a ridge across many range bins with hardly a maximum of the plane.
 """
 
 from __future__ import annotations
@@ -49,10 +48,9 @@ def find_ridges(
     params: RidgeParams,
     has_lobes: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first, lobes
-    left out, and echoes from beyond the map with theirs if the sensor's beams have lobes.
+    """Return the ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first.
 
-    `power` [range, azimuth] in milliwatt, `range_m` [range].
+    Without lobes, and without echoes from beyond the map. `power` [range, azimuth] in milliwatt, `range_m` [range].
     """
     # in float64: noise may be more than float32 holds
     floor = np.float64(noise_power_mw * 10.0 ** (params.min_snr_db / 10.0))
@@ -90,10 +88,7 @@ def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def beyond_the_map(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return which cells [N, 2] are flanks of lobes whose vertex lies more than half a cell beyond the map; bool [N].
-
-    Only a cell of the first or last azimuth can be one: its echo comes from further out, nobody can say from where.
-    """
+    """Return which cells [N, 2] of the outermost azimuths are flanks of lobes further out; bool [N]."""
     reach, last = 3, level_db.shape[1] - 1
     inwards = np.where(cells[:, 1] == 0, reach, -reach)
     here, near, far = (level_db[cells[:, 0], np.clip(cells[:, 1] + k * inwards, 0, last)] for k in range(3))

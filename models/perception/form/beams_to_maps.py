@@ -20,10 +20,9 @@ LONGEST_SCAN_NS = 2_000_000_000
 
 
 class FormingStage:
-    """Maps of one radar, each formed with the vehicle's motion at the scan's first beam.
+    """Maps of one radar, each at the vehicle's pose at the scan's first beam; `former` is None before a set-up.
 
-    `background`: open-field background [beams, samples] in place of the set-up's own. `former` is None until a set-up
-    was accepted.
+    `background` [beams, samples] stands in place of the set-up's own.
     """
 
     def __init__(
@@ -67,10 +66,7 @@ class FormingStage:
         self._states.add(state)
 
     def add(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
-        """Fold one beam; return the maps that it completes, oldest first.
-
-        Raises `ValueError` for a beam of another set-up, of another clock, or before any set-up.
-        """
+        """Fold one beam; return the maps that it completes, oldest first; `ValueError` for one of no set-up."""
         if self.former is None:
             raise ValueError(self._refused or f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
         if jump_s := self._clock_jump_s(beam):

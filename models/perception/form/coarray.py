@@ -1,23 +1,16 @@
 """Interpolation from a few steered beams to many azimuths through the co-array.
 
-An N-column array that steers transmit and receive alike forms two-way beams that live in 2N - 1 co-array coefficients:
-y_k = sum_m conj(W_km) x_m, W the two-way weights, x_m = sum_targets a exp(-j k d (m - N + 1) sin(azimuth)) in the
-recorded (conjugate) convention. While the scene stays coherent over the scan, the coefficients follow from the beams
-by least squares with the weights as they were really set, and ideal beams can then be steered anywhere. A target's
-cell holds the amplitude an ideal beam steered at it would have measured.
+Two-way beams of N columns live in 2N - 1 coefficients: y_k = sum_m conj(W_km) x_m, W the two-way weights, x_m =
+sum_targets a exp(-j k d (m - N + 1) sin(azimuth)) in the recorded (conjugate) convention. While the scene stays
+coherent over the scan they follow by least squares with the weights as really set, and ideal beams can be steered
+anywhere: a target's cell holds the amplitude an ideal beam steered at it would have measured. Where coherence fails
+(beams lie 12 ms apart, a mover turns the phase), magnitudes take over: the two-way pattern of an ideal centred array is
+real, not negative, and spanned by the same coefficients over its steering sine.
 
-Where coherence fails (the beams lie 12 ms apart, a mover turns the phase), magnitudes take over: the two-way pattern
-of an ideal centred array is real, not negative, and spanned by the same coefficients over its steering sine.
-
-An array that steers receive alone (`steered_ways` 1) carries N coefficients, its columns themselves, and everything
-else holds with them. Its one-way pattern changes sign, but the square of it is the two-way pattern: where coherence
-fails, powers are interpolated instead of magnitudes.
-
-A digital array has as many orthogonal beams as columns: the inversion is then a change of basis, exact and with the
-noise of a beam in every cell. No residual is left to test coherence, and none is needed, because all beams are of one
-time. No other beam covers the direction of a missing one. Powers have 2N - 1 coefficients, so that an echo between two
-beams keeps only
-what the better one holds of it (down to -3.9 dB) wherever magnitudes are asked for.
+An array that steers receive alone carries N coefficients and interpolates powers instead of magnitudes: its one-way
+pattern changes sign. A digital array has as many orthogonal beams as columns, all of one time: the inversion is exact,
+with no residual to test coherence, and an echo between two beams keeps only what the better one holds (down to -3.9 dB)
+where magnitudes are asked for.
 """
 
 from __future__ import annotations
@@ -55,9 +48,7 @@ NOISE_FALSE_ALARM = 1e-4
 class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Test for range bins whose beams do not fit one coherent scene: the fit residual exceeds both limits.
 
-    At the defaults, beams 12 ms apart: movers of 0.3 m/s are found in 6 % of cases at 10 dB over a beam's noise, 70 %
-    at 15 dB and all at 20 dB; 0.6 m/s in 77 % and all; 0.1 m/s from 30 dB on, where it begins to matter. Multiples
-    of lambda / 2 a beam interval (1.249 m/s) turn whole circles: neither found nor harmful.
+    At the defaults movers of 0.3 m/s are found in 6 % at 10 dB over a beam's noise, 70 % at 15 dB, all at 20 dB.
     """
 
     #: Residual energy over beam energy that errors of the array model (a foreign rounding of phases) may reach.
@@ -149,10 +140,7 @@ def _ideal_two_way(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
 
 
 class AzimuthInterpolator:
-    """Interpolates range profiles of a set-up's beams to the azimuths of a grid (None: its default).
-
-    Matrices are computed once for each set of missing beams that turns up.
-    """
+    """Interpolates range profiles of a set-up's beams to the azimuths of a grid, by matrices for each missing set."""
 
     def __init__(
         self,
@@ -187,11 +175,11 @@ class AzimuthInterpolator:
         missing: tuple[int, ...] = (),
         look_azimuth_rad: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]:
-        magnitudes only.
+        """Return the complex64 [range, azimuth] of profiles [beams, range], and where magnitudes alone hold, bool
+        [range].
 
-        `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not used. `look_azimuth_rad` [beams,
-        range] is the azimuth at which each beam looked, seen from the map's pose, where that is not its steering angle.
+        `noise_power_mw` is a beam's per bin; rows of `missing` beams are unused. `look_azimuth_rad` [beams, range] is
+        where each beam looked, seen from the map's pose, if not at its steering angle.
         """
         require_array("profiles", profiles, "<c8", (len(self.setup.beams), None))
         inverse = self._inverse(missing)
@@ -333,8 +321,7 @@ def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray,
 
 
 def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
-    """Return the coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams,
-    2N-1].
+    """Return the coefficients [range, 2N-1] of magnitudes by matrices of their own, both [range, beams, ...].
 
     B' (B B' + r)^-1 = (B' B + r)^-1 B': the smaller of the two is solved.
     """
@@ -359,10 +346,7 @@ def _unit_phasors(phase_rad: np.ndarray) -> np.ndarray:
 
 @compiled
 def _polynomials(terms: np.ndarray, turn: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return polynomials with the coefficients `terms` [range, T] at `turn`, times `start` [range, azimuth]; complex64.
-
-    By Horner: exponentials of all coefficients would cost several times as much.
-    """
+    """Return polynomials with coefficients `terms` [range, T] at `turn`, times `start`, by Horner; complex64."""
     values = np.empty(turn.shape, np.complex64)
     last = terms.shape[1] - 1
     for row in range(len(terms)):

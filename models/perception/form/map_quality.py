@@ -1,7 +1,4 @@
-"""Hardware checks from a scan itself: none needs truth, each uses results that folding leaves anyway.
-
-Severities at which each check reports, and false alarms over clean scenes: docs/explain/faults.md.
-"""
+"""Hardware checks from a scan itself, without truth; severities and false alarms: docs/explain/faults.md."""
 
 from __future__ import annotations
 
@@ -56,8 +53,7 @@ def changing_bits(samples: np.ndarray) -> np.ndarray:
 def converter_faults(changing: np.ndarray) -> tuple[str, ...]:
     """Return the faults of the two converters by the bits [2] that change in a scan, names in `MAP_FAULTS`.
 
-    Low bits that a converter lacks are still, and so are high ones where no code changes its sign. A still bit between
-    two that change is broken: codes on both sides of zero or of its value need it.
+    A still bit between two that change is broken; low bits may be lacking, high ones unused.
     """
     filled = [int(bits) | (int(bits) - 1) if bits else 0 for bits in changing]
     return tuple(f"{name}_bit_stuck" for name, bits in zip("iq", filled, strict=True) if bits & (bits + 1))
@@ -66,8 +62,8 @@ def converter_faults(changing: np.ndarray) -> tuple[str, ...]:
 class ChannelTerms(NamedTuple):
     """What the spectrum Y of a beam's mean chirp says of its channels, beyond `_LEAKAGE_BINS`.
 
-    With one channel alone Y(-f) follows from Y(f): the sum of Y(f) Y(-f) is the whole power, turned by 0 where Q is
-    stuck, by pi where I is, by +-pi/2 where they are equal or opposite. Of echoes on one side alone it is nothing.
+    With one channel the sum of Y(f) Y(-f) is the whole power, turned by 0 (Q stuck), pi (I) or +-pi/2 (equal or
+    opposite); of echoes on one side alone it is nothing.
     """
 
     #: Of ranges beyond the leakage, where their echoes belong and at the opposite frequencies; float32 [2, range].
@@ -94,10 +90,7 @@ def _hann(length: int) -> np.ndarray:
 
 
 def wiring_faults(sides: np.ndarray, power: float, product: complex) -> tuple[str, ...]:
-    """Return the faults of the two channels that a scan shows, names in `MAP_FAULTS`.
-
-    `sides` [2, range], `power` and `product` are sums of the `ChannelTerms` of its beams.
-    """
+    """Return the faults of two channels in `MAP_FAULTS`; arguments are sums of `ChannelTerms`."""
     if not power > 0.0:
         return ("i_stuck", "q_stuck")
     if abs(product) > _ONE_CHANNEL * power:
@@ -120,11 +113,7 @@ def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
 
 
 def interfered_beams(noise_power_mw: np.ndarray) -> np.ndarray:
-    """Return the beams with interference, bool [beams] of the noise of each (nan for missing beams).
-
-    An interfered beam is far noisier than the median and lies between two beams that are neither noisy nor missing: the
-    neighbours must cover its direction.
-    """
+    """Return the beams far noisier than the median between two good ones, bool [beams] of the noise (nan: missing)."""
     loud = noise_power_mw > ratio_from_db(_INTERFERED_DB) * np.nanmedian(noise_power_mw)
     useless = np.pad(loud | np.isnan(noise_power_mw), 1)
     return np.asarray(loud & ~useless[:-2] & ~useless[2:])
@@ -143,10 +132,9 @@ def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
 def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
     """Return the deviation of the array from its set-up; zero where too few ranges are usable.
 
-    `coefficients` complex [range, 2N-1] of the co-array. An echo alone at its range has a[k] exp(j k u): in
-    c[k+1] c[k-1] / c[k]^2 neither its strength nor its direction is left, only what gains and phases of the columns
-    make of a. Returns the rms over k of the logarithm of that quotient's median over ranges, which those with several
-    echoes hardly move. A turn of the whole beam, linear over the columns, stays unseen.
+    `coefficients` complex [range, 2N-1] of the co-array. Of a lone echo c[k+1] c[k-1] / c[k]^2 keeps only what the
+    columns' gains and phases make: the rms over k of the logarithm of its median over ranges. A turn linear over the
+    columns stays unseen.
     """
     power = _power(coefficients).mean(axis=1)
     heard = (power > ratio_from_db(_HEARD_DB) * noise_power_mw) & (power > 0.0)

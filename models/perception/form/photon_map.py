@@ -1,8 +1,6 @@
 """Photon histograms of a single-photon LiDAR on the radar's range-azimuth grid: counts, and excess over ambient light.
 
-The expected counts of ambient light alone follow from the periods that still wait at a bin, so that pile-up needs no
-inverse: of W waiting periods a bin takes a binomial share, and the deviations of successive bins are uncorrelated. Sums
-over range cells have the variance of the sum, whatever lies in front.
+Of W periods that still wait a bin takes a binomial share, so that pile-up needs no inverse and bins are uncorrelated.
 """
 
 from __future__ import annotations
@@ -34,12 +32,9 @@ MAX_TIMES, MAX_CELLS = 1 << 20, 1 << 19
 
 
 def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid) -> np.ndarray:
-    """Return the counts [azimuth, bins] on the range cells of a grid, float64 [range, azimuth] (section 2.2, RA
-    projection).
+    """Return the counts [azimuth, bins] shared out over the range cells they overlap, float64 [range, azimuth].
 
-    Each bin is shared out over the cells that it overlaps at R = c t / 2, cell i reaching half a cell to either side of
-    i range_bin_m: what falls into the grid's range is conserved, be cells finer or coarser than bins. Raises
-    `ValueError` where the counts have another shape.
+    R = c t / 2, cell i about i range_bin_m (section 2.2). `ValueError` for counts of another shape.
     """
     _require_shape(np.shape(counts), spad, grid)
     return np.asarray(_overlaps(spad, grid) @ np.asarray(counts, np.float64).T)
@@ -65,17 +60,12 @@ class PhotonFormer:
 
 
 def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthMap:
-    """Return the excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode
-    "photons".
+    """Return the excess of photons over ambient light in standard deviations: complex64 [range, azimuth], "photons".
 
-    Without echoes |values|^2 has mean 1, which `noise_power_mw` says; with one it is the detection SNR. Where less than
-    one count is expected, one count is the standard deviation. Cells that no waiting period reaches are 0, and
-    `saturated_share` is their share among the cells that the period reaches; cells beyond it are 0.
-
-    The ambient rate is that of each azimuth's own counts (`_ambient_rate`). Ticks, gates and the dead time after the
-    period before are allowed for, the last as far as ambient light causes it: where a strong echo does, "free" arming
-    leaves negative values within the dead time of range 0. Raises `ValueError` where the histograms are not of the
-    set-up, and for a set-up that would take too long.
+    Without echoes |values|^2 has mean 1; with one it is the detection SNR; one count is the least deviation. Cells that
+    no waiting period reaches are 0, `saturated_share` of those that the period reaches. The ambient rate is that of
+    each azimuth's own counts. Ticks, gates and dead time by ambient light are allowed for; behind a strong echo "free"
+    arming leaves negative values. `ValueError` for histograms of another set-up, and for one that would take too long.
     """
     spad, grid = lidar.spad, lidar.grid
     _require_tractable(spad, grid)
@@ -178,8 +168,7 @@ def _cells(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
 def _waiting(counts: np.ndarray, pieces: _Pieces) -> np.ndarray:
     """Return the periods without a photon so far at each piece, float64 [azimuth, pieces]; below one is none.
 
-    A bin across the edge of two gates does not say whose its counts are: they are shared as ambient light would, by
-    exposure and by how many wait on either side, in two rounds.
+    A bin across the edge of two gates is shared as ambient light would, in two rounds.
     """
     waiting = np.broadcast_to(pieces.pulses, (len(counts), len(pieces.pulses)))
     is_cut = len(pieces.bin_index) > counts.shape[1]
@@ -203,8 +192,7 @@ def _expected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the counts of ambient light at rates [azimuth] and their variance, float64 [range, azimuth].
 
-    Where dead time goes on into the next period ("free"), a share 1 / (1 + rate (dead time - t)) of those that wait at
-    t is alive: the stationary renewal process, in closed form.
+    Of "free" arming a share 1 / (1 + rate (dead time - t)) of those that wait at t is alive.
     """
     chance = -np.expm1(-rate_hz[:, None] * pieces.exposure_s)
     if spad.arming == "free":
@@ -218,8 +206,7 @@ def _ambient_rate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the ambient rate of each azimuth [azimuth], and the cells it is the mean of, bool [range, azimuth].
 
-    Measured, since sun and shade differ by more than counts err: the median over range cells, then the mean of the
-    cells within `QUIET_SIGMAS` of it, so that no wall counts. The set-up's rate stands where counts are too few.
+    The median over range cells, then the mean within `QUIET_SIGMAS` of it; the set-up's where counts are too few.
     """
     exposure_s = np.asarray(cells @ (waiting * pieces.exposure_s).T)
     long_seen = exposure_s > LEAST_WAITING * exposure_s.max(axis=0, initial=0.0)

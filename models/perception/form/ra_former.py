@@ -1,7 +1,6 @@
 """Streaming of beams into maps: one a scan of its own beams, or one every few beams of the newest sweep.
 
-A sweep that is not yet whole is completed by the newest beams of the sweep before. They are carried to one pose, that
-of the oldest beam in use; whether both sweeps are one coherent scene is tested range by range as within a scan.
+A sweep in progress is completed by the newest beams of the one before, carried to the pose of the oldest.
 """
 
 from __future__ import annotations
@@ -21,10 +20,9 @@ from msgs.values.vehicle import VehicleState
 class RaFormer:
     """Streams beams into maps (params None: the defaults; grid None: the default with the radar's range bins).
 
-    The vehicle state given with the first beam of a map holds for all of it; without a valid one the map goes
-    uncompensated. A beam of another scan, or `flush`, closes a scan that lacks beams. Beams that repeat (the first
-    counts) or come up to `LATE_SCANS` scans late are dropped and counted; numbers that fall further, or fall while
-    stamps rise, belong to a source that restarted.
+    The vehicle state given with a map's first beam holds for all of it. A beam of another scan, or `flush`, closes a
+    scan that lacks beams; beams that repeat or come up to `LATE_SCANS` late are dropped and counted, numbers that fall
+    further are of a source that restarted.
     """
 
     #: How many scans behind the newest one a beam may be and still count as late.

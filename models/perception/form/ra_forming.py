@@ -127,8 +127,7 @@ class EgoCorrection:
 def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
     """Return the range-azimuth map of a scan's beam profiles.
 
-    The noise power is that of coherent cells (0.58 of a beam's), of Welch cells, or of a beam where all azimuths come
-    from magnitudes; bins that fell back to magnitudes hold 0.9 of a beam's.
+    The noise power is that of coherent cells (0.58 of a beam's), of Welch cells, or of a beam if all are magnitudes.
     """
     missing, looks = tuple(sorted(scan.missing_beams + scan.unused_beams)), scan.look_azimuth_rad
     if mode != "coherent":
@@ -180,10 +179,7 @@ def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: n
 
 
 def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np.ndarray:
-    """Return the acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
-
-    Beams of a radar that turns lie where they looked, taken afar.
-    """
+    """Return the acquisition time of each azimuth between the beams to its sides, afar; int64 [azimuth]."""
     azimuth_rad = interpolator.setup.beams.azimuth_rad
     # relative to the scan: nanoseconds since 1970 would not fit a float
     elapsed_ns = (scan.beam_stamp_ns - scan.stamp_ns).astype(np.float64)
@@ -316,10 +312,10 @@ class BeamFolder:
     def resolved(
         self, profiles: np.ndarray, noise_power_mw: float, ego: EgoCorrection | None = None
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return the strongest Doppler bin of each range bin, complex64 [range], the coherent mean wherever none stands
-        out; and the radial speed there, float32 [range], NaN in noise, None where slow time is not resolved.
+        """Return the strongest Doppler bin of each range bin, or the mean, complex64, and its radial speed, float32
+        [range].
 
-        `profiles` [groups, range] are those of the slow-time sums, windowed; they add up to the beam's mean.
+        `profiles` [groups, range] of the slow-time sums, windowed. NaN in noise; None where slow time is not resolved.
         """
         profile, row, power = self._strongest(self._doppler(profiles, ego), noise_power_mw)
         if not self.measures_speed:
@@ -335,9 +331,7 @@ class BeamFolder:
         return _median_power(np.abs(_windowed(spectra.sum(axis=0), *self._noise_bins, self._taps)) ** 2, 1)
 
     def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one; and in any case
-        the number of the strongest row and its power [range].
-        """
+        """Return row 0 of [Doppler, range], or the strongest where clearly another; the strongest's number, power."""
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
         best_power = np.take_along_axis(power, best[None], axis=0)[0]
@@ -392,9 +386,7 @@ class BeamFolder:
 
 
 def allowed_decimation(wanted: int, samples: int, range_bins: int) -> int:
-    """Return the largest number of neighbouring samples to sum, at most `wanted`, that leaves two samples for each
-    range bin of the map: beyond, sums lose more than 4 dB of an echo and noise folds into the map.
-    """
+    """Return the most samples to sum, at most `wanted`, that leave two for each range bin of the map."""
     fitting = (count for count in range(wanted, 1, -1) if samples % count == 0 and samples // count >= 2 * range_bins)
     return next(fitting, 1)
 
@@ -423,11 +415,9 @@ def _median_power(power: np.ndarray, averages: int) -> float:
 
 
 def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state: VehicleState) -> EgoCorrection:
-    """Return the correction of a beam whose middle lies `elapsed_s` after the map's pose, under constant speed and yaw
-    rate.
+    """Return the correction of a beam whose middle lies `elapsed_s` after the map's pose, at constant motion.
 
-    Lengths are corrected along the beam's axis: exact phase there, a fraction of a cell elsewhere in the beam (the
-    coherence test sees to the rest). The shift moves the beat by 2 S shift / c, its phase by 4 pi shift / lambda and,
+    Exact phase along the beam's axis. The shift moves the beat by 2 S shift / c, its phase by 4 pi shift / lambda and,
     through the residual video phase, by a term linear in range.
     """
     radar = folder.setup.radar
@@ -466,10 +456,9 @@ def displacement(folder: BeamFolder, beam_index: int, elapsed_s: float, state: V
 
 
 def moved_profile(folder: BeamFolder, profile: np.ndarray, shift_m: float, to_shift_m: float) -> np.ndarray:
-    """Return a profile [range] that was moved along range by one shift as if it had been moved by another; complex64.
+    """Return a profile [range] that was moved along range by one shift as if by another; complex64.
 
-    As `ego_correction` moves samples, but after the transform: the window leaves nothing at the ends of a chirp, so
-    that the profile's own transform may be cut there. Bins nearer to an edge than the difference lose what is beyond.
+    As `ego_correction`, after the transform; bins nearer to an edge than the difference lose what is beyond.
     """
     by_m = to_shift_m - shift_m
     if by_m == 0.0:
@@ -492,10 +481,7 @@ def _video_phase(folder: BeamFolder, shift_m: float) -> np.ndarray:
 
 
 def look_azimuths(setup: RadarSetup, grid: RangeAzimuthGrid, state: VehicleState) -> np.ndarray:
-    """Return the azimuth at which each beam of a whole scan looked, seen from the map's pose; float64 [beams, range].
-
-    As `ego_correction` says it under the nominal timing, for a radar at the vehicle's origin.
-    """
+    """Return where each beam of a whole scan looked, from the map's pose, at nominal times; float64 [beams, range]."""
     looks = []
     for beam, azimuth_rad in enumerate(setup.beams.azimuth_rad):
         pose = ego_motion(state.speed_mps, state.yaw_rate_rps, beam_middle_s(setup, beam))
@@ -504,9 +490,7 @@ def look_azimuths(setup: RadarSetup, grid: RangeAzimuthGrid, state: VehicleState
 
 
 def beam_middle_s(setup: RadarSetup, beam_index: int) -> float:
-    """Return the nominal time of a beam's middle after the map's pose; 0 for a digital array, whose beams have one
-    pose: a phase for each would break their coherence.
-    """
+    """Return the nominal time of a beam's middle after the map's pose; 0 for a digital array, of one pose."""
     if setup.array.digital:
         return 0.0
     return s_from_ns(beam_index * setup.beam_interval_ns) + 0.5 * setup.radar.beam_duration_s

@@ -1,8 +1,6 @@
 """Radial speed of every cell of a map, from the phase of its beams over slow time.
 
-A beam's dwell is short (0.7 ms at the defaults): its maximum-likelihood frequency has the standard deviation
-sqrt(6 / SNR) / duration [rad/s], which is the Cramer-Rao bound; times lambda / 4 pi it is a speed, 0.08 m/s at 40 dB
-and 0.47 m/s at 25 dB. Neighbouring beams that hold the same echo are weighed by their power.
+Maximum likelihood: sqrt(6 / SNR) / duration [rad/s], the Cramer-Rao bound, 0.08 m/s at 40 dB, 0.47 m/s at 25 dB.
 """
 
 from __future__ import annotations
@@ -27,8 +25,7 @@ _STEPS = 2
 def beam_speeds(series: np.ndarray, coarse_rad_ps: np.ndarray, time_s: np.ndarray, wavelength_m: float) -> np.ndarray:
     """Return the radial speed of each range bin of a beam, positive away from the radar, float32 [range].
 
-    `series` complex [groups, range] at `time_s` [groups] about the beam's middle; `coarse_rad_ps` [range] within half
-    a bin of the strongest turn. Maximises |sum x exp(-j w t)|^2 by Newton's method.
+    `series` [groups, range] at `time_s` about the beam's middle; Newton's method from `coarse_rad_ps` [range].
     """
     turn = np.asarray(coarse_rad_ps, np.float32)
     # in units of the longest time: squares of milliseconds are small in float32
@@ -54,8 +51,7 @@ def unit_std_mps(wavelength_m: float, duration_s: float) -> float:
 
 
 def cell_speeds(speed_mps: np.ndarray, power_mw: np.ndarray, noise_power_mw: float, near: np.ndarray) -> np.ndarray:
-    """Return the radial speed of every cell in cm/s, `NO_RADIAL_SPEED` where no beam near it stands out of the noise,
-    int16 [range, azimuth].
+    """Return the radial speed of every cell in cm/s, int16 [range, azimuth], `NO_RADIAL_SPEED` in noise.
 
     `speed_mps` and `power_mw` [beams, range], power zero where a beam is missing; `near` bool [azimuth, beams].
     """

@@ -1,7 +1,6 @@
 """Folding: a beam's chirps summed into a few slow-time groups, in integers, at about the speed of memory.
 
-Group g of G sums the chirps floor(g C / G) .. floor((g+1) C / G) - 1 of C: contiguous, every chirp in exactly one
-group, sizes differing by at most one chirp where C is not a multiple of G.
+Group g of G sums the chirps floor(g C / G) .. floor((g+1) C / G) - 1 of C.
 """
 
 from __future__ import annotations
@@ -20,10 +19,7 @@ _BLOCK = 16384
 
 
 def group_edges(chirps: int, groups: int) -> np.ndarray:
-    """Return the first chirp of each group and, last, the number of chirps; int64 [groups + 1].
-
-    Raises `ValueError` unless 1 <= groups <= chirps and no group could overflow its 32-bit sums.
-    """
+    """Return the first chirp of each group and the number of chirps, int64 [groups + 1]; `ValueError` on overflow."""
     if not 1 <= groups <= chirps:
         raise ValueError(f"groups must be 1..chirps = {chirps}, got {groups!r}")
     edges = np.arange(groups + 1, dtype=np.int64) * chirps // groups
@@ -33,11 +29,7 @@ def group_edges(chirps: int, groups: int) -> np.ndarray:
 
 
 def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
-    """Sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
-
-    Returns int32 [groups, samples, 2] and the number of samples whose I or Q is at full scale. Read-only
-    arrays are fine; arrays that are not contiguous or not aligned are copied first.
-    """
+    """Sum I/Q codes int16 [chirps, samples, 2] over groups; int32 [groups, samples, 2], and samples at full scale."""
     require_array("samples", samples, "<i2", (None, None, 2))
     chirps, length = samples.shape[:2]
     edges = group_edges(chirps, groups)
@@ -73,10 +65,7 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
 
 @compiled
 def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
-    """Add four rows to `total`; return whether any code is at full scale.
-
-    No branch and no call, so that it becomes SIMD.
-    """
+    """Add four rows to `total`, without a branch for SIMD; return whether any code is at full scale."""
     highest = np.int16(0)
     lowest = np.int16(0)
     for i in range(len(total)):

@@ -157,9 +157,7 @@ class Sweep:
         return self._profiles_of(self._beams, self.stamp_ns, self._state, settled_stamp_ns)
 
     def completed_by(self, last: Sweep, beam_index: int) -> ScanProfiles | None:
-        """Return the beams up to `beam_index` with the rest of the sweep before, at the pose of the oldest; None where
-        the two do not follow each other, or the vehicle's motion is known in one alone.
-        """
+        """Return the beams up to `beam_index` with the rest of the sweep before, at the pose of the oldest; or None."""
         oldest = beam_index + 1
         if not self._follows(last) or (self._state is None) != (last._state is None):
             return None
@@ -182,11 +180,7 @@ class Sweep:
     def _profiles_of(
         self, beams: FoldedBeams, stamp_ns: int, state: VehicleState | None, settled_stamp_ns: int | None
     ) -> ScanProfiles:
-        """Return folded beams; noise is the median over beams, so that one disturbed beam does not set it.
-
-        Silent and interfered beams are left out like missing ones: their neighbours cover their direction better. Beams
-        of a digital array are kept: each is made of all columns and covers a direction of its own.
-        """
+        """Return folded beams, silent and interfered ones left out as missing but for a digital array; median noise."""
         received, folder = beams.received, self._folder
         noise_power_mw = float(np.median(beams.noise_power_mw[received]))
         steered = not folder.setup.array.digital

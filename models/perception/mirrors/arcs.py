@@ -1,8 +1,6 @@
 """Curved walls: an arc replaces the lines that it explains better, by the same likelihood as for lines.
 
-In the frame of a line (s along it, d across it towards the radar) an arc is d = c0 + c1 s + c2 s^2 / 2 to within a
-centimetre for the bends that walls have (sagitta below 2 m). It starts from the returns of one line and takes in the
-returns that lie on it at either end, whichever line they belonged to.
+In a line's frame an arc is d = c0 + c1 s + c2 s^2 / 2 to a centimetre for sagittas below 2 m.
 """
 
 from __future__ import annotations
@@ -133,10 +131,9 @@ def _grow(
     fewest: int,
     rounds: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return an arc refit to what lies on it in one run until that stays the same: the last fit and the last run.
+    """Return an arc refit to what lies on it in one run until that stays: coefficients, covariance, gains, run.
 
-    Coefficients [3], their covariance [3, 3], what each free point adds to its score, the run's indices; a run of
-    less than `fewest` ends the search. `axes` are the frame's tangent and normal.
+    A run of less than `fewest` ends the search. `axes` are the frame's tangent and normal.
     """
     coefficients, covariance, gain = _fitted(s, d, covariance_m2, axes, members, free)
     for _ in range(rounds - 1):

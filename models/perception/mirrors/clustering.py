@@ -11,12 +11,10 @@ NOISE = -1
 
 
 def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
-    """Return the cluster labels of points [N, 2], int64 [N]; `NOISE` for points in none.
+    """Return the cluster labels of points [N, 2], int64 [N]; `NOISE` for points in none; `ValueError` as checked.
 
-    A core point has at least `min_points` points within `eps_m`, itself included; core points within `eps_m` of each
-    other share a cluster. A point that is not core joins its nearest core point within reach (ties: the first one).
-    Clusters are numbered in the order of their first point, so equal input gives equal labels. Raises ValueError
-    where a parameter or the shape does not fit.
+    A core point has `min_points` points within `eps_m`, itself included; others join their nearest core point. Clusters
+    are numbered in the order of their first point.
     """
     points_m = np.asarray(points_m, np.float64)
     if points_m.ndim != 2 or points_m.shape[1] != 2:
@@ -29,12 +27,7 @@ def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
 
 @compiled
 def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
-    """Return the labels of points [N, 2]: core points joined to trees whose root is their first point, then border
-    points.
-
-    Near pairs are found in a sweep along x and not stored: where all points lie together, their number is the square of
-    the number of points.
-    """
+    """Return the labels of points [N, 2]: trees of core points, then border points; no pair is stored."""
     order = np.argsort(points_m[:, 0], kind="mergesort")
     start, stop = _reach(points_m[order, 0], eps_m)
     core = _core(points_m, eps_m, min_points, order, start, stop)

@@ -1,8 +1,6 @@
 """Confidence of folded positions: a small network on features of the fold, fitted on simulated scenes.
 
-True images are strong. Their rays cross a wall well within its ends, near one of its returns, and they fold to
-positions near others of the same object. False ones have no source, or were folded in the wrong wall. The confidence is
-the probability that the position lies within 1 m of a true one.
+It is the probability that the position lies within 1 m of a true one.
 """
 
 from __future__ import annotations
@@ -175,10 +173,7 @@ def position_features(
 
 
 class PositionConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A fitted model: p = sigmoid(w . tanh(A z + a) + b) of standardised features z; and how it was made.
-
-    Raises `ValueError` naming the field unless names, shapes and numbers belong together.
-    """
+    """A fitted model: p = sigmoid(w . tanh(A z + a) + b) of standardised features z; `ValueError` names the field."""
 
     features: tuple[str, ...]
     means: tuple[float, ...]
@@ -226,10 +221,7 @@ class PositionConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         return replace(recovered, score=probability).take(probability >= self.threshold)
 
     def probability(self, features: np.ndarray) -> np.ndarray:
-        """Return the probability [N] that each position lies within 1 m of a true one, from features [N, features].
-
-        Raises `ValueError` where a feature is not finite or too large.
-        """
+        """Return the probability [N] of positions from features [N, features]; `ValueError` unless finite and sane."""
         if features.ndim != 2 or features.shape[1] != len(FEATURES):
             raise ValueError(f"features must have shape [N, {len(FEATURES)}], got {features.shape}")
         if not (np.abs(features) <= LARGEST).all():

@@ -1,8 +1,6 @@
 """Association of images with the wall that mirrored them, or with two walls where a corner mirrored them twice.
 
-An image lies in the direction in which its path left the radar: the first mirror is a wall its ray passes through.
-After folding about it, the rest of the path runs from there to the object. Where another wall blocks that segment, the
-path has a second bounce, and its rest is folded about the second wall too.
+The first mirror is a wall that the image's ray passes through; what blocks the folded rest is the second.
 """
 
 from __future__ import annotations
@@ -69,11 +67,7 @@ class DirectReturns:
 
 
 def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Return which walls have `SEEN_THROUGH_POINTS` returns of another one, longer than a vehicle, behind them; bool
-    [W].
-
-    Returns behind a line prove that the line is no wall: it is a row of vehicles, or a wall drawn too long.
-    """
+    """Return which walls have `SEEN_THROUGH_POINTS` returns of another one behind them, so are none; bool [W]."""
     transparent = np.zeros(len(walls), bool)
     on_long = np.flatnonzero(np.append(walls.length_m > params.vehicle_length_m, False)[returns.wall])
     if len(walls) == 0 or len(on_long) == 0:
@@ -96,11 +90,9 @@ def associate_crossing(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and second mirror of each image, each [N]; `NO_WALL` for none.
 
-    The image must lie behind the wall, and no other wall may block the segments from the radar to the wall and from
-    there to the true position. Rays that pass just off a wall's end count within a margin that grows with the angular
-    error; a crossed wall is preferred to one narrowly missed. Of several crossed walls the last is the mirror: its
-    returns show that the nearer walls do not reach this far. Walls that are not `opaque` [W] are ignored. Where another
-    wall blocks the second segment, it is the second mirror, if both are longer than a vehicle and the rest is free.
+    The image lies behind the wall and both legs are free. Rays just off an end count by their angular error; of several
+    crossed walls the last is the mirror. Walls that are not `opaque` [W] are ignored. A wall longer than a vehicle that
+    blocks the second leg is the second mirror.
     """
     nothing = np.full(len(images_m), NO_WALL)
     if len(walls) == 0 or len(images_m) == 0:
@@ -189,10 +181,7 @@ class _MirrorPaths:
         return np.asarray(cuts.any(axis=1)).reshape(origin_m.shape[:2])
 
     def _blocked_by(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return which walls block which segments [M, 2] that touch the wall `own` [M]; bool [M, W].
-
-        A vehicle's side is too short to be sure that a path does not pass beside it.
-        """
+        """Return which walls longer than a vehicle block segments [M, 2] that touch the wall `own` [M]; bool [M, W]."""
         a, b = self.walls.trimmed(TRIM_M)
         sure = self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
         deep = np.abs(self.walls.distance_m(end_m)) > CUT_DEPTH_M
@@ -215,10 +204,9 @@ class _MirrorPaths:
 
 
 def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectReturns) -> tuple[WallArrays, np.ndarray]:
-    """Associate images with the wall of the direct return nearest in angle (published rule); walls and index of each
-    [N].
+    """Associate images with the wall of the direct return nearest in angle (published rule); walls, index [N].
 
-    A return on no wall gets a wall of its own, through it and normal to its ray; such walls are appended.
+    A return on no wall gets an own one, normal to its ray, which is appended.
     """
     if len(returns.points_m) == 0:
         return walls, np.full(len(images_m), NO_WALL)

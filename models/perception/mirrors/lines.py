@@ -78,10 +78,7 @@ class Line(NamedTuple):
 
 @compiled(error_model="numpy")
 def residual_gain(residual_m: float, variance_m2: float) -> float:
-    """Return what a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
-
-    log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 the variance across the wall.
-    """
+    """Return log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) of a point, zero for outliers."""
     normed = residual_m * residual_m / variance_m2
     # most points are outliers of most lines: the logarithm is taken for the others only
     if not normed <= INLIER_SIGMAS * INLIER_SIGMAS:
@@ -155,11 +152,9 @@ def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, f
 def fit_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int = 3
 ) -> tuple[np.ndarray, float, float, float]:
-    """Return the weighted total least squares: normal [2], offset [m], angle and offset standard deviation at the
-    middle.
+    """Return the weighted total least squares: normal [2], offset [m], angle and offset std at the middle.
 
-    Weights are the inverse variances across the line, so they follow the line: iterated. The uncertainty is that of
-    the weights, inflated where the residuals are larger than the weights imply. Needs two distinct points.
+    Weights are inverse variances across the line, iterated; errors grow with residuals. Two distinct points.
     """
     # copied to the one layout for which the kernel is compiled
     line = fitted(np.array(points_m, np.float64), np.array(covariance_m2, np.float64), rounds)

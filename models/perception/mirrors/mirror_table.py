@@ -1,8 +1,4 @@
-"""Walls as mirrors: arrays of straight and curved segments, and the intersections of rays with them.
-
-A curved wall is an arc over its chord. At the point where a ray meets it, it acts as the tangent straight mirror: for
-the ray's own image that is exact, whatever the curvature.
-"""
+"""Walls as mirrors: straight and curved segments (an arc is its tangent where a ray meets it), met by rays."""
 
 from __future__ import annotations
 
@@ -22,10 +18,7 @@ NO_WALL = -1
 
 @dataclass(frozen=True)
 class WallArrays(ArrayTable):
-    """Walls as arrays: chord normals [W, 2] and offsets [W], ends a and b [W, 2], uncertainties, curvatures [W].
-
-    A positive curvature is hollow towards the radar.
-    """
+    """Walls as arrays [W]: chord normals, offsets, ends a and b, errors, curvatures (positive: hollow to the radar)."""
 
     normal: np.ndarray
     offset_m: np.ndarray
@@ -70,10 +63,7 @@ class Hits:
         return np.where(np.isnan(share), np.inf, share * length_m)
 
     def mirrors(self, wall: np.ndarray, walls: WallArrays) -> tuple[np.ndarray, np.ndarray]:
-        """Return normals [N, 2] and offsets [N] of the mirror that each ray meets in a wall of its own [N].
-
-        An arc whose circle the ray misses acts as its chord.
-        """
+        """Return normals [N, 2] and offsets [N] of mirrors that rays meet in walls [N]; of a missed arc its chord."""
         row = np.arange(len(wall))
         meets = ~np.isnan(self.along_ray[row, wall])
         normal = np.where(meets[:, None], self.normal[row, wall], walls.normal[wall])
@@ -111,11 +101,9 @@ def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
 def _on_arc(
     origin: np.ndarray, targets: np.ndarray, near: np.ndarray, wall: WallArrays
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and
-    its unit normal there; NaN: never.
+    """Return the share of the rays and point where they meet the circle nearest to `near` on the chord; its normal.
 
-    From the chord's middle, s along it and d towards the radar, the circle of curvature k over a chord 2 h long is
-    k (s^2 + d^2 - h^2) = 2 d sqrt(1 - k^2 h^2): no centre, which runs off to infinity as the wall becomes flat.
+    NaN: never. From the chord's middle k (s^2 + d^2 - h^2) = 2 d sqrt(1 - k^2 h^2): no centre at infinity.
     """
     curvature, half_m = wall.curvature_per_m[0], 0.5 * wall.length_m[0]
     rise = np.sqrt(max(1.0 - (curvature * half_m) ** 2, 0.0))

@@ -1,7 +1,6 @@
 """Observability mask: cells where an object would be detected directly, through the current walls, or not at all.
 
-"Nothing hidden" differs from "not observable". A cell is `MIRRORED` only if, by the radar equation, an object of the
-stated RCS there would exceed the detection threshold through one of the walls; else it is unknown.
+`MIRRORED`: by the radar equation an object of the stated RCS would exceed the threshold through a wall.
 """
 
 from __future__ import annotations
@@ -47,10 +46,7 @@ class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 def sensitivity_db(setup: RadarSetup) -> float:
-    """Return the power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
-
-    Coherent over the beam's chirps, with the noise gain of the Hann window.
-    """
+    """Return the power over noise [dB] of an isotropic 0 dBsm target at 1 m in a cell of a beam that looks at it."""
     return db_from_ratio(float(beam_snr(setup, 1.0, 1.0)))
 
 
@@ -122,10 +118,7 @@ def _all_lost_db(points_m: np.ndarray, receiver: _Receiver) -> np.ndarray:
 
 @compiled(error_model="numpy")
 def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, receiver: _Receiver) -> None:
-    """Clear the direct cells of a mask [N] that walls hide, and mark the cells visible in them; changes `mask`.
-
-    Each row of `walls` [W, 7] is ends, normal and offset.
-    """
+    """Clear the direct cells of `mask` [N] that `walls` [W, 7] hide, and mark the cells visible in them."""
     for w in range(len(walls)):
         wall = _wall(walls, w)
         for i in range(len(cells_m)):

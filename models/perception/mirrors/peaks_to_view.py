@@ -60,8 +60,7 @@ FORMERLY = {
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage; defaults are the released settings where those exist.
 
-    Of `specification` the back end takes the clusters and `objects`; it has no use for `walls`, `wall_points`,
-    `recovery` and walls from elsewhere.
+    The back end `specification` uses the clusters and `objects` alone.
     """
 
     #: Walls, association and rejection: ours, or those of the specification.
@@ -83,11 +82,7 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 @dataclass(frozen=True)
 class FoldedScan:
-    """Intermediate result of a scan before objects are formed: direct returns, walls, folded positions.
-
-    A position that is not `hidden` (bool [N]) is explained by a directly visible object: it may be a true image of that
-    object, but adds no information.
-    """
+    """Direct returns, walls and folded positions of a scan; a direct object explains those that are not `hidden`."""
 
     returns: DirectReturns
     walls: list[Wall]
@@ -102,9 +97,8 @@ def fold_scan(
     confidence: Confidence | None = None,
     wall_prior: WallPrior | None = None,
 ) -> FoldedScan:
-    """Find walls in the peaks and fold the images back, Eqs. (18) and (19); drop the improbable ones.
-
-    Raises `ValueError` for more than `MAX_PEAKS`.
+    """Find walls in the peaks and fold the images back, Eqs. (18), (19), without improbable ones; `ValueError` as
+    checked.
     """
     return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual, confidence)
 
@@ -139,9 +133,7 @@ def recover_bev(
     wall_prior: WallPrior | None = None,
     judge: ObjectJudge | None = None,
 ) -> BevFrame:
-    """Form hidden points and objects from peaks by way of folded positions, or objects as `judge` sees them; tracks are
-    added by `ScanMemory`.
-    """
+    """Form hidden points and objects from peaks by folded positions, or objects as `judge` sees them; no tracks."""
     params = heeding(params, peaks.sensor)
     returns, walls = direct_structure(peaks, params, wall_prior)
     # a network judges in a thread of its own, while the rest of the view is made
@@ -182,10 +174,7 @@ def heeding(params: GeometryParams, sensor: SensorLimits | None) -> GeometryPara
 def direct_structure(
     peaks: Peaks, params: GeometryParams, wall_prior: WallPrior | None = None
 ) -> tuple[DirectReturns, list[Wall]]:
-    """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans.
-
-    Raises `ValueError` for more than `MAX_PEAKS`.
-    """
+    """Return the direct returns with their clusters, and the walls; `ValueError` for more than `MAX_PEAKS`."""
     if len(peaks) > MAX_PEAKS:
         raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
     if params.back_end == "specification":
@@ -220,10 +209,7 @@ def _walls_among(
 
 
 def warm(params: GeometryParams) -> None:
-    """Compile the stage's kernels, or load them, and lay out its grid, so that the first scan does not wait for it.
-
-    Types do not depend on the parameters, so one synthetic street with the default ones needs all kernels.
-    """
+    """Compile or load the stage's kernels, by a synthetic street, and lay out its grid, before the first scan."""
     recover_bev(made_up_peaks(), GeometryParams())
     if params.wall_points:
         wall_like(np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1), None)

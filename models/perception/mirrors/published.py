@@ -1,7 +1,4 @@
-"""The specification's back end: plain clusters and lines, buddy association, every image folded back, none rejected.
-
-`models.perception.mirrors.peaks_to_view` runs it for `back_end: specification`.
-"""
+"""The specification's back end: plain clusters and lines, buddy association, every image folded back, none rejected."""
 
 from __future__ import annotations
 
@@ -50,10 +47,7 @@ def _not_too_near(points_m: np.ndarray, path_class: np.ndarray, share: float) ->
 
 
 def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedParams) -> tuple[list[Wall], np.ndarray]:
-    """Return the lines of each cluster of points [N, 2], and the line of each point (`NO_WALL`: none), int64 [N].
-
-    RANSAC by number of inliers, refit by least squares, on what the lines before have left, until too few are left.
-    """
+    """Return the lines of clusters of points [N, 2] by inliers, and each point's (`NO_WALL`: none), int64 [N]."""
     rng = np.random.default_rng(params.seed)
     walls: list[Wall] = []
     wall_of_point = np.full(len(points_m), NO_WALL, np.int64)

@@ -1,8 +1,6 @@
 """Hidden objects from recovered points: clusters, boxes of the visible points, scores, covariances.
 
-The centre is the mean of the points, weighted by amplitude and score: the centre of the visible face, which the radar
-measures. It is not moved inwards by half a typical depth, because that would replace a measurement by a guess of the
-class.
+The centre is that of the visible face, which the radar measures, not moved inwards by a guess of the class.
 """
 
 from __future__ import annotations
@@ -86,10 +84,7 @@ def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) 
 
 
 def merge_fragments(recovered: Recovered, labels: np.ndarray) -> np.ndarray:
-    """Join clusters whose nearest points lie within eps plus one sigma of their distance and that fit in one vehicle.
-
-    Nearest clusters first; labels [N] renumbered 0, 1, ... in the order of their smallest.
-    """
+    """Join clusters, nearest first, within eps plus one sigma that fit in one vehicle; labels [N] renumbered."""
     labels = labels.copy()
     points_m, covariance_m2 = recovered.points_m, recovered.image_covariance_m2
     first, second = np.triu_indices(len(points_m), k=1)
@@ -160,12 +155,7 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
 
 
 def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
-    """Return the clusters that are no satellite of one twice as large: few points, in its beam at its range or along
-    its side.
-
-    Two returns in one beam at one range are hardly resolved in azimuth, and the side of a long vehicle reflects at few
-    spots: neither may become a second vehicle.
-    """
+    """Return the clusters that are no satellite of one twice as large: few points, in its beam or along its side."""
     return [
         cluster
         for cluster in clusters
@@ -201,11 +191,7 @@ def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> 
 
 
 def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
-    """Return the oriented box of the points and the covariance of its centre.
-
-    The spread of the points less their own mean error is that of the face. Where nothing of it is left, the face's
-    direction is unknown and is taken across the ray.
-    """
+    """Return the oriented box of the points and the covariance of its centre; without spread, across the ray."""
     weights = cluster.score * 10.0 ** (cluster.snr_db / 20.0)
     weights = weights / weights.sum()
     centre = weights @ cluster.points_m

@@ -1,8 +1,6 @@
 """Recovery of true positions from mirror images: Eq. (19) for one wall, two walls and curved ones, with covariance.
 
-An image is the echo of an object in front of a wall that appears behind it. Folding it back in the wall that its own
-ray crosses gives the object's position. `models.perception.mirrors.image_walls` selects the wall,
-`models.perception.mirrors.rejection` the hidden positions.
+`models.perception.mirrors.image_walls` selects the wall, `models.perception.mirrors.rejection` the hidden positions.
 """
 
 from __future__ import annotations
@@ -33,8 +31,7 @@ from msgs.values.perception import HiddenPoint, PathClass, Peaks, Wall
 class Recovered(ArrayTable):
     """Images folded back: true and apparent positions [N, 2], with all data that objects are formed from.
 
-    The covariance [N, 2, 2] of a position comes from the image's own error and from the wall's, which is common to all
-    points of one wall.
+    A position's covariance is the image's own error and the wall's, common to all points of one wall.
     """
 
     points_m: np.ndarray
@@ -74,10 +71,7 @@ class Recovered(ArrayTable):
 
 @dataclass(frozen=True)
 class ReflectionState:
-    """Inputs of ResidualReflectNet: images [N, 2], their K nearest direct returns [N, K, 2] and state [N, 6].
-
-    The state is (o', n, b, eta) of section 3.1.2.
-    """
+    """Inputs of ResidualReflectNet: images [N, 2], their K nearest direct returns, state (o', n, b, eta) [N, 6]."""
 
     images_m: np.ndarray
     patch_m: np.ndarray
@@ -199,10 +193,9 @@ def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wal
 def reflection_state(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, neighbours: int = NEIGHBOURS
 ) -> ReflectionState:
-    """Return the inputs of ResidualReflectNet: the nearest direct returns in the cluster of each image's buddy, and
-    its state.
+    """Return the inputs of ResidualReflectNet: direct returns nearest to each image's buddy in its cluster, its state.
 
-    Patches are padded by repeating the buddy; an image of a buddy in no cluster (eta = 1) has the buddy alone.
+    Patches are padded by the buddy; of one in no cluster (eta = 1) it stands alone.
     """
     count = len(recovered)
     patch_m = np.zeros((count, neighbours, 2))

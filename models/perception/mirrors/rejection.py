@@ -1,8 +1,4 @@
-"""Rejection of folded positions that directly visible objects explain.
-
-A position on a wall, at a direct return or on a vehicle in plain sight may still be true, as a second view of it: it
-stays among the points and forms no hidden object.
-"""
+"""Rejection of folded positions that directly visible objects explain; they stay among the points."""
 
 from __future__ import annotations
 
@@ -29,10 +25,8 @@ VEHICLE_EPS_M = 2.5
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
     """Return which folded positions nothing in direct sight explains; bool [N].
 
-    One without any score is no object's. Four rules explain a position, each with a switch: it lies on a wall; it lies
-    at a direct return of like strength; it fits in one vehicle with a group of direct returns of like strength, as
-    another side of a visible object; nothing hides it. Without the last a position in open view that has no such return
-    stays, because its occluder may be undetected.
+    Explained are those without score, on a wall, at a direct return of like strength, in one vehicle with a group of
+    these, and, with `reject_in_open_view`, those that nothing hides.
     """
     explained = recovered.score <= 0.0
     reach_m = params.same_place_m + params.same_place_sigmas * recovered.largest_std_m
@@ -73,10 +67,7 @@ def _vehicle_groups(walls: WallArrays, returns: DirectReturns, params: RecoveryP
 
 
 def _may_move_alike(recovered: Recovered, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Return whether an image and a direct return may be of one object by their radial speeds; bool [N, M].
-
-    Two views of a moving object have different radial speeds, both of them zero only where it stands.
-    """
+    """Return whether an image and a direct return are alike in moving by their radial speeds; bool [N, M]."""
     if params.moving_mps is None or returns.radial_speed_mps is None:
         return np.ones((len(recovered), len(returns.points_m)), bool)
     image_mps, return_mps = recovered.radial_speed_mps[:, None], returns.radial_speed_mps
@@ -89,8 +80,7 @@ def _on_visible_vehicle(
 ) -> np.ndarray:
     """Return the positions that are another side of a visible vehicle; bool [N].
 
-    A visible vehicle is a group of direct returns off the long walls that fits in its box. A position belongs to it if
-    it fits in too, within its own error, and no long wall hides it.
+    A group of direct returns off the long walls in a vehicle's box, in which the position fits by its own error.
     """
     long_walls = walls.length_m > params.vehicle_length_m + 1.0
     sigma_m = np.sqrt(np.linalg.eigvalsh(recovered.image_covariance_m2)[:, 1])

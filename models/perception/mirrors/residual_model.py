@@ -81,10 +81,7 @@ def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFram
 
 
 def _wall_frames(reflection: ReflectionState) -> ImageFrames:
-    """Return the relay-wall coordinates (section 3.2): origin at the radar's foot on the wall, axes tangent and normal.
-
-    The tangent points to the image's side of the foot: turned and mirrored scenes become the same scene.
-    """
+    """Return the relay-wall frames (section 3.2): origin at the radar's foot, tangent to the image's side, normal."""
     normal, offset_m = reflection.state[:, 2:4], reflection.state[:, 4:5]
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     along_m = np.sum(tangent * reflection.images_m, axis=1, keepdims=True)
@@ -93,11 +90,7 @@ def _wall_frames(reflection: ReflectionState) -> ImageFrames:
 
 
 def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionState:
-    """Return the same images in their own frames.
-
-    The offset stays the radar's distance from the wall: in wall coordinates the wall's own offset would be zero for
-    all, and the radar's distance would be lost.
-    """
+    """Return the same images in their own frames; the offset stays the radar's distance from the wall."""
     images_m = frames.points(reflection.images_m)
     state = reflection.state.copy()
     state[:, :2], state[:, 2:4] = images_m, frames.from_radar(reflection.state[:, 2:4])
@@ -116,10 +109,9 @@ def load_residual_card(model_path: Path) -> ResidualCard:
 
 
 class LearnedResidual:
-    """Corrections of folded places, Eq. (18): callable as `recovery.Residual`.
+    """Corrections of folded places, Eq. (18): callable as `recovery.Residual`; warm.
 
-    The session is warm when the constructor returns. Raises `ValueError` when the file, its card and its shapes do not
-    belong together, or a bound is not positive.
+    Raises `ValueError` when file, card and shapes do not belong together, or a bound is not positive.
     """
 
     def __init__(self, model_path: Path, threads: int = 1, max_shift_m: float = MAX_SHIFT_M) -> None:
@@ -134,10 +126,7 @@ class LearnedResidual:
         self._infer(ReflectionState(*(np.zeros((1, *shape)) for shape in self._shapes().values())))
 
     def __call__(self, reflection: ReflectionState) -> np.ndarray:
-        """Return the offsets float64 [N, 2] in metres, none longer than the bound; N may be 0.
-
-        Raises `ValueError` where an input has another shape or is not finite.
-        """
+        """Return the offsets float64 [N, 2] in metres within the bound; `ValueError` for other or no numbers."""
         self._check_inputs(reflection)
         if len(reflection.images_m) == 0:
             return np.zeros((0, 2))

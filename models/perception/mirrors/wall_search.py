@@ -1,8 +1,4 @@
-"""Compiled search for wall segments: hypotheses of a RANSAC scored, refit and cut at gaps, the best of them kept.
-
-The rules are those of `models.perception.mirrors.walls`, which calls this once for every wall. A search is some
-thousand sums over a few dozen points; without compilation it would be as many small array calls.
-"""
+"""Compiled search for wall segments, by the rules of `models.perception.mirrors.walls`: RANSAC, refit, cut at gaps."""
 
 from __future__ import annotations
 
@@ -54,8 +50,7 @@ def best_segment(
 ) -> tuple[Segment, np.ndarray]:
     """Return the highest-scoring segment among the finalists of one RANSAC and the indices of its points.
 
-    `pairs` [H] numbers the pairs of points [N, 2] that the hypotheses go through, in the order (0, 1), (0, 2) ...
-    (N - 2, N - 1), ascending. Where no segment acts as a mirror the one returned does not either.
+    `pairs` [H], ascending, number the pairs of points [N, 2] of the hypotheses. It may be no mirror.
     """
     lines = _lines_through(points_m, pairs)
     gain, total = _support(points_m, covariance_m2, lines)
@@ -182,11 +177,7 @@ def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment,
 
 @compiled(error_model="numpy")
 def next_on_line(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, limits: Limits) -> int:
-    """Return the index of the point [N, 2] nearest to the ends of a segment among those that continue it, -1 where
-    none does.
-
-    A point must lie on the line within its own error and that of the line so far out.
-    """
+    """Return the point [N, 2] nearest to a segment's ends among those that continue it within errors, -1: none."""
     line = segment.line
     low, high = segment.ay * line.nx - segment.ax * line.ny, segment.by * line.nx - segment.bx * line.ny
     low, high = min(low, high), max(low, high)

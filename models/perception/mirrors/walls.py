@@ -1,12 +1,8 @@
 """Walls from direct returns: line RANSAC in each cluster, refit by weighted total least squares, cut at gaps.
 
-Two error models share one code. `polar`: each point brings its covariance (range is some 20 times sharper than
-cross-range), so a far point may lie metres off a wall seen edge-on, but only centimetres off a wall seen face-on.
-`euclidean`, the published form: every point within `inlier_m` of the line counts alike.
-
-A line's score is its log likelihood over that of scattered points: sum of log(p(residual | wall) / p(scattered)).
-A line that gathers points only because their errors are wide scores little, so clutter along the line of sight does not
-become a wall.
+`polar`: each point brings its covariance. `euclidean`, the published form: within `inlier_m` all count alike. A line's
+score is sum of log(p(residual | wall) / p(scattered)): points of wide errors score little, so that clutter along the
+line of sight does not become a wall.
 """
 
 from __future__ import annotations
@@ -35,8 +31,8 @@ SEEN_THROUGH_POINTS = 2
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the wall fit.
 
-    A mirror has at least `min_inliers` points over `min_length_m`, an angle known to `max_angle_std_rad`, an offset of
-    `min_offset_m` or more from the radar, and a higher likelihood than scattered points.
+    A mirror has `min_inliers` over `min_length_m`, an angle known to `max_angle_std_rad` and `min_offset_m` from the
+    radar.
     """
 
     error_model: Literal["polar", "euclidean"] = "polar"
@@ -76,10 +72,9 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def find_walls(
     points_m: np.ndarray, covariance_m2: np.ndarray, labels: np.ndarray, params: WallParams
 ) -> tuple[list[Wall], np.ndarray]:
-    """Return the walls of clustered points [N, 2] with covariances [N, 2, 2], and the wall of each point (-1: none),
-    int64 [N].
+    """Return the walls of clustered points [N, 2] with covariances, and each point's wall (-1: none), int64 [N].
 
-    Walls come sorted by support (most inliers, then nearest). Deterministic: the generator is seeded by `params.seed`.
+    By support (most inliers, then nearest), seeded by `params.seed`.
     """
     points_m = np.array(points_m, np.float64)
     covariance_m2 = _error_model(covariance_m2, params)
@@ -226,10 +221,9 @@ def _joined(
 def _extended(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, free: np.ndarray, params: WallParams
 ) -> LineFit:
-    """Return the wall with the free points that continue it, nearest first, whatever cluster they are in.
+    """Return the wall with the free points that continue it within errors, nearest first, of any cluster.
 
-    A smooth wall reflects at few spots (above all at the foot of the perpendicular), often further apart than a cluster
-    reaches. A point must lie on the line within its own error and that of the line so far out.
+    A smooth wall reflects at few spots, often further apart than a cluster reaches.
     """
     limits = _limits(params)
     while len(free):
@@ -246,10 +240,7 @@ def _extended(
 def _opened(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams
 ) -> list[LineFit]:
-    """Split a wall at the gaps through which another wall is visible: returns behind it prove an opening.
-
-    Arcs, which their own returns bend, stay whole; a part without enough support of its own is no wall.
-    """
+    """Split a straight wall at the gaps through which another wall is visible; parts without support are none."""
     if fit.curvature_per_m != 0.0:
         return [fit]
     reach = np.sort(points_m[fit.members] @ fit.tangent)

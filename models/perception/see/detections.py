@@ -47,9 +47,7 @@ class Detections(ArrayTable):
 
 
 def distinct(reports: Detections, tie: np.ndarray, same_m: float, same_share: float) -> np.ndarray:
-    """Return the indices of reports of different objects, best first: a better one within `same_m`, or within a share
-    of the longer one, says the same object. Of equal scores the lower `tie` [N] comes first.
-    """
+    """Return the indices of reports of different objects, best first, then lower `tie`: `same_m` or a share apart."""
     kept: list[int] = []
     reach_m = np.maximum(same_m, same_share * reports.size_m[:, 0])
     for index in np.lexsort((tie, -reports.score)):

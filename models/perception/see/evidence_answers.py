@@ -30,10 +30,7 @@ _ROUNDING = 1.0 - 1e-9
 def evidence_detections(
     answer: np.ndarray, mirror: np.ndarray, grid: BirdsEyeGrid, walls: WallArrays, threshold: float
 ) -> Detections:
-    """Return the objects of an answer [answers, x, y] whose probability reaches a threshold, one report each.
-
-    `mirror` [x, y]: likeliest wall of each place (-1: none shows it, and it holds no object).
-    """
+    """Return the objects of an answer [answers, x, y] over a threshold; `mirror` [x, y] -1: no wall shows the place."""
     row, column = _peaks(np.where(mirror >= 0, answer[0], -np.inf), threshold)
     values = answer[:, row, column].T.astype(np.float64)
     place_m = np.stack([grid.x_m[row], grid.y_m[column]], axis=1) + values[:, PLACE]

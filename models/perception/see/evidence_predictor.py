@@ -82,12 +82,8 @@ class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
 class EvidencePredictor:
     """A field and an evidence network under ONNX Runtime: what a scan hides, by its map and the walls in it.
 
-    `threshold`: least probability that is reported; None: the card's. Both look at map and evidence as they are or
-    mirrored, by which side is louder, so that a mirrored scan gives mirrored objects; with `flip_test` both ways, and
-    the answers are means.
-
-    Raises `ValueError` when a file, its card and its shapes do not belong together, or the field network is not the one
-    in training.
+    `threshold`: least probability reported; None: the card's. Both look at the louder side's way, with `flip_test`
+    both. `ValueError` when files, cards and shapes do not belong together.
     """
 
     def __init__(
@@ -149,10 +145,8 @@ class EvidencePredictor:
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        Walls of earlier scans count as well where a memory of them is given. Scores are probabilities where the card
-        says how, of a vehicle that is `moving` or not. All runs in a thread of its own, beside what the caller does
-        until it waits. Raises `ValueError` for a map that does not suit the networks, and for answers that are not
-        finite.
+        Walls of earlier scans count where a memory is given. Scores are probabilities of a vehicle that is `moving` or
+        not. `ValueError` for a map that does not suit, and for answers that are not finite.
         """
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
@@ -207,10 +201,7 @@ def silent_map(grid: RangeAzimuthGrid) -> RangeAzimuthMap:
 
 
 def begun(work: Callable[[], Answer]) -> Callable[[], Answer]:
-    """Begin `work` in a thread of its own; the function returned waits for its answer, or raises its error.
-
-    A pool is as short-lived as its thread, which a process that is forked later would lack.
-    """
+    """Begin `work` in a thread of its own, no pool that a fork would lack; the function returned waits for it."""
     pool = ThreadPoolExecutor(1, "evidence-network")
     future = pool.submit(work)
     pool.shutdown(wait=False)

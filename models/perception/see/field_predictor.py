@@ -1,8 +1,4 @@
-"""Inference with the field network on the vehicle: an ONNX file and the card that describes it.
-
-It says of each cell of the map whether a wall passes there (`wall_elements`), and how likely a direct and a mirrored
-return stand there.
-"""
+"""Inference with the field network: how likely each cell holds a wall, a direct and a mirrored return."""
 
 from __future__ import annotations
 
@@ -59,9 +55,8 @@ class FieldCard(msgspec.Struct, frozen=True, kw_only=True):
 class FieldPredictor:
     """A field network under ONNX Runtime: where each direction may meet a wall, and how that is turned.
 
-    It looks at a map or at its mirror image, by `Encoding.is_turned`, so that a mirrored map gives mirrored answers;
-    with `flip_test` at both, and the answer is their mean.
-    Raises `ValueError` when the file, its card and its shapes do not belong together.
+    It looks at a map or its mirror image (`Encoding.is_turned`), with `flip_test` at both. `ValueError` as its card
+    says.
     """
 
     def __init__(self, model_path: Path = DEFAULT_FIELDS, threads: int = 1, flip_test: bool = False) -> None:

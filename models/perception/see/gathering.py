@@ -1,9 +1,7 @@
 """Evidence of hidden objects in the bird's-eye view: what the map shows of a place by each mirror that could show it.
 
-The places of the grid are seen by one mirror each way: a place is reflected in a wall, and what the map holds at the
-image, the level, how it stands out, the shadow before it, both answers of the dense network, speaks for or against an
-object. The likeliest mirrors of a place stand side by side; over all of them stands what they agree and disagree on: an
-object by two walls is twice as sure, one wall's silence speaks against another's echo.
+A place is reflected in a wall; level, contrast, shadow and heats at the image speak for or against an object. The
+likeliest mirrors of a place stand side by side, and over all of them what they agree and disagree on.
 """
 
 from __future__ import annotations
@@ -103,9 +101,7 @@ def odd_channels(mirrors: int) -> list[int]:
 
 
 def map_fields(ra_map: RangeAzimuthMap, heat: np.ndarray) -> np.ndarray:
-    """Return level, contrast, shadow and both answers of the dense network about each cell, float32 [5, range,
-    azimuth], of a map and its heat maps [2, range, azimuth] over the nearest bins.
-    """
+    """Return level, contrast, shadow and both heats of the nearest bins, float32 [5, range, azimuth], of a map."""
     bins = heat.shape[1]
     values = ra_map.values[:bins]
     power_mw = values.real.astype(np.float32) ** 2 + values.imag.astype(np.float32) ** 2
@@ -121,10 +117,7 @@ def map_fields(ra_map: RangeAzimuthMap, heat: np.ndarray) -> np.ndarray:
 
 
 def loudest_near(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the largest value within a window of odd `size` about each cell of [..., range, azimuth].
-
-    Shifted copies are compared whole: several times as fast as a filter that goes from cell to cell.
-    """
+    """Return the largest value within a window of odd `size` about each cell of [..., range, azimuth], by shifts."""
     for axis, width in zip((-2, -1), size, strict=True):
         near, moved = values.copy(), np.moveaxis(values, axis, 0)
         largest = np.moveaxis(near, axis, 0)
@@ -145,10 +138,9 @@ def gathered(
     wall_of: np.ndarray,
     mirrors: int,
 ) -> Evidence:
-    """Return the evidence of a map by its walls.
+    """Return the evidence of a map by its walls, of `certainty` [walls] in 0..1.
 
-    `certainty` [walls] in 0..1; `support_m` [N, 2] are the places where walls were seen, each of a wall `wall_of` [N]
-    (-1: of none).
+    `support_m` [N, 2]: places where walls were seen, each of a wall `wall_of` [N] (-1: none).
     """
     channels = np.zeros((len(channel_names(mirrors)), *grid.shape), np.float32)
     mirror = np.full(grid.shape, -1, np.int16)
@@ -187,9 +179,7 @@ def _gaps(walls: WallArrays, support_m: np.ndarray, wall_of: np.ndarray) -> np.n
 
 @compiled(error_model="numpy")
 def _mirror_at(x, y, table, wall):  # type: ignore[no-untyped-def]
-    """Return where a place has its image in a wall and where the wall mirrors it: whether it has one, image, mirror,
-    place along the wall, normal there.
-    """
+    """Return whether a place has an image in a wall, the image, the mirror, the place along the wall, its normal."""
     nx, ny, offset = table[wall, NORMAL_X], table[wall, NORMAL_Y], table[wall, OFFSET]
     ax, ay, length = table[wall, ENDS], table[wall, ENDS + 1], table[wall, _LENGTH]
     ux, uy = (table[wall, ENDS + 2] - ax) / length, (table[wall, ENDS + 3] - ay) / length

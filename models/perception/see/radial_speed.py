@@ -1,8 +1,4 @@
-"""Radial speeds of detected objects: that of the loudest cell of the image, along the direction that the mirrors turn.
-
-A mirror turns an image's velocity like the image itself, so what the radar sees along its ray is the part of the
-object's velocity along the ray as the mirrors turn it.
-"""
+"""Radial speeds of detected objects: that of the loudest cell of the image, along the ray as the mirrors turn it."""
 
 from __future__ import annotations
 
@@ -19,9 +15,7 @@ LEAST_STD_MPS = 0.2
 
 
 def radial_speeds(reports: Detections, ra_map: RangeAzimuthMap) -> list[RadialSpeed | None]:
-    """Return the radial speed over ground of each detection; None where the map did not measure it, or not over
-    ground.
-    """
+    """Return the radial speed over ground of each detection; None where the map did not measure one."""
     if ra_map.radial_speed_cmps is None or not ra_map.ego_compensated:
         return [None] * len(reports)
     rows = np.rint(ra_map.grid.range_index(reports.range_m)).astype(np.int64)

@@ -64,9 +64,7 @@ class EvidenceEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 @dataclass(frozen=True)
 class ScanEvidence:
-    """Walls of a scan, as messages and arrays, how certain each is [walls], the elements that it showed of them, and
-    the evidence.
-    """
+    """Walls of a scan as messages and arrays, how certain each is [walls], the elements seen, and the evidence."""
 
     walls: list[Wall]
     arrays: WallArrays
@@ -84,8 +82,7 @@ def scan_evidence(
 ) -> ScanEvidence:
     """Return the evidence of a map by the field network's answer [answers, range, azimuth].
 
-    `fitted`: walls known otherwise, by a fit of direct returns or a map; they join its own where they are others.
-    `earlier`: elements of earlier scans in the frame of this one; each scan weighs the same.
+    `fitted`: walls known otherwise, which join its own; `earlier`: elements of earlier scans, each weighs the same.
     """
     elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
     every = weighed_together([elements, *earlier]) if earlier else elements

@@ -1,8 +1,7 @@
 """Walls out of a dense answer: where a direction first meets a wall, and how the wall is turned there.
 
-The wall network says in every cell of the map how likely a wall passes there, how far beyond the wall's line the cell
-lies, and the direction to the wall's line. A cell is thus an element of a line. Elements that agree grow into walls;
-their own directions show the turn of short pieces and the curvature of arcs.
+A cell's probability, depth beyond the wall's line and direction to it make an element; those that agree grow into
+walls.
 """
 
 from __future__ import annotations

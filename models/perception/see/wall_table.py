@@ -28,9 +28,7 @@ def wall_table(walls: WallArrays) -> np.ndarray:
 
 @compiled(error_model="numpy")
 def cuts(ox, oy, ex, ey, walls, wall, ends):  # type: ignore[no-untyped-def]
-    """Return whether the segment from (ox, oy) to (ex, ey) crosses a wall between the ends in four columns from
-    `ends` on; not where the segment begins.
-    """
+    """Return whether a segment crosses a wall between the ends in four columns from `ends` on, not at its start."""
     ax, ay = walls[wall, ends], walls[wall, ends + 1]
     rx, ry, sx, sy = ex - ox, ey - oy, walls[wall, ends + 2] - ax, walls[wall, ends + 3] - ay
     turn = rx * sy - ry * sx

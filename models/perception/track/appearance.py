@@ -36,10 +36,7 @@ class Outlook:
     b: np.ndarray
 
     def hidden(self, state: np.ndarray) -> np.ndarray:
-        """Return whether walls hide an object now and in each step ahead, bool [steps].
-
-        The object (x, y, vx, vy) keeps its velocity and is in sight when its nose is.
-        """
+        """Return whether walls hide the nose of an object (x, y, vx, vy) now and in each step ahead, bool [steps]."""
         speed_mps = math.hypot(state[2], state[3])
         velocity = state[2:] if speed_mps > SLOW_MPS else np.zeros(2)
         nose_m = NOSE_M * velocity / max(speed_mps, SLOW_MPS)

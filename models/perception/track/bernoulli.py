@@ -1,9 +1,7 @@
 """A hypothesised object of a tracker: the probability that it exists, and where it then is.
 
-One scan may begin it, each scan updates its existence by Bayes' rule with the probability that the scan would have
-reported it, and time without evidence lowers it (D. Musicki, R. Evans, "Joint integrated probabilistic data
-association", IEEE TAES 2004). Its density is one Gaussian: after each scan that of the mean and covariance of what its
-possible measurements say.
+Existence follows Bayes' rule (D. Musicki, R. Evans, "Joint integrated probabilistic data association", IEEE TAES 2004);
+the density is the Gaussian of the mean and covariance of what its possible measurements say.
 """
 
 from __future__ import annotations
@@ -50,11 +48,9 @@ def log_odds_of_pairs(
     log_likelihood: np.ndarray,
     background_density_per_m2: np.ndarray,
 ) -> np.ndarray:
-    """Return the logarithm of the odds [T, M] that a track gave a measurement, over track missed and measurement of
-    something else.
+    """Return the log odds [T, M] that a track gave a measurement, over it missed and the measurement of another.
 
-    `existence`, `detection_probability` [T]; `log_likelihood` [T, M] of the density 1/m^2; the background is the
-    density of measurements of no track as good as each, new objects and false reports together [M].
+    `existence`, `detection_probability` [T]; `log_likelihood` [T, M] in 1/m^2; the background [M] likewise.
     """
     reported = existence * detection_probability
     with np.errstate(divide="ignore"):
@@ -75,10 +71,7 @@ def updated(
     stamp_ns: int,
     density_m2ps3: float,
 ) -> Bernoulli:
-    """Return an object after a scan, of whose measurements each is its own with a `probability` [M].
-
-    The estimate is that of the time of its likeliest measurement, of the scan's stamp if it was likelier missed.
-    """
+    """Return an object after a scan, of whose measurements each is its own with a `probability` [M]."""
     missed = (1.0 - min(probability.sum(), 1.0)) * existence_if_missed(track.existence, detection_probability)
     existence = missed + min(float(probability.sum()), 1.0)
     if existence <= 0.0:
@@ -136,9 +129,7 @@ def _with_classes(
 
 
 def born(sighting: Sighting, explained: float, first_speed_std_mps: float) -> Bernoulli:
-    """Return the object that a measurement begins, of which tracks explain a share; its velocity is unknown but for a
-    measured radial speed.
-    """
+    """Return the object that a measurement begins, of which tracks explain a share; only a radial speed is known."""
     covariance = np.zeros((4, 4))
     covariance[:2, :2] = sighting.covariance_m2
     covariance[2:, 2:] = first_speed_std_mps**2 * np.eye(2)

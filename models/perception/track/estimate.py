@@ -1,7 +1,6 @@
-"""Kalman estimate of an object's position and velocity: nearly constant velocity in the odometry frame.
+"""Kalman estimate of an object's position and velocity, nearly constant, in the odometry frame, at any time.
 
-Updates take Joseph's form and every covariance is made symmetric, so that it stays positive definite whatever is
-rounded. An estimate can be moved back in time as well as forth.
+Joseph's form and symmetric covariances stay positive definite whatever is rounded.
 """
 
 from __future__ import annotations
@@ -50,9 +49,7 @@ class Estimate:
 
 
 def linear_update(covariance: np.ndarray, matrix: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Kalman gain [N, M] of a linear measurement by `matrix` [M, N] with `noise` [M, M], and the covariance
-    [N, N] after it; Joseph's form, a sum of squares whatever the gain's rounding.
-    """
+    """Return Kalman gain [N, M] and covariance [N, N] after a linear measurement by `matrix` with `noise`; Joseph."""
     spread = matrix @ covariance @ matrix.T + noise
     gain = np.linalg.solve(spread, matrix @ covariance).T
     rest = np.eye(len(covariance)) - gain @ matrix
@@ -68,11 +65,7 @@ def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
 
 
 def mixture(weights: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
-    """Return the Gaussian of the mean and covariance of a mixture of estimates of one time.
-
-    Weights are positive and add up to 1. The covariance is a sum of covariances and of outer products: positive
-    definite where they are. `ValueError` for estimates of different times.
-    """
+    """Return the Gaussian of a mixture of estimates of one time (else `ValueError`); weights positive, sum 1."""
     stamps_ns = {estimate.stamp_ns for estimate in estimates}
     if len(stamps_ns) != 1:
         raise ValueError(f"estimates of a mixture must be of one time, got {len(stamps_ns)}")

@@ -1,9 +1,8 @@
 """Joint probabilistic association of the objects of a scan with tracks: each of either has at most one of the other.
 
-Tracks and measurements that no gate connects fall apart into clusters. In a small cluster the marginal probabilities
-are exact, summed over all joint events by dynamic programming over the sets of taken partners; in a larger one they
-come from loopy belief propagation on the assignment graph, which converges and whose cost is bounded (J. L. Williams,
-R. A. Lau, "Approximate evaluation of marginal association probabilities with belief propagation", IEEE TAES 2014).
+Gates part clusters. Small ones are exact, by dynamic programming over sets of taken partners; larger ones come from
+loopy belief propagation (J. L. Williams, R. A. Lau, "Approximate evaluation of marginal association probabilities with
+belief propagation", IEEE TAES 2014).
 """
 
 from __future__ import annotations
@@ -33,9 +32,7 @@ _LEAST_VARIANCE = 1e-12
 def log_likelihoods(
     tracks: Sequence[Estimate], measurements: Sequence[Sighting], density_m2ps3: float, gate: float = GATE
 ) -> np.ndarray:
-    """Return the logarithm of the density [1/m^2] of each measurement by each track [T, M], each at the time of the
-    measurement; minus infinity outside the gate.
-    """
+    """Return the log density [1/m^2] of each measurement by each track at its time [T, M]; -inf outside the gate."""
     if not tracks or not measurements:
         return np.full((len(tracks), len(measurements)), -np.inf)
     mean = np.array([track.mean for track in tracks])[:, None]
@@ -69,11 +66,9 @@ def _log_density(offset: np.ndarray, spread: np.ndarray, gate: float) -> np.ndar
 
 
 def marginal_probabilities(log_odds: np.ndarray) -> np.ndarray:
-    """Return the probability [T, M] that a measurement is that of a track.
+    """Return the probability [T, M] that a measurement is that of a track; rows and columns add up to at most 1.
 
-    `log_odds` [T, M]: logarithm of the weight of the pair over those of a track missed and of a measurement that
-    belongs to no track; minus infinity for what cannot be. Rows and columns add up to at most 1 (columns of a large
-    cluster up to the tolerance of the propagation).
+    `log_odds` [T, M] over a track missed and a measurement of no track; minus infinity for what cannot be.
     """
     probability = np.zeros(log_odds.shape)
     odds = np.exp(np.minimum(log_odds, MAX_LOG_ODDS))
@@ -101,11 +96,7 @@ def is_small(shape: tuple[int, ...]) -> bool:
 
 
 def exact(odds: np.ndarray) -> np.ndarray:
-    """Return the marginal probabilities of a cluster [T, M] of pairs with odds, summed over all joint events.
-
-    A joint event pairs some rows with different columns; its weight is the product of their odds. Sums run over the
-    rows, from either end, for each set of columns taken so far.
-    """
+    """Return the marginals of a cluster [T, M] of pairs with odds over all joint events, rows from either end."""
     if odds.shape[0] < odds.shape[1]:
         return exact(odds.T).T
     rows, columns = odds.shape

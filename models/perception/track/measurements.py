@@ -54,10 +54,9 @@ class Sighting:
 
 
 def sightings(frame: BevFrame, radar: Pose2 | RadarPath, place_std_m: float) -> list[Sighting]:
-    """Return the hidden objects of a scan in the odometry frame; without those of another time.
+    """Return the hidden objects of a timely scan in the odometry frame.
 
-    `radar`: `odom_from_radar` at the scan's stamp; of a scan whose ego motion was not compensated the radar's path,
-    because each object then lies in the radar's axes at its own stamp.
+    `radar`: `odom_from_radar` at the scan's stamp; where ego motion was not compensated, its path.
     """
     return [_sighting(item, frame, radar, place_std_m) for item in frame.objects if _is_timely(item, frame.stamp_ns)]
 
@@ -91,10 +90,9 @@ def _turned(radial: RadialSpeed | None, odom_from_radar: Pose2) -> RadialSpeed |
 def detection_probabilities(
     frame: BevFrame, estimates: Sequence[Estimate], odom_from_radar: Pose2, probability: float
 ) -> np.ndarray:
-    """Return the probability that a scan reports each object as hidden [T], by the observability mask where it stands.
+    """Return the probability that a scan reports each object as hidden [T], by the mask where it stands.
 
-    `probability` is that of an object in an observable cell; elsewhere it is `UNOBSERVABLE_SHARE` of it, weighted over
-    the uncertainty of the position. A view without a mask (every cell unknown) says nothing: all are observable.
+    `probability` in an observable cell, `UNOBSERVABLE_SHARE` of it elsewhere; without a mask all are observable.
     """
     if not estimates or not frame.visibility.any():
         return np.full(len(estimates), probability)

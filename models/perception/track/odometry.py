@@ -1,7 +1,4 @@
-"""Odometry from speed and yaw rate alone: a frame that drifts slowly and never jumps.
-
-The bias of the gyroscope is subtracted: see `yaw_rate_bias`.
-"""
+"""Odometry from speed and yaw rate without its bias: a frame that drifts slowly and never jumps."""
 
 from __future__ import annotations
 
@@ -112,10 +109,8 @@ class Odometry:
 class ScanOdometry:
     """The vehicle at each scan's stamp, from the states stamped at or before it, whatever order they arrive in.
 
-    States wait, sorted by their stamps, until a scan queries a time; states with later stamps keep waiting, and the
-    motion of the last one is held up to the scan's stamp. A state has the whole scan and the time of its processing to
-    arrive; one that arrives after the query, though older, is too late for that scan. The result thus depends on the
-    states alone: a graph, a replay and a chain in one process agree.
+    States wait, sorted, until a scan queries a time; older ones that arrive later are too late. The result depends on
+    the states alone: a graph, a replay and a chain in one process agree.
     """
 
     def __init__(self) -> None:
@@ -132,10 +127,7 @@ class ScanOdometry:
             self._take(1)
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
-        """Return the vehicle's pose at a scan's stamp.
-
-        It is `stationary_pose` while no state has arrived, and None where no state is near enough.
-        """
+        """Return the vehicle's pose at a scan's stamp: `stationary_pose` before any state, None where none is near."""
         last_query_ns, self._last_query_ns = self._last_query_ns, stamp_ns
         if last_query_ns is not None and last_query_ns - stamp_ns > ns_from_s(MAX_GAP_S):
             # the clock was set back: waiting states from before would be used again later

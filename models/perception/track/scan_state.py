@@ -73,9 +73,7 @@ class ScanMemory:
         return partial(self._priors.fused, priors) if priors else None
 
     def tracked(self, view: BevFrame, vehicle_from_radar: Pose2, ego_compensated: bool = True) -> BevFrame:
-        """Return the view with its tracks; the radar is stationary as long as no vehicle state has arrived (`view.ego`
-        is None). `ego_compensated`: as its peaks have it.
-        """
+        """Return the view with its tracks; the radar is stationary while no vehicle state has arrived."""
         if self._tracker is None:
             return view
         tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar, ego_compensated)

@@ -1,12 +1,8 @@
 """Tracking of hidden objects over scans in an odometry frame: existence, not hits.
 
-A joint integrated probabilistic data association filter. Every object of a scan may be a track's, a new object or a
-false report; a scan begins a hypothesis with the object's own probability, and each scan raises or lowers the existence
-of all, a miss only where the scan would have reported the object (`measurements.detection_probabilities`). A track is
-published once its existence is high and two scans have measured it; ids are never used twice.
-
-No tracking library is used: Stone Soup 1.9.1 would bring plotly, rtree, pymap3d, utm, ruamel.yaml and ordered-set to
-the vehicle, FilterPy 2.0.0 has filters but no tracks, gates or assignment.
+A joint integrated probabilistic data association filter: a scan begins hypotheses, and raises or lowers the existence
+of all. A track is published once that is high and two scans have measured it; ids are never used twice. No library:
+Stone Soup would bring six more to the vehicle, FilterPy has no tracks, gates or assignment.
 """
 
 from __future__ import annotations
@@ -127,10 +123,8 @@ class Tracker:
     ) -> tuple[Track, ...]:
         """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
-        `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it no object can be tracked and all tracks
-        end, as they do when its frame changes. `stationary_pose` is the pose of a radar that never moves. A repeated or
-        late scan changes nothing and returns the tracks of the scan before it again. Objects of a scan that was not
-        `ego_compensated` lie where the radar saw them at their own stamps.
+        `pose`: the vehicle then; without it, or in another frame, all tracks end. A repeated or late scan changes
+        nothing. Objects of a scan that was not `ego_compensated` lie where the radar saw them at their own stamps.
         """
         if pose is None:
             self._forget(None)
@@ -212,9 +206,7 @@ class Tracker:
         ]
 
     def _looked_at(self, frame: BevFrame, log_likelihood: np.ndarray) -> np.ndarray:
-        """Return whether a view's new beams have looked where each track is, bool [T]: one of its measurements may be
-        the track's, or a sweep has passed since the track was last looked at. A whole scan looks everywhere.
-        """
+        """Return whether a view's new beams, or a sweep, may have shown each track, bool [T]; a whole scan does."""
         if frame.settled_stamp_ns is None:
             return np.ones(len(self._tracks), np.bool_)
         sweep_ns = SWEEPS_UNTIL_MISSED * (frame.settled_stamp_ns - frame.stamp_ns)

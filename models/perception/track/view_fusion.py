@@ -1,8 +1,7 @@
 """One view of the scans of several radars on a vehicle: their walls, masks and objects in the vehicle's frame.
 
-What two radars see of one object is one object: they are paired within the errors of both and joined by covariance
-intersection, since errors of the walls that both look through are common (S. Julier, J. Uhlmann, "A non-divergent
-estimation algorithm in the presence of unknown correlations", ACC 1997).
+Objects that two see are joined by covariance intersection, as errors of their walls are common (S. Julier, J. Uhlmann,
+"A non-divergent estimation algorithm in the presence of unknown correlations", ACC 1997).
 """
 
 from __future__ import annotations
@@ -63,9 +62,7 @@ class FusionStage:
         self._memory.add(state)
 
     def view(self, views: Sequence[RadarView], is_whole: bool = True) -> BevFrame:
-        """Return the view of the vehicle, in its frame, of the views of its radars about one time, at the latest of
-        their stamps; groups come in the order of these. `is_whole` false: a radar is missing, which its flags say.
-        """
+        """Return the view of the vehicle, of its radars' views about one time; not `is_whole`: its flags say so."""
         stamp_ns = max(view.frame.stamp_ns for view in views)
         with self._timed("join"):
             now = self._memory.pose_at(stamp_ns)
@@ -81,11 +78,7 @@ PoseBefore = Callable[[int], OdometryPose | None]
 
 
 def in_vehicle(view: RadarView, stamp_ns: int, now: OdometryPose | None, before: PoseBefore) -> RadarView:
-    """Return a view in the vehicle's frame at a later time.
-
-    `now`: the vehicle then, `before` at times before; where it is not known the vehicle has not moved. What lies in the
-    radar's axes at its own time, as its scan was not compensated, is moved from there.
-    """
+    """Return a view in the vehicle's frame at a later time, `now`, from poses `before`; unknown: it has not moved."""
     frame, mounted = view.frame, view.vehicle_from_radar
     then = before(frame.stamp_ns)
     if now is None or then is None or now.frame != then.frame:
@@ -114,10 +107,7 @@ def in_vehicle(view: RadarView, stamp_ns: int, now: OdometryPose | None, before:
 
 
 def joined(views: Sequence[RadarView], grid: BevGrid) -> BevFrame:
-    """Return one frame of views in the vehicle's frame at one time; each keeps its mask in the radar's own axes.
-
-    The scan is that of the first view.
-    """
+    """Return one frame of views in the vehicle's frame, the first one's scan; masks keep their radar's axes."""
     frames = [view.frame for view in views]
     walls, wall_of = _joined_walls([frame.walls for frame in frames])
     objects: list[HiddenObject] = []
@@ -142,9 +132,7 @@ def joined(views: Sequence[RadarView], grid: BevGrid) -> BevFrame:
 
 
 def joined_objects(first: Sequence[HiddenObject], second: Sequence[HiddenObject]) -> list[HiddenObject]:
-    """Return the objects of two radars in one frame, those that both see once; the pairs are those of least distance
-    in all.
-    """
+    """Return the objects of two radars in one frame, those that both see once, in pairs of least distance in all."""
     distance2 = np.full((len(first), len(second)), math.inf)
     for row, column in np.ndindex(distance2.shape):
         distance2[row, column] = _distance2(first[row], second[column])
@@ -158,10 +146,7 @@ def joined_objects(first: Sequence[HiddenObject], second: Sequence[HiddenObject]
 def covariance_intersection(
     first_m: np.ndarray, first_m2: np.ndarray, second_m: np.ndarray, second_m2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return position [2] and covariance [2, 2] of two estimates of one place whose common errors are not known.
-
-    The covariance is that of least trace; it is never less than the errors are, however they depend on each other.
-    """
+    """Return position [2] and covariance [2, 2], of least trace, of two estimates whose common errors are unknown."""
     first, second = np.linalg.inv(first_m2), np.linalg.inv(second_m2)
 
     def covariance(share: float) -> np.ndarray:
@@ -188,10 +173,7 @@ def _distance2(first: HiddenObject, second: HiddenObject) -> float:
 
 
 def _one_of(first: HiddenObject, second: HiddenObject) -> HiddenObject:
-    """Return one object of two views of it: the likelier one's shape, and the place of both.
-
-    Its existence is that of the likelier one: a wall that is none deceives both.
-    """
+    """Return one object of two views: the likelier one's shape and existence, and the place of both."""
     likelier, less = (first, second) if first.score >= second.score else (second, first)
     place_m, less_m = (np.array([item.x_m, item.y_m]) for item in (likelier, less))
     position_m, covariance_m2 = covariance_intersection(

@@ -86,8 +86,7 @@ class ViewStage:
     def view(self, peaks: Peaks, ra_map: RangeAzimuthMap | None = None) -> BevFrame:
         """Return the view of one scan, with tracks and the vehicle's motion; `ValueError` for too many peaks.
 
-        Objects are those that the network sees in the scan's map; without either, or with peaks that no network has
-        detected, they are clusters of places.
+        Objects are the network's, or clusters of places without one, a map, or peaks that a network has detected.
         """
         ego = self._states.at(peaks.stamp_ns)
         with self._timed("geometry"):
@@ -106,10 +105,7 @@ class ViewStage:
         return msgspec.structs.replace(frame, ego=ego, flags=flags)
 
     def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None, ego: VehicleState | None) -> ObjectJudge | None:
-        """Return what sees the objects of a scan from a vehicle in a state; None: no network does.
-
-        It was trained on peaks that a network has detected: those of CFAR are another detector's.
-        """
+        """Return what sees the objects of a scan; None: no network does, as of peaks that CFAR has detected."""
         if self.predictor is None or ra_map is None or not peaks.detector or not self.predictor.suits(ra_map):
             return None
         moving = ego is not None and ego.valid and abs(ego.speed_mps) >= MOVING_MPS

@@ -1,8 +1,7 @@
 """Fusion of wall priors with the walls of a scan: what the radar sees decides where the two differ.
 
-A prior on the line of a measured wall, within the errors of both, corrects that wall and extends it; they become one.
-A prior that direct returns are seen through, or that runs beside or across a measured wall, extends nothing and is no
-wall of its own. Where the scan shows nothing, the prior is a wall: it can mirror and block.
+A prior on a measured wall's line corrects and extends it; one that is seen through, or runs beside or across, is no
+wall.
 """
 
 from __future__ import annotations
@@ -88,10 +87,7 @@ class _Entry:
 
 
 def fused(priors: Sequence[PlacedPrior], returns: ScanReturns, walls: list[Wall]) -> tuple[list[Wall], np.ndarray]:
-    """Return the walls of a scan with priors, and the wall of each return [N]; measured walls come first.
-
-    The result does not depend on the order of the priors: the more certain ones come first.
-    """
+    """Return the walls of a scan with priors, measured ones first, and the wall of each return [N]."""
     visible = [prior for prior in priors if _is_usable(prior.line)]
     nearest = sorted(visible, key=lambda prior: prior.line.range_m)[:MAX_WALLS]
     if not nearest:
@@ -107,9 +103,7 @@ def fused(priors: Sequence[PlacedPrior], returns: ScanReturns, walls: list[Wall]
 
 
 def is_one_wall(line: WallLine, other: WallLine, sigmas: float = SAME_SIGMAS) -> bool:
-    """Return whether two stretches are of one wall: no gap between them, one line within so many standard deviations
-    of both and the margins.
-    """
+    """Return whether two stretches are of one wall: no gap, one line within sigmas of both and the margins."""
     if line.gap_m(other) > JOIN_GAP_M:
         return False
     off, covariance = other.seen_at(line)
@@ -175,10 +169,7 @@ class _Fusion:
         return walls, wall_of_point
 
     def _agrees(self, prior: PlacedPrior, entry: _Entry) -> bool:
-        """Return whether a prior and a straight wall are one, within the errors of both.
-
-        Priors of one source must agree within the margins alone: its map says that they are two.
-        """
+        """Return whether a prior and a straight wall are one within errors; of one source within the margins alone."""
         if entry.curvature_per_m:
             return False
         sigmas = 0.0 if prior.source in entry.sources and not entry.members else SAME_SIGMAS

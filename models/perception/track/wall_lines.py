@@ -22,7 +22,7 @@ _LEAST_OFFSET_M, _LEAST_ANGLE_RAD = 1e-3, 1e-4
 class WallLine:
     """A stretch of wall: its middle [2], unit normal towards the radar [2] and half length [m].
 
-    `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); an offset grows away from the normal.
+    `covariance` [2, 2] of (offset at the middle, direction); an offset grows away from the normal.
     """
 
     middle_m: np.ndarray
@@ -106,11 +106,7 @@ class WallLine:
         return replace(self, middle_m=self.middle_m - shift_m * self.normal, normal=normal, covariance=covariance)
 
     def seen_at(self, other: WallLine) -> tuple[np.ndarray, np.ndarray]:
-        """Return this line as a measurement of another: its (offset, direction) at that one's middle [2], and their
-        covariance [2, 2].
-
-        Lines at right angles have no offset there: it is infinite.
-        """
+        """Return this line as a measurement of another: (offset, direction) at its middle, covariance; or inf."""
         own = self.facing(other)
         across = float(own.normal @ other.normal)
         turn_rad = math.atan2(other.normal[0] * own.normal[1] - other.normal[1] * own.normal[0], across)

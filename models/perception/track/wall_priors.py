@@ -47,10 +47,7 @@ class WallPriorStore:
             self._messages.popitem(last=False)
 
     def at(self, stamp_ns: int, pose_at: PoseAt, vehicle_from_radar: Pose2) -> list[PlacedPrior]:
-        """Return the priors of a scan in its radar frame: of each source those stamped last at or before the scan.
-
-        Messages older than `MAX_AGE_S`, and those from another odometry frame, are left out.
-        """
+        """Return the priors of a scan in its radar frame: of each source those stamped last, within `MAX_AGE_S`."""
         priors: list[PlacedPrior] = []
         for messages in self._messages.values():
             message = self._newest(messages, stamp_ns)

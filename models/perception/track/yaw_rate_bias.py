@@ -1,9 +1,6 @@
 """Bias of the yaw-rate gyroscope: estimated at rest, and while driving from steering and wheel speeds.
 
-At rest the gyroscope shows its bias. While driving, the yaw rate also follows from the steering, speed * curvature, and
-from the wheels, difference of the sides / track. Both have constant errors of their own (a steering wheel that is not
-centred, tyres of unequal size), which grow with the speed; the bias does not. A drive at several speeds, or a slow one,
-separates them; at one high speed they cannot be separated, and the standard deviation stays large.
+Their own constant errors grow with the speed, the bias does not: a drive at several speeds separates them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Histograms of first photons of a whole measurement: expected, drawn in closed form, and counted event by event.
+"""Histograms of first photons of a whole measurement: expected, and drawn in closed form.
 
 Photons arrive as a Poisson process whose rate repeats with the laser: Eqs. (11) and (12). Of each period the first
 detection is kept, its time rounded down to a tick and sorted into the period's bins (section 2.2). Ticks and bins are
@@ -16,23 +16,19 @@ import itertools
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from models.compiled import compiled
 from models.physics.photons.dead_time import SHORTEST_SHARE, ArmedLaw, armed_laws, dead_time_grid, decimal, regained
 from models.physics.photons.first_photon import first_photon_histogram, first_photon_probability
-from models.physics.photons.flux import Pulses, cell_of, counts_at, counts_between, flux_table, pulses_of, time_at
+from models.physics.photons.flux import Pulses, counts_between, pulses_of
 from msgs.values.lidar import SpadParams
 
 MAX_PHASES = 4096
 #: Bins of all phases and gates together, held in memory and drawn in closed form.
 MAX_BINS = 1 << 22
-#: Detections counted event by event: about four minutes.
-MAX_DETECTIONS = 10**9
+#: Cells of a free detector's law in one standard deviation of the pulse.
 CELLS_PER_RMS = 16
-#: Waiting times drawn at a time; bounds the memory of counting event by event.
-CHUNK = 1 << 16
 
 
 class Comb(NamedTuple):
@@ -86,31 +82,27 @@ def _phases(spad: SpadParams) -> int:
     return phases
 
 
-def exact_closed_form(spad: SpadParams) -> bool:
+def exact_draw(spad: SpadParams) -> bool:
     """Return whether `draw_histogram` has the exact law: periods are independent, as gated ones are."""
     return spad.arming == "gated" or spad.dead_time_s < SHORTEST_SHARE * spad.period_s or spad.pulses == 1
 
 
-def expected_histogram(
-    spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray, cells_per_rms: int = CELLS_PER_RMS
-) -> np.ndarray:
+def expected_histogram(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> np.ndarray:
     """Return the expected counts of the whole measurement, float64 [bins].
 
     `delay_s` [P], taken modulo the period, and `photons` [P], mean detected photons a pulse, of each path (Eq. (10)).
-    Exact for gated arming; for free arming an error that falls with the square of `cells_per_rms` (`dead_time`).
-    Raises `ValueError` for delays or photons that are negative or not finite, and for parameters that are too fine
-    (`comb`, `dead_time_grid`).
+    Exact for gated arming; for free arming an error that falls with the square of `CELLS_PER_RMS` (`dead_time`).
+    Raises `ValueError` for delays or photons that are negative or not finite, and for parameters that are too fine.
     """
-    return _by_phase(spad, pulses_of(spad, delay_s, photons), cells_per_rms).sum(axis=0)
+    return _by_phase(spad, pulses_of(spad, delay_s, photons)).sum(axis=0)
 
 
 def draw_histogram(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Draw the counts of a whole measurement in closed form, int64 [bins]; arguments, errors of `expected_histogram`.
 
-    Exact where `exact_closed_form` says so. Elsewhere each period has the right law but is drawn independently, as if
-    the dead time of its neighbours did not tie them together. Means are right. So are variances within a few percent of
-    a bin's while the dead time is a small part of the period (Table 2); from a period on the sum of all bins hardly
-    varies in truth (variance 25 times smaller with 100 ns), and here it does.
+    Exact where `exact_draw` says so. Elsewhere periods are drawn apart: means are right, and variances within a few
+    percent of a bin's while the dead time is a small part of the period (Table 2); from a period on the sum of all bins
+    hardly varies in truth (variance 25 times smaller with 100 ns), and here it does.
     """
     pulses = pulses_of(spad, delay_s, photons)
     if spad.arming == "gated":
@@ -121,67 +113,12 @@ def draw_histogram(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray, r
             ),
             np.zeros(spad.bins, np.int64),
         )
-    expected = _by_phase(spad, pulses, CELLS_PER_RMS)
+    expected = _by_phase(spad, pulses)
     periods = _phase_counts(0, spad.pulses, len(expected))
     share = expected / periods[:, None]
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1.0)
     none = np.maximum(1.0 - share.sum(axis=1, keepdims=True), 0.0)
     return rng.multinomial(periods, np.concatenate([share, none], axis=1))[:, :-1].sum(axis=0)
-
-
-def event_histogram(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw the counts of a whole measurement, event by event, int64 [bins]; arguments, errors of `expected_histogram`.
-
-    Exact for any dead time. Memory is constant; time goes with detections, of which there are at most as many as dead
-    times in the measurement, and one a period where there is none.
-    """
-    if spad.dead_time_s < SHORTEST_SHARE * spad.period_s:
-        # nothing ties the periods together: only the first photon matters
-        spad = msgspec.structs.replace(spad, arming="gated")
-    bins, histogram, last = comb(spad), np.zeros(spad.bins, np.int64), -1
-    for period, time_s in detections(spad, delay_s, photons, rng):
-        first = np.diff(period, prepend=last) != 0
-        _fill(histogram, *bins, period[first], time_s[first])
-        last = int(period[-1])
-    return histogram
-
-
-def detections(
-    spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray, rng: np.random.Generator
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield detections in order of time, in chunks: number of the period, int64, and time within it, float64 seconds.
-
-    Free arming yields those that are not kept too, gated arming one a period at most. Drawn are photons that meet an
-    armed detector: the next one comes when as many mean counts have passed as an exponential variable says, which is
-    the law of Eqs. (11) and (12) without the rest. Errors of `expected_histogram`, and if there would be more
-    than `MAX_DETECTIONS`.
-    """
-    table = flux_table(spad, pulses_of(spad, delay_s, photons))
-    free = spad.arming == "free"
-    _bounded(spad, float(table.counts[-1]))
-    whole, rest = divmod(decimal(spad.dead_time_s), 1 / decimal(spad.repetition_rate_hz))
-    for gate, (start, stop) in enumerate(_shares(spad)):
-        open_s, close_s = gate * spad.period_s / spad.gates, (gate + 1) * spad.period_s / spad.gates
-        window = (open_s, counts_at(open_s, *table), counts_at(close_s, *table))
-        dead = (min(int(whole), spad.pulses), float(rest), spad.period_s)
-        period, time_s = start, open_s
-        while period < stop and window[2] > window[1]:
-            count, period, time_s, periods, times_s = _detect(
-                rng.standard_exponential(CHUNK), *table, *window, *dead, free, period, stop, time_s
-            )
-            if count:
-                yield periods[:count], times_s[:count]
-
-
-def _bounded(spad: SpadParams, counts: float) -> None:
-    """Raise ValueError where detections of so many mean counts a period would take too long to count."""
-    # upper limit of the mean number of detections: each takes a dead time, or the rest of its gate
-    a_period = counts / (1.0 + counts * spad.dead_time_s / spad.period_s) if spad.arming == "free" else min(counts, 1.0)
-    if spad.pulses * a_period > MAX_DETECTIONS:
-        raise ValueError(
-            f"spad.measurement_time_s must hold at most {MAX_DETECTIONS} detections event by event, got about "
-            f"{spad.pulses * a_period:.0e} in {spad.measurement_time_s!r} s: count in closed form"
-        )
 
 
 def _shares(spad: SpadParams) -> list[tuple[int, int]]:
@@ -214,7 +151,7 @@ def _binned(values: np.ndarray, bins: Comb) -> np.ndarray:
     return histogram
 
 
-def _by_phase(spad: SpadParams, pulses: Pulses, cells_per_rms: int) -> np.ndarray:
+def _by_phase(spad: SpadParams, pulses: Pulses) -> np.ndarray:
     """Return the expected counts of the periods of each phase, float64 [phases, bins]."""
     bins = comb(spad)
     values = np.zeros((len(bins.edges_s), spad.bins + 1))
@@ -222,15 +159,15 @@ def _by_phase(spad: SpadParams, pulses: Pulses, cells_per_rms: int) -> np.ndarra
         for counts, periods in _gates(spad, pulses):
             values += periods[:, None] * first_photon_probability(counts)[0]
     else:
-        _add_free(values, spad, pulses, cells_per_rms)
+        _add_free(values, spad, pulses)
     histogram = values[:, 1:].copy()
     histogram[np.arange(len(values)), bins.first_bin] += values[:, 0]
     return histogram
 
 
-def _add_free(values: np.ndarray, spad: SpadParams, pulses: Pulses, cells_per_rms: int) -> None:
+def _add_free(values: np.ndarray, spad: SpadParams, pulses: Pulses) -> None:
     """Add expected counts [phases, bins + 1] of free arming, period by period while its law changes."""
-    edges_s, grid = comb(spad).edges_s, dead_time_grid(spad, cells_per_rms)
+    edges_s, grid = comb(spad).edges_s, dead_time_grid(spad, CELLS_PER_RMS)
     nodes_s = np.linspace(0.0, spad.period_s, grid.cells + 1)
     points_s = np.unique(np.concatenate([nodes_s, edges_s.ravel()]))
     between = counts_between(spad, pulses, points_s)
@@ -274,40 +211,3 @@ def _sum_within(between, node, since):  # type: ignore[no-untyped-def]
         since[point] = total
         if point < len(between):
             total += between[point]
-
-
-@compiled
-def _detect(  # type: ignore[no-untyped-def]
-    waits, table_s, counts, rate_hz, open_s, low, high, dead_periods, dead_s, period_s, free, period, stop, time_s
-):
-    """Return detections until the waiting times or the periods are used up, and the state for the next call."""
-    periods, times_s, count = np.empty(len(waits), np.int64), np.empty(len(waits)), 0
-    for wait in waits:
-        level = wait + max(counts_at(time_s, table_s, counts, rate_hz) - low, 0.0)
-        # whole periods (gates) without a photon
-        ratio = level / (high - low)
-        if ratio >= stop - period:
-            period = stop
-            break
-        passed = int(ratio)
-        period += passed
-        time_s = time_at(low + max(level - passed * (high - low), 0.0), table_s, counts, rate_hz)
-        periods[count], times_s[count] = period, time_s
-        count += 1
-        if free:
-            time_s, period = time_s + dead_s, period + dead_periods
-            if time_s >= period_s:
-                time_s, period = time_s - period_s, period + 1
-        else:
-            time_s, period = open_s, period + 1
-        if period >= stop:
-            break
-    return count, period, time_s, periods, times_s
-
-
-@compiled
-def _fill(histogram, edges_s, first_bin, period, time_s):  # type: ignore[no-untyped-def]
-    for photon in range(len(period)):
-        phase = period[photon] % len(edges_s)
-        index = cell_of(time_s[photon], edges_s[phase])
-        histogram[index if index >= 0 else first_bin[phase]] += 1

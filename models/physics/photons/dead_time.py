@@ -66,7 +66,7 @@ def dead_time_grid(spad: SpadParams, cells_per_rms: int) -> DeadTimeGrid:
     if minimum > MAX_CELLS:
         raise ValueError(
             f"spad.irf_fwhm_s must be wider, {spad.irf_fwhm_s:g} s takes {minimum} cells a period of at most "
-            f"{MAX_CELLS}: count event by event, or choose spad.arming 'gated'"
+            f"{MAX_CELLS}: choose spad.arming 'gated'"
         )
     candidates = np.arange(minimum, minimum + min(minimum, 1 << 16))
     cells = int(candidates[np.argmin(np.abs(candidates * share - np.rint(candidates * share)))])

@@ -1,26 +1,9 @@
 """Surfaces at 850 nm and the photons that come back from them: indices, Eqs. (13)-(16), and the chain of Eq. (10).
 
-Light on a surface is reflected by its face, |Gamma|^2, or enters it. Of the reflected part the smooth face keeps a
-mirror, rho_rough, and the rest is scattered; of the entering part, `albedo` comes out again, scattered. Scattered
-light is Lambertian. Energy is conserved: mirror, scattered light and loss add up to the incident light.
-
-A worked example, Table 2 and a matt target of albedo 0.5 seen head-on at 8 m:
-
-    pulse         E_p = 1.6 mW / 15 MHz = 1.06667e-10 J
-    one photon    E_ph = h c / 850 nm = 2.33700e-19 J, so 4.56427e8 photons a pulse
-    optics        0.6 x 0.6, then 0.28 detected: 4.60078e7 if all of it came back
-    target        0.5 x cos 0 = 0.5
-    aperture      (5 mm / 8 m)^2 = 3.90625e-7
-    detected      4.60078e7 x 0.5 x 3.90625e-7 = 8.98590 photons a pulse
-
-The same target behind two bounces at smooth glass (n = 1.51) at 60 deg, image at 8 m: |Gamma|^2 = 0.09084 each time,
-so 8.98590 x 0.09084^2 = 0.07415. Via a matt wall of albedo 0.5 at 5 m, head-on, a patch of 0.0625 m^2 and albedo
-0.5 that faces the spot over 2 m:
-
-    wall to patch        0.5 / pi x 0.0625 / 2^2              = 2.48680e-3
-    patch to footprint   0.5 / pi x pi (5 m x 1 mrad)^2 / 2^2 = 3.12500e-6
-    footprint back       0.5 x (5 mm / 5 m)^2                 = 5.00000e-7
-    detected             4.60078e7 x 3.88562e-15              = 1.78769e-7 photons a pulse
+A face reflects |Gamma|^2, of which a smooth one keeps a mirror, rho_rough; of what enters `albedo` comes out. Scattered
+light is Lambertian, and energy is conserved. Table 2 and a matt target of albedo 0.5, head-on at 8 m: 1.6 mW / 15 MHz
+of 2.337e-19 J photons, optics 0.6 x 0.6, 0.28 detected, (5 mm / 8 m)^2: 8.986 photons a pulse; behind two bounces at
+glass at 60 deg 8.986 x 0.0908^2 = 0.0742; by way of a matt wall at 5 m from a patch of 0.0625 m^2 2 m off 1.8e-7.
 """
 
 from __future__ import annotations
@@ -104,10 +87,10 @@ def matt_albedo(material: OpticalMaterial) -> float:
 
 
 def fresnel_power(index: ArrayLike, cos_theta: ArrayLike) -> np.ndarray:
-    """Return the power share |Gamma|^2 that a smooth face in air reflects (broadcast), Eq. (13).
+    """Return the power share |Gamma|^2 that a smooth face in air reflects (broadcast), Eq. (13), `index` n + jk.
 
-    `index` is n + jk. The mean (|TE|^2 + |TM|^2) / 2, unpolarised light: of Eq. (14) as printed, |(TE + TM) / 2|^2, the
-    two cancel at normal incidence. Raises ValueError unless n > 0, k >= 0 and cosines lie in 0..1.
+    The mean (|TE|^2 + |TM|^2) / 2: of Eq. (14) as printed the two cancel at normal incidence. ValueError for no index
+    or cosine.
     """
     permittivity, cos_theta = _permittivity(index), np.asarray(cos_theta, np.float64)
     te = half_space_reflection(permittivity, cos_theta, "te")
@@ -121,10 +104,7 @@ def optical_reflectance(
     roughness_m: ArrayLike,
     wavelength_m: float,
 ) -> np.ndarray:
-    """Return the power share rho_opt that one bounce leaves in the mirror's direction (broadcast), Eqs. (15)-(16).
-
-    Raises ValueError as `fresnel_power`, and for a negative roughness.
-    """
+    """Return the power share rho_opt of a bounce in the mirror's direction (broadcast), Eqs. (15)-(16)."""
     roughness_m = np.asarray(roughness_m, np.float64)
     if not np.all(np.isfinite(roughness_m) & (roughness_m >= 0.0)):
         raise ValueError(f"roughness_m must be finite and not negative, got {roughness_m!r}")
@@ -138,10 +118,7 @@ def diffuse_reflectance(
     roughness_m: ArrayLike,
     wavelength_m: float,
 ) -> np.ndarray:
-    """Return the power share that a surface scatters (broadcast): |Gamma|^2 (1 - rho_rough) + (1 - |Gamma|^2) albedo.
-
-    With `optical_reflectance` it is never more than 1. Raises ValueError as there, and for an albedo outside 0..1.
-    """
+    """Return the scattered power share (broadcast): |Gamma|^2 (1 - rho_rough) + (1 - |Gamma|^2) albedo; ValueError."""
     albedo = _share("albedo", albedo)
     face = fresnel_power(index, cos_theta)
     scattered = diffuse_share(np.asarray(roughness_m), np.asarray(cos_theta), wavelength_m)
@@ -163,10 +140,9 @@ def direct_photons(
 ) -> np.ndarray:
     """Return mean detections per pulse of a matt surface that fills the beam, Eq. (10): albedo cos psi (a / r)^2.
 
-    Broadcast. Via mirrors `range_m` is that of the image, and each outbound and inbound bounce takes its share on
-    top. `spread_m` is the width of the beam per radian of its divergence in the plane of a curved mirror, `range_m` if
-    all mirrors are flat; focusing never exceeds the total: (a / r)^2 stands for a^2 / (r^2 + a^2). Raises
-    ValueError for a range that is not positive, and for an albedo or a cosine outside 0..1.
+    Broadcast. Via mirrors `range_m` is that of the image; `spread_m` is the beam's width per radian of divergence in
+    the plane of a curved mirror (`range_m` if flat). ValueError for a range that is not positive, and shares outside
+    0..1.
     """
     range_m, aperture_m = _lengths("range_m", range_m), spad.aperture_radius_m
     spread_m = range_m if spread_m is None else np.asarray(spread_m, np.float64)
@@ -186,11 +162,9 @@ def confocal_photons(
 ) -> np.ndarray:
     """Return mean detections per pulse of a hidden patch via a matt wall (broadcast), Eqs. (8) and (10): L^-4.
 
-    Laser and detector share one spot on the wall. Light goes from there to the patch (`segment_m`, cosines at both
-    ends), back to the spot, and on to the aperture. The spot pi (r delta / 2)^2 / cos psi is seen under the same cos
-    psi, so neither enters, and grazing or distant spots need no special case; a spot reaching over the wall's end is
-    neglected. If a patch is as near as it is large, each segment takes at most all light. Raises ValueError for lengths
-    that are not positive, a negative area, and shares or cosines outside 0..1.
+    Laser and detector share one spot, pi (r delta / 2)^2 / cos psi, seen under the same cos psi, which cancels; a spot
+    over the wall's end is neglected, and no segment takes more than all light. ValueError for lengths that are not
+    positive, a negative area, and shares or cosines outside 0..1.
     """
     wall_range_m, segment_m = _lengths("wall_range_m", wall_range_m), _lengths("segment_m", segment_m)
     if not np.all(np.asarray(object_area_m2) >= 0.0):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import exponnorm, norm
 
-from models.physics.photons.counting import event_histogram, expected_histogram
-from models.physics.photons.flux import counts_at, counts_between, flux_table, pulses_of, share_within
+from models.physics.photons.counting import draw_histogram, expected_histogram
+from models.physics.photons.flux import counts_between, pulses_of, share_within
 from msgs.values.lidar import SpadParams
 
 DELAY_S = 20e-9
@@ -43,21 +43,11 @@ def test_photons_are_conserved_however_often_a_tail_wraps(tail_s: float) -> None
     assert counts_between(spad, pulses, np.linspace(0.0, spad.period_s, 300)).sum() == pytest.approx(3.0, rel=1e-13)
 
 
-def test_the_table_of_counting_event_by_event_follows_the_tail() -> None:
-    """A cubic between nodes, 1/32 of a delay apart: 1e-8 of the photons, as the table promises."""
-    spad = with_tail(0.4, 0.3e-9)
-    pulses = pulses_of(spad, [DELAY_S], [1.0])
-    table = flux_table(spad, pulses)
-    time_s = np.sort(np.random.default_rng(0).uniform(19e-9, 40e-9, 500))
-    found = np.diff([counts_at(float(one), *table) for one in time_s])
-    assert found == pytest.approx(counts_between(spad, pulses, time_s), abs=1e-8)
-
-
-def test_events_have_the_expected_tail() -> None:
+def test_draws_have_the_expected_tail() -> None:
     """177,000 photons: chi-square per bin of those with 20 expected or more, 1 but for counting (sd 0.21)."""
     spad = msgspec.structs.replace(with_tail(0.4, 1e-9), arming="gated")
     paths = np.array([DELAY_S]), np.array([0.5])
-    expected, counted = expected_histogram(spad, *paths), event_histogram(spad, *paths, np.random.default_rng(2))
+    expected, counted = expected_histogram(spad, *paths), draw_histogram(spad, *paths, np.random.default_rng(2))
     some = expected > 20.0
     assert some.sum() > 40
     assert np.mean(np.square(counted - expected)[some] / expected[some]) < 1.5
