@@ -19,13 +19,8 @@ from tests.stability.catalogue import Errors
 EPOCH_NS = 1_763_750_000_123_456_789
 
 
-@pytest.mark.hard(
-    where="contrib.calibrate.background.background_of",
-    naive="plain mean over scans",
-    bound=3.0,
-    unit="rms of the background's noise",
-    source="noise of a mean of 32 scans, one bin",
-)
+@pytest.mark.hard("contrib.calibrate.background.background_of", "plain mean over scans", 3.0,
+                  "rms of the background's noise", "noise of a mean of 32 scans, one bin")  # fmt: skip
 def test_lorry_in_the_open_field(errors: Errors) -> None:
     """A lorry crosses the field 60 dB over a scan's noise, in one cell in three of 32 scans."""
     rng = np.random.default_rng(5)
@@ -41,13 +36,8 @@ def test_lorry_in_the_open_field(errors: Errors) -> None:
     errors(naive=left(chirps.mean(axis=0)), ours=left(background))
 
 
-@pytest.mark.hard(
-    where="contrib.calibrate.noise_floor._median_mean",
-    naive="mean power of the bins",
-    bound=0.1,
-    unit="dB",
-    source="median of 4,096 exponential powers",
-)
+@pytest.mark.hard("contrib.calibrate.noise_floor._median_mean", "mean power of the bins", 0.1, "dB",
+                  "median of 4,096 exponential powers")  # fmt: skip
 def test_tone_in_the_noise(errors: Errors) -> None:
     """Eight of 4,096 bins hold tones of 50 dB over the noise whose level is asked for."""
     power = np.random.default_rng(6).exponential(size=4096)
@@ -58,13 +48,8 @@ def test_tone_in_the_noise(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="contrib.calibrate.mounting.Motion.poses",
-    naive="headings wrapped to half a turn, then interpolated",
-    bound=1e-3,
-    unit="rad",
-    source="a state every 20 ms at 0.5 rad/s; straight lines between headings are exact",
-)
+@pytest.mark.hard("contrib.calibrate.mounting.Motion.poses", "headings wrapped to half a turn, then interpolated", 1e-3,
+                  "rad", "a state every 20 ms at 0.5 rad/s; straight lines between headings are exact")  # fmt: skip
 def test_roundabout(errors: Errors) -> None:
     """Three turns of a roundabout at stamps of this century: between two states the heading passes half a turn."""
     states = [
@@ -81,13 +66,9 @@ def test_roundabout(errors: Errors) -> None:
     errors(naive=off(wrapped), ours=off(motion.poses(asked_s)[:, 2]))
 
 
-@pytest.mark.hard(
-    where="contrib.calibrate.front_end_faults.FaultMeter.imbalance",
-    naive="ratio of image to echo, however small the echo",
-    bound=0.0,
-    unit="of the echo's field",
-    source="noise has no image",
-)
+@pytest.mark.hard("contrib.calibrate.front_end_faults.FaultMeter.imbalance",
+                  "ratio of image to echo, however small the echo", 0.0, "of the echo's field",
+                  "noise has no image")  # fmt: skip
 def test_a_capture_of_noise_alone(errors: Errors) -> None:
     """No echo in the beam: both sides of the spectrum hold noise, and their ratio is no imbalance."""
     rng = np.random.default_rng(4)
@@ -101,13 +82,8 @@ def test_a_capture_of_noise_alone(errors: Errors) -> None:
     errors(naive=float(naive), ours=0.0 if found is None else 10.0 ** (found.image_db / 20.0))
 
 
-@pytest.mark.hard(
-    where="contrib.calibrate.front_end_faults.sidebands_of",
-    naive="strongest line beside the echoes",
-    bound=0.5,
-    unit="dB",
-    source="10 ranges of a line of -40 dB, in noise of 65,536 bins",
-)
+@pytest.mark.hard("contrib.calibrate.front_end_faults.sidebands_of", "strongest line beside the echoes", 0.5, "dB",
+                  "10 ranges of a line of -40 dB, in noise of 65,536 bins")  # fmt: skip
 def test_a_mover_beside_the_sidebands(errors: Errors) -> None:
     """Lines of -40 dB at both sides of ten echoes, and a target that moves, 20 dB over all of them, on one line."""
     radar = RadarParams(chirps_per_beam=64, samples_per_chirp=1024)

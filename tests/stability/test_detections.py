@@ -22,13 +22,7 @@ MAPPING = {
 }  # fmt: skip
 
 
-@pytest.mark.hard(
-    where="contrib.imports.detection_tables",
-    naive="seconds as a double",
-    bound=0.0,
-    unit="ns",
-    source="decimal digits and integers",
-)
+@pytest.mark.hard("contrib.imports.detection_tables", "seconds as a double", 0.0, "ns", "decimal digits and integers")
 def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: Path) -> None:
     """Seconds since 1970 with nine decimals: doubles lie 240 ns apart."""
     true_ns = (1_700_000_000 * 10**9 + np.arange(1000) * 50_000_003).tolist()
@@ -44,13 +38,9 @@ def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: 
     )
 
 
-@pytest.mark.hard(
-    where="contrib.imports.detection_columns",
-    naive="longitudinal error as that of range, lateral as that of azimuth",
-    bound=1e-9,
-    unit="relative",
-    source="rounding of a rotation there and back",
-)
+@pytest.mark.hard("contrib.imports.detection_columns",
+                  "longitudinal error as that of range, lateral as that of azimuth", 1e-9, "relative",
+                  "rounding of a rotation there and back")  # fmt: skip
 def test_covariances_turn_with_the_azimuth(errors: Errors) -> None:
     """0.1 m along and 1 m across: at 80 deg the range has the lateral error; turned back, the plane's comes out."""
     variance_m2 = np.tile([0.01, 1.0], (81, 1))
@@ -66,13 +56,8 @@ def test_covariances_turn_with_the_azimuth(errors: Errors) -> None:
     errors(naive=float(naive_error), ours=float(ours_error))
 
 
-@pytest.mark.hard(
-    where="contrib.imports.detection_columns",
-    naive="degrees to radians alone",
-    bound=1e-12,
-    unit="rad",
-    source="rounding of the remainder",
-)
+@pytest.mark.hard("contrib.imports.detection_columns", "degrees to radians alone", 1e-12, "rad",
+                  "rounding of the remainder")  # fmt: skip
 def test_azimuths_of_a_full_turn_come_out_around_the_front(errors: Errors) -> None:
     """A sensor that counts 0..360 deg clockwise: 350 deg are 10 deg to the left."""
     degrees = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 359.999])
@@ -86,13 +71,7 @@ def test_azimuths_of_a_full_turn_come_out_around_the_front(errors: Errors) -> No
     )
 
 
-@pytest.mark.hard(
-    where="contrib.boards.target_list",
-    naive="difference of counters as they are",
-    bound=0.0,
-    unit="scans",
-    source="integers",
-)
+@pytest.mark.hard("contrib.boards.target_list", "difference of counters as they are", 0.0, "scans", "integers")
 def test_scan_numbers_go_on_at_the_counters_wrap(errors: Errors) -> None:
     """65534, 65535, 0, 2: one measurement is missing, not minus 65535."""
     counters = (65534, 65535, 0, 2)

@@ -208,8 +208,8 @@ def test_files_hold_no_path_of_the_machine_that_wrote_them(exported: bytes) -> N
     assert all(not node.doc_string for node in onnx.load_from_string(exported).graph.node)
 
 
-@pytest.mark.hard(where="models.perception.onnx_session", naive="pairs of products added up in 16 bits", bound=0.0,
-                  unit="steps of 8 bits", source="integers are exact")  # fmt: skip
+@pytest.mark.hard("models.perception.onnx_session", "pairs of products added up in 16 bits", 0.0, "steps of 8 bits",
+                  "integers are exact")  # fmt: skip
 def test_sums_of_integer_products_are_exact_on_this_processor(errors: Errors) -> None:
     """16 products of 255 and 127: two of them pass 32,767, where the fast kernels of AVX2 cut them off."""
     products = np.full(16, 255 * 127)

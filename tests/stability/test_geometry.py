@@ -222,13 +222,8 @@ def centre_hit_share(image_m: np.ndarray, one: Wall) -> float:
     return float(ways[np.abs(ways - 2.0 / 3.0).argmin()])
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.mirror_table",
-    naive="circle about its centre",
-    bound=1e-12,
-    unit="m",
-    source="sagitta below 1e-14 m, rounding",
-)
+@pytest.mark.hard("models.perception.mirrors.mirror_table", "circle about its centre", 1e-12, "m",
+                  "sagitta below 1e-14 m, rounding")  # fmt: skip
 def test_all_but_flat_arc_is_its_chord(errors: Errors) -> None:
     """Curvature 1e-16 1/m: a centre 1e16 m away is off by metres, and the squares of both legs are all the same."""
     arc, image_m = wall((24.0, -10.0), (24.0, 10.0), 1e-16), np.array([36.0, 5.0])
@@ -240,13 +235,8 @@ def test_all_but_flat_arc_is_its_chord(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.image_walls",
-    naive="difference of two arctan2",
-    bound=0.0,
-    unit="rad",
-    source="the nearest of three, by hand",
-)
+@pytest.mark.hard("models.perception.mirrors.image_walls", "difference of two arctan2", 0.0, "rad",
+                  "the nearest of three, by hand")  # fmt: skip
 def test_nearest_direction_behind_the_radar(errors: Errors) -> None:
     """An image at 179 degrees, returns at -179, 170 and 0: 2 degrees across the cut of the angles, or 358."""
     image_rad, returns_rad = math.radians(179.0), np.radians([-179.0, 170.0, 0.0])
@@ -269,13 +259,8 @@ def face_of(points_m: np.ndarray, variance_m2: float = 1e-6) -> Recovered:
     )  # fmt: skip
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.recovered_objects",
-    naive="mean of the directions from point to point",
-    bound=1e-12,
-    unit="rad",
-    source="symmetry; rounding of 15 m over 4 m of face",
-)
+@pytest.mark.hard("models.perception.mirrors.recovered_objects", "mean of the directions from point to point", 1e-12,
+                  "rad", "symmetry; rounding of 15 m over 4 m of face")  # fmt: skip
 def test_yaw_of_a_face_across_the_view(errors: Errors) -> None:
     """Points a centimetre to either side of x = 15: directions near +90 and -90 degrees, the same, mean 0."""
     points_m = np.stack([15.0 + 0.01 * np.cos(np.pi * np.arange(9)), np.linspace(9.0, 13.0, 9)], axis=1)
@@ -286,13 +271,8 @@ def test_yaw_of_a_face_across_the_view(errors: Errors) -> None:
     errors(naive=abs(abs(naive_rad) - quarter), ours=abs(abs(box.yaw_rad) - quarter))
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.recovered_objects",
-    naive="E[p p'] - E[p] E[p]'",
-    bound=0.0,
-    unit="boxes",
-    source="scatter is no less than nothing, errors are more",
-)
+@pytest.mark.hard("models.perception.mirrors.recovered_objects", "E[p p'] - E[p] E[p]'", 0.0, "boxes",
+                  "scatter is no less than nothing, errors are more")  # fmt: skip
 def test_covariance_of_a_face_without_depth(errors: Errors) -> None:
     """50 faces of exactly collinear points 100 m away: moments about the radar leave negative variances across them."""
     rng = np.random.default_rng(4)
@@ -316,13 +296,8 @@ def is_positive(covariance: np.ndarray) -> bool:
     return True
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.recovery",
-    naive="(J C) J' in float32",
-    bound=0.0,
-    unit="peaks",
-    source="J is invertible: J C J' is positive definite",
-)
+@pytest.mark.hard("models.perception.mirrors.recovery", "(J C) J' in float32", 0.0, "peaks",
+                  "J is invertible: J C J' is positive definite")  # fmt: skip
 def test_covariance_of_far_peaks_with_fine_range(errors: Errors) -> None:
     """100 peaks at 100 m, 1 mm by 4 degrees: 5e7 between the variances, more than float32 holds off the axes."""
     rng = np.random.default_rng(5)
@@ -338,13 +313,8 @@ def test_covariance_of_far_peaks_with_fine_range(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.recovered_objects",
-    naive="int64 sum over the number",
-    bound=1.0,
-    unit="ns",
-    source="rounded towards the first stamp",
-)
+@pytest.mark.hard("models.perception.mirrors.recovered_objects", "int64 sum over the number", 1.0, "ns",
+                  "rounded towards the first stamp")  # fmt: skip
 def test_stamp_of_an_object(errors: Errors) -> None:
     """Nine stamps of 1.7e18 ns add up to 1.5e19: int64 ends at 9.2e18."""
     points_m = np.stack([np.full(9, 15.0), np.linspace(9.0, 13.0, 9)], axis=1)

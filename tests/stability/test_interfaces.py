@@ -101,13 +101,8 @@ def exact_half_space(medium: complex, cosine: float, polarisation: Polarisation)
         return complex((outer - q) / (outer + q))
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="characteristic matrix, cos and sin of a complex phase",
-    bound=2e-15,
-    unit="",
-    source="the half-space as limit; rounding of four factors",
-)
+@pytest.mark.hard("models.physics.fresnel", "characteristic matrix, cos and sin of a complex phase", 2e-15, "",
+                  "the half-space as limit; rounding of four factors")  # fmt: skip
 def test_opaque_slab_is_a_half_space(errors: Errors) -> None:
     """A metal plate of 1 m and 50 m of concrete: the wave that grows on the way back is e^{+6e5} and e^{+1227}."""
     naive, ours = [], []
@@ -120,13 +115,8 @@ def test_opaque_slab_is_a_half_space(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="characteristic matrices multiplied",
-    bound=4e-15,
-    unit="",
-    source="rounding of four interfaces in float64",
-)
+@pytest.mark.hard("models.physics.fresnel", "characteristic matrices multiplied", 4e-15, "",
+                  "rounding of four interfaces in float64")  # fmt: skip
 def test_opaque_sheet_in_a_stack(errors: Errors) -> None:
     """Plaster, 2 mm of metal, concrete: infinity times nothing inside the product; what is behind must not matter."""
     media, thicknesses = [3.0, METAL, CONCRETE], [9e-3, 2e-3, 0.2]
@@ -139,13 +129,9 @@ def test_opaque_sheet_in_a_stack(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="backward transmission as det(M) / M of the characteristic matrix",
-    bound=2e-13,
-    unit="relative",
-    source="three roundings (1e-16 each) of the phases k q d, 340 rad, and of ten factors",
-)
+@pytest.mark.hard("models.physics.fresnel", "backward transmission as det(M) / M of the characteristic matrix", 2e-13,
+                  "relative",
+                  "three roundings (1e-16 each) of the phases k q d, 340 rad, and of ten factors")  # fmt: skip
 def test_a_lossy_stack_is_reciprocal(errors: Errors) -> None:
     """Two wet walls and an air gap let e^-54 through, the same both ways; det(M) = 1 is a difference of e^+108."""
     media, thicknesses = [12.0 - 4.0j, 1.0, 7.0 - 2.0j], [0.3, 0.1, 0.2]
@@ -159,13 +145,8 @@ def test_a_lossy_stack_is_reciprocal(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="characteristic matrices multiplied",
-    bound=4e-15,
-    unit="",
-    source="energy: |r|^2 + |t|^2 = 1 without losses; rounding of four interfaces",
-)
+@pytest.mark.hard("models.physics.fresnel", "characteristic matrices multiplied", 4e-15, "",
+                  "energy: |r|^2 + |t|^2 = 1 without losses; rounding of four interfaces")  # fmt: skip
 def test_energy_in_total_reflection_inside_a_stack(errors: Errors) -> None:
     """Denser to thinner: eps 4, then 0.01 to 10 m of eps 0.5 at 60 deg, where all is evanescent: e^{+1048}."""
     naive, ours = [], []
@@ -181,13 +162,7 @@ def test_energy_in_total_reflection_inside_a_stack(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="principal square root of eps - sin^2",
-    bound=1e-15,
-    unit="",
-    source="rounding of Eq. (13)",
-)
+@pytest.mark.hard("models.physics.fresnel", "principal square root of eps - sin^2", 1e-15, "", "rounding of Eq. (13)")
 def test_branch_of_total_reflection(errors: Errors) -> None:
     """Denser to thinner, lossless: the principal root has Im > 0, a wave that grows; |r| = 1 hides the wrong phase."""
     naive, ours = [], []
@@ -200,13 +175,8 @@ def test_branch_of_total_reflection(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="sin(a - b) / sin(a + b) and tan(a - b) / tan(a + b)",
-    bound=1e-15,
-    unit="",
-    source="rounding of Eq. (13)",
-)
+@pytest.mark.hard("models.physics.fresnel", "sin(a - b) / sin(a + b) and tan(a - b) / tan(a + b)", 1e-15, "",
+                  "rounding of Eq. (13)")  # fmt: skip
 def test_normal_incidence(errors: Errors) -> None:
     """Fresnel's laws in angles are 0 / 0 for the ray that matters most, straight on."""
     outside, inside = 0.0, np.arcsin(0.0 / 2.0)
@@ -217,13 +187,7 @@ def test_normal_incidence(errors: Errors) -> None:
     errors(naive=np.abs([te + 1.0 / 3.0, tm - 1.0 / 3.0]).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="eps - sin^2 written out",
-    bound=2e-15,
-    unit="",
-    source="rounding of Eq. (13)",
-)
+@pytest.mark.hard("models.physics.fresnel", "eps - sin^2 written out", 2e-15, "", "rounding of Eq. (13)")
 def test_hot_air_at_89_999_deg(errors: Errors) -> None:
     """Air over hot ground, eps - 1 = +-1e-8, mirrors at grazing alone: eps and sin^2 agree in eight digits."""
     angle = np.radians(89.999)
@@ -238,13 +202,7 @@ def test_hot_air_at_89_999_deg(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="cosine of incidence from the sine",
-    bound=2e-15,
-    unit="",
-    source="rounding of Eq. (13)",
-)
+@pytest.mark.hard("models.physics.fresnel", "cosine of incidence from the sine", 2e-15, "", "rounding of Eq. (13)")
 def test_metal_at_its_pseudo_brewster_angle(errors: Errors) -> None:
     """TM on metal turns from +1 to -1 within a minute of arc of grazing, at cos = 1 / |n| = 2.4e-4."""
     cosine = float(1.0 / np.abs(np.sqrt(METAL)))
@@ -262,13 +220,7 @@ def single(medium: complex, cosine: float, polarisation: Polarisation) -> np.com
     return np.complex64((outer - q) / (outer + q))
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="Eq. (13) in complex64",
-    bound=1e-15,
-    unit="",
-    source="rounding of Eq. (13)",
-)
+@pytest.mark.hard("models.physics.fresnel", "Eq. (13) in complex64", 1e-15, "", "rounding of Eq. (13)")
 def test_brewster_null(errors: Errors) -> None:
     """Lossless walls of eps 2 to 80, TM at tan = n: nothing comes back but rounding."""
     media = np.linspace(2.0, 80.0, 40)
@@ -278,13 +230,8 @@ def test_brewster_null(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="1 + r of Eq. (13) in complex64",
-    bound=2e-12,
-    unit="relative",
-    source="four roundings of r near -1, over |1 + r| = 2 / |n| = 4.7e-4",
-)
+@pytest.mark.hard("models.physics.fresnel", "1 + r of Eq. (13) in complex64", 2e-12, "relative",
+                  "four roundings of r near -1, over |1 + r| = 2 / |n| = 4.7e-4")  # fmt: skip
 def test_what_metal_takes(errors: Errors) -> None:
     """Metal limit: all that tells a metal from a perfect one is 1 + r = 2 / n, lost beside -1 in single precision."""
     naive, ours = [], []
@@ -301,13 +248,8 @@ def exact_excess(medium: complex) -> complex:
         return complex(2 / (1 + mp.sqrt(mp.mpmathify(medium))))
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="r (1 - p) / (1 - r^2 p) with p = exp(-2j k q d)",
-    bound=1e-14,
-    unit="relative",
-    source="rounding of ten factors in float64",
-)
+@pytest.mark.hard("models.physics.fresnel", "r (1 - p) / (1 - r^2 p) with p = exp(-2j k q d)", 1e-14, "relative",
+                  "rounding of ten factors in float64")  # fmt: skip
 def test_a_film_of_one_molecule(errors: Errors) -> None:
     """0.3 nm in air, straight on and at 89.999 deg: what it returns, 1e-7 of the field, is what 1 - p has left."""
     medium = CONCRETE
@@ -322,13 +264,8 @@ def test_a_film_of_one_molecule(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="1 - r^2 subtracted",
-    bound=1e-14,
-    unit="relative",
-    source="rounding of ten factors in float64",
-)
+@pytest.mark.hard("models.physics.fresnel", "1 - r^2 subtracted", 1e-14, "relative",
+                  "rounding of ten factors in float64")  # fmt: skip
 def test_through_a_metal_coat_at_89_999_deg(errors: Errors) -> None:
     """10 nm of metal on a pane: r is within 1e-8 of -1, and what enters is 1 - r^2."""
     cosine, thickness_m = float(np.cos(np.radians(89.999))), 1e-8
@@ -340,13 +277,8 @@ def test_through_a_metal_coat_at_89_999_deg(errors: Errors) -> None:
     errors(naive=abs(naive / exact - 1.0), ours=abs(ours / exact - 1.0))
 
 
-@pytest.mark.hard(
-    where="models.physics.fresnel",
-    naive="the first 100 inner bounces added up",
-    bound=7e-11,
-    unit="",
-    source="four roundings (1e-16 each) of the phase 2 k q d = 2 pi, over 1 - r^2 = 4e-5",
-)
+@pytest.mark.hard("models.physics.fresnel", "the first 100 inner bounces added up", 7e-11, "",
+                  "four roundings (1e-16 each) of the phase 2 k q d = 2 pi, over 1 - r^2 = 4e-5")  # fmt: skip
 def test_resonance_at_grazing(errors: Errors) -> None:
     """A half-wave pane at 89.999 deg is clear while all around it mirrors: 2.5e4 bounces inside make it so."""
     cosine = float(np.cos(np.radians(89.999)))
@@ -475,13 +407,7 @@ def test_very_rough_walls_reflect_nothing_without_a_warning() -> None:
         assert diffuse_share(20e-3, 1.0, wavelength_m) == 1.0
 
 
-@pytest.mark.hard(
-    where="models.physics.roughness",
-    naive="1 - exp(-g^2)",
-    bound=2e-15,
-    unit="relative",
-    source="rounding of g^2",
-)
+@pytest.mark.hard("models.physics.roughness", "1 - exp(-g^2)", 2e-15, "relative", "rounding of g^2")
 def test_what_a_smooth_wall_scatters(errors: Errors) -> None:
     """0.1 to 10 um of glass, upright and at 89.999 deg: exp(-g^2) rounds to one and nothing would be diffuse."""
     naive, ours = [], []

@@ -25,10 +25,8 @@ def wrong_bytes(frames: dict[int, bytes], content: bytes) -> float:
     return float(sum(np.count_nonzero(part != whole) for part, whole in zip(parts, expected, strict=True)))
 
 
-@pytest.mark.hard(
-    where="contrib.boards.dca1000_packets", naive="places taken as the counter has them", bound=0.0, unit="bytes",
-    source="every datagram arrives",
-)  # fmt: skip
+@pytest.mark.hard("contrib.boards.dca1000_packets", "places taken as the counter has them", 0.0, "bytes",
+                  "every datagram arrives")  # fmt: skip
 def test_a_byte_counter_of_48_bits_wraps(errors: Errors) -> None:
     """50 days at 65 MB/s, or a card whose counter begins there; datagrams arrive in pairs that are exchanged."""
     content = np.random.default_rng(4).integers(1, 255, 12 * FRAME_BYTES, dtype=np.uint8).tobytes()
@@ -50,11 +48,8 @@ def test_a_byte_counter_of_48_bits_wraps(errors: Errors) -> None:
     errors(naive=wrong_bytes(split, content), ours=wrong_bytes(ours, content))
 
 
-@pytest.mark.hard(
-    where="contrib.boards.dca1000_capture", naive="stored samples taken for successive ones", bound=0.5,
-    unit="range bins",
-    source="a maximum on a bin",
-)  # fmt: skip
+@pytest.mark.hard("contrib.boards.dca1000_capture", "stored samples taken for successive ones", 0.5, "range bins",
+                  "a maximum on a bin")  # fmt: skip
 def test_a_chirp_of_which_two_of_four_lanes_are_stored(errors: Errors) -> None:
     """Samples 0, 1, 4, 5, ... of a tone on bin 19 of 64: taken for successive ones they show it at twice the range."""
     cfg = parse_cfg(CFG, "a.cfg")
@@ -66,10 +61,8 @@ def test_a_chirp_of_which_two_of_four_lanes_are_stored(errors: Errors) -> None:
     errors(naive=abs(found[0] - 19.0), ours=abs(found[1] - 19.0))
 
 
-@pytest.mark.hard(
-    where="contrib.boards.digital_array", naive="channels added as they were sent", bound=0.6, unit="deg",
-    source="a step of 256 azimuths, and the loops' ends",
-)  # fmt: skip
+@pytest.mark.hard("contrib.boards.digital_array", "channels added as they were sent", 0.6, "deg",
+                  "a step of 256 azimuths, and the loops' ends")  # fmt: skip
 def test_transmitters_half_a_turn_apart(errors: Errors) -> None:
     """A car at 5.1 of +-5.2 m/s: its phase turns by 177 deg between the slots of two transmitters."""
     params = DigitalArrayParams()

@@ -74,13 +74,8 @@ def test_steeper_walls_than_facets_allow_are_those_of_slope_one() -> None:
     np.testing.assert_array_equal(steep.backscatter(COSINES), limit.backscatter(COSINES))
 
 
-@pytest.mark.hard(
-    where="models.physics.rough_lobe",
-    naive="g^2m exp(-g^2) / m! summed term by term",
-    bound=1e-11,
-    unit="",
-    source="next order, 2 / g^4",
-)
+@pytest.mark.hard("models.physics.rough_lobe", "g^2m exp(-g^2) / m! summed term by term", 1e-11, "",
+                  "next order, 2 / g^4")  # fmt: skip
 def test_orders_of_a_rough_wall(errors: Errors) -> None:
     """2 m of height, g^2 = 7e5 at 10 GHz: powers overflow, exp(-g^2) is 0. Mean of 1 / m against 1 / g^2 + 1 / g^4."""
     mean = (4.0 * math.pi * 2.0 / WAVELENGTH_M) ** 2

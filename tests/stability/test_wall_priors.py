@@ -28,25 +28,15 @@ def walls_of(priors: list[PlacedPrior], walls: list[Wall]) -> list[Wall]:
     return fused(priors, NOTHING, walls)[0]
 
 
-@pytest.mark.hard(
-    where="models.perception.track.wall_fusion.fused",
-    naive="the prior beside the measured wall",
-    bound=0.0,
-    unit="walls",
-    source="one wall stands there",
-)
+@pytest.mark.hard("models.perception.track.wall_fusion.fused", "the prior beside the measured wall", 0.0, "walls",
+                  "one wall stands there")  # fmt: skip
 def test_a_prior_a_millimetre_from_a_measured_wall(errors: Errors) -> None:
     """Side by side each would mirror and each would block the other's rays."""
     errors(naive=1.0, ours=float(len(walls_of([prior(20.001)], [FACADE])) - 1))
 
 
-@pytest.mark.hard(
-    where="models.perception.track.wall_fusion.fused",
-    naive="every wall of a message as a measurement of its own",
-    bound=1e-12,
-    unit="m",
-    source="a map says a thing once, however often it repeats it",
-)
+@pytest.mark.hard("models.perception.track.wall_fusion.fused", "every wall of a message as a measurement of its own",
+                  1e-12, "m", "a map says a thing once, however often it repeats it")  # fmt: skip
 def test_one_wall_repeated_by_its_source(errors: Errors) -> None:
     """A message full of one wall: its error does not shrink by the root of their number."""
     (once,), (often,) = (walls_of([prior(20.1)] * count, [FACADE]) for count in (1, MAX_PRIOR_WALLS))
@@ -54,13 +44,8 @@ def test_one_wall_repeated_by_its_source(errors: Errors) -> None:
     errors(naive=abs(naive - once.offset_std_m), ours=abs(often.offset_std_m - once.offset_std_m))
 
 
-@pytest.mark.hard(
-    where="models.perception.track.wall_lines.WallLine.corrected",
-    naive="inverse of the sum of inverse covariances",
-    bound=1e-9,
-    unit="",
-    source="rounding, 2e-16 of numbers of order 1",
-)
+@pytest.mark.hard("models.perception.track.wall_lines.WallLine.corrected", "inverse of the sum of inverse covariances",
+                  1e-9, "", "rounding, 2e-16 of numbers of order 1")  # fmt: skip
 def test_a_prior_as_certain_as_it_may_be_and_one_as_vague(errors: Errors) -> None:
     """0.1 mm and 1e-5 rad on a wall known to 100 m and pi: the covariance stays that of the sharper one."""
     vague = WallLine.between(np.array([[20.0, -1000.0], [20.0, 1000.0]]), 100.0, math.pi)
