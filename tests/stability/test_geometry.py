@@ -10,14 +10,14 @@ import pytest
 from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.image_walls import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
 from models.perception.mirrors.mirror_table import NO_WALL, RADAR, hits, wall_arrays
-from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
+from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.recovered_objects import ObjectParams, form_objects
 from models.perception.mirrors.recovery import Recovered, cartesian_covariance, folded
 from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points
 from models.physics.mirror import reflect
 from msgs.values.frames import polar_from_xy, xy_from_polar
-from msgs.values.perception import PathClass, Peaks, Wall
+from msgs.values.perception import Peaks, Wall
 from tests.builders import peaks_at, wall_between
 from tests.models.physics.curved_reference import fermat_points
 from tests.stability.catalogue import Errors
@@ -151,40 +151,12 @@ def test_what_is_seen_through_a_gap_opens_the_wall(monkeypatch):
     assert max(math.dist(*one.ends_m) for one in open_walls) == pytest.approx(6.0, abs=0.1)
 
 
-def test_the_published_back_end_is_plain():
-    """An image nearest in angle to a return of no wall: folded about the facing line through that return, never
-    rejected, even on the return itself."""
-    peaks = peaks_of(np.array([[10.0, 0.0]]), np.array([[10.4, 0.0]]))
-    np.testing.assert_allclose(
-        fold_scan(peaks, GeometryParams(back_end="specification")).recovered.points_m, [[9.6, 0.0]], atol=1e-9
-    )
-    assert recover_bev(peaks, GeometryParams()).points == ()
-
-
-@pytest.mark.parametrize(("direct", "images"), [(0, 0), (0, 3), (5, 0), (1, 1)])
-def test_empty_and_tiny_scans_give_a_view(direct, images):
-    peaks = peaks_of(spread((9.0, 0.0), (9.0, 4.0), direct), spread((20.0, 0.0), (20.0, 4.0), images))
-    bev = recover_bev(peaks, GeometryParams())
-    assert len(bev.los_points_m) == direct
-    assert np.isfinite(fold_scan(peaks, GeometryParams(back_end="specification")).recovered.points_m).all()
-
-
 def test_a_return_at_the_radar_itself_faces_back():
     normal, offset_m = facing_radar(np.array([[0.0, 0.0], [3.0, 4.0]]))
     np.testing.assert_allclose(normal, [[-1.0, 0.0], [-0.6, -0.8]])
     np.testing.assert_allclose(offset_m, [0.0, 5.0])
     peaks = peaks_of(np.array([[0.0, 0.0]]), np.array([[20.0, 1.0]]))
     assert np.isfinite(fold_scan(peaks, GeometryParams(back_end="specification")).recovered.points_m).all()
-
-
-def test_images_of_what_is_seen_are_folded_and_not_hidden():
-    """A car in plain sight before a wall: its image is folded back onto it, and is neither hidden point nor object."""
-    car = spread((12.0, 3.0), (12.0, 4.6), 4)
-    images = np.array([mirrored(place, wall(*FAR)) for place in car])
-    peaks = peaks_of(np.concatenate([spread(*FAR, 15), car]), images)
-    assert len(fold_scan(peaks, GeometryParams()).recovered) == 4
-    bev = recover_bev(peaks, GeometryParams())
-    assert (bev.points, bev.objects) == ((), ())
 
 
 @pytest.mark.parametrize(
@@ -198,15 +170,6 @@ def test_images_of_what_is_seen_are_folded_and_not_hidden():
 def test_bad_parameters_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_same_peaks_same_view():
-    rng = np.random.default_rng(0)
-    points = xy_from_polar(rng.uniform(4.0, 60.0, 60), rng.uniform(-1.0, 1.0, 60))
-    peaks = peaks_of(points[:35], points[35:])
-    assert peaks.path_class[0] == PathClass.LOS
-    one, two = (recover_bev(peaks, GeometryParams()) for _ in range(2))
-    assert (one.points, one.objects, one.walls) == (two.points, two.objects, two.walls)
 
 
 def centre_hit_share(image_m: np.ndarray, one: Wall) -> float:

@@ -13,17 +13,14 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 
-import mpmath
 import msgspec
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
-from scipy.special import gamma
 
-from lab.measures.frame_scores import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
-from lab.measures.point_scores import chamfer, match_points
+from lab.measures.frame_scores import FrameScores, bootstrap_weights, estimates
+from lab.measures.point_scores import chamfer
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from models.perception.find.cfar import CfarParams, detect, ordered_statistic_alpha, ordered_statistic_mask
 from models.perception.find.encoding import Encoding, encode_columns
@@ -32,14 +29,12 @@ from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.confidence import FEATURES, PositionConfidence
 from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
-from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
 from models.scores.object_matching import match_objects
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, SceneTruth, TruthObject
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from tests.builders import example_map
-from tests.models.perception.find.test_cfar import echo_map
 from tests.stability.catalogue import Errors
 
 RADAR = np.zeros(2)
@@ -229,13 +224,6 @@ def test_hidden_vehicles_are_recovered_and_nothing_else(name):
     assert false <= rate * SEEDS
 
 
-def test_same_peaks_same_bytes():
-    peaks = synthetic_peaks("corner", 3)
-    first, second = (recover_bev(peaks, GeometryParams()) for _ in range(2))
-    assert (first.walls, first.points, first.objects) == (second.walls, second.points, second.objects)
-    assert first.visibility.tobytes() == second.visibility.tobytes()
-
-
 @pytest.mark.parametrize("count", [1, 2, 5, 60])
 def test_all_peaks_in_one_place(count):
     peaks = synthetic_peaks("facade", 0)
@@ -314,53 +302,6 @@ def test_two_points_know_how_well_they_know_their_line(errors: Errors) -> None:
         naive_m = np.sqrt(np.sum(residual_m**2) / np.float64(len(points_m) - 2) / len(points_m))
     exact_m = sigma_m / math.sqrt(2.0)
     errors(naive=float(np.nan_to_num(abs(naive_m - exact_m), nan=np.inf)), ours=abs(offset_std_m - exact_m))
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_few_points_are_no_wall(count: int) -> None:
-    points_m = np.array([[10.0, -2.0], [10.0, 2.0]])[:count]
-    found, wall = find_walls(points_m, np.tile(0.01 * np.eye(2), (count, 1, 1)), np.zeros(count, int), WallParams())
-    assert found == []
-    assert wall.tolist() == [-1] * count
-    assert dbscan(points_m, 5.0, 2).tolist() == ([0, 0] if count == 2 else [-1] * count)
-
-
-@pytest.mark.hard("models.perception.mirrors.walls", "least squares through all points",
-                  3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 20.0), "m",
-                  "3 sigma of 20 points at an end of their line, sigma 0.09 m")  # fmt: skip
-def test_wall_among_80_percent_outliers(errors: Errors) -> None:
-    """20 returns of a wall among 80 scattered over 35 x 40 m: the fit must find who belongs to it."""
-    rng = np.random.default_rng(5)
-    wall_m = np.stack([20.0 + 0.05 * rng.standard_normal(20), np.linspace(-9.0, 9.0, 20)], axis=1)
-    points_m = np.concatenate([wall_m, rng.uniform([5.0, -20.0], [40.0, 20.0], (80, 2))])
-    covariance_m2 = np.tile(0.05**2 * np.eye(2), (100, 1, 1))
-    found = find_walls(points_m, covariance_m2, np.zeros(100, int), WallParams(curved=False))[0][0]
-    ends_m = np.array([[20.0, -9.0], [20.0, 9.0]])
-    naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
-    errors(
-        naive=off_true_m(ends_m, naive, float(-naive @ points_m.mean(axis=0))),
-        ours=off_true_m(ends_m, np.array(found.normal), found.offset_m),
-    )
-
-
-@pytest.mark.hard("models.perception.mirrors.walls", "one principal axis a cluster",
-                  3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 15.0), "m",
-                  "3 sigma of 15 points at an end of their line, sigma 0.09 m")  # fmt: skip
-def test_parallel_walls_in_one_cluster(errors: Errors) -> None:
-    """The two sides of a lane 3 m wide are one cluster: one line through it runs down the middle."""
-    rng = np.random.default_rng(6)
-    along_m = np.linspace(6.0, 24.0, 15)
-    sides = [np.stack([along_m, side + 0.05 * rng.standard_normal(15)], axis=1) for side in (-1.5, 1.5)]
-    points_m = np.concatenate(sides)
-    assert dbscan(points_m, 4.0, 2).tolist() == [0] * 30
-    found, _ = find_walls(points_m, np.tile(0.05**2 * np.eye(2), (30, 1, 1)), np.zeros(30, int), WallParams())
-    assert len(found) == 2
-    ends_m = [np.array([[6.0, side], [24.0, side]]) for side in (-1.5, 1.5)]
-    naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
-    errors(
-        naive=off_true_m(ends_m[0], naive, float(-naive @ points_m.mean(axis=0))),
-        ours=max(min(off_true_m(side, np.array(one.normal), one.offset_m) for one in found) for side in ends_m),
-    )
 
 
 def flooded(points_m: np.ndarray, eps_m: float) -> np.ndarray:
@@ -462,58 +403,6 @@ def test_detections_of_an_enormous_map(errors: Errors) -> None:
     naive = ordered_statistic_mask(naive_power(large.values).astype(np.float64), CfarParams())
     same = np.array_equal(found.range_m, reference.range_m) and np.array_equal(found.score, reference.score)
     errors(naive=len(reference) - min(np.count_nonzero(naive), len(reference)), ours=0.0 if same else math.inf)
-
-
-@pytest.mark.hard("models.perception.find.cfar", "n! (n - k + a)! / ((n - k)! (n + a)!)", 1e-11, "",
-                  "root to 2e-12, times its slope of 0.4 a unit")  # fmt: skip
-def test_ordered_statistic_rate_without_factorials(errors: Errors) -> None:
-    """The rate of the 38th of 128 cells: 128! (90 + a)! leaves float64; the sum of log1p(a / i) does not."""
-    count, rank, rate = 128, 38, 1e-4
-    alpha = ordered_statistic_alpha(count, rank, rate)
-    with np.errstate(over="ignore", invalid="ignore"):
-        naive = gamma(count + 1.0) * gamma(count - rank + alpha + 1.0)
-        naive /= gamma(count - rank + 1.0) * gamma(count + alpha + 1.0)
-    with mpmath.workdps(40):
-        exact = mpmath.mpf(1)
-        for left in range(count - rank + 1, count + 1):
-            exact *= mpmath.mpf(left) / (left + mpmath.mpf(alpha))
-    errors(naive=float(np.nan_to_num(abs(naive / rate - 1.0), nan=np.inf)), ours=abs(float(exact) / rate - 1.0))
-
-
-@pytest.mark.hard("lab.measures.point_scores", "assign first, drop what is too far", 0.0, "pairs",
-                  "both pairs lie within the gate")  # fmt: skip
-def test_gate_belongs_into_the_assignment(errors: Errors) -> None:
-    """The cheapest assignment pairs the nearest two and leaves two 2.5 m apart; both fit the gate of 2 m otherwise."""
-    truth_m, predicted_m = np.array([[0.0, 0.0], [0.1, 1.95]]), np.array([[0.1, 0.0], [1.9, 0.0]])
-    distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
-    rows, columns = linear_sum_assignment(distance_m)
-    naive = np.count_nonzero(distance_m[rows, columns] <= 2.0)
-    errors(naive=abs(naive - 2), ours=abs(len(match_points(predicted_m, truth_m, 2.0)) - 2))
-
-
-@pytest.mark.hard("lab.measures.point_scores", "infinite cost beyond the gate", 0.0, "pairs",
-                  "one pair lies within the gate")  # fmt: skip
-def test_a_prediction_out_of_everyones_reach(errors: Errors) -> None:
-    """One of two predictions has no truth within the gate: with infinite costs no assignment is feasible."""
-    truth_m, predicted_m = np.array([[0.0, 0.0], [9.0, 0.0]]), np.array([[0.5, 0.0], [-50.0, 0.0]])
-    distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
-    try:
-        naive = abs(len(linear_sum_assignment(np.where(distance_m <= 2.0, distance_m, np.inf))[0]) - 1.0)
-    except ValueError:
-        naive = math.inf
-    errors(naive=naive, ours=abs(len(match_points(predicted_m, truth_m, 2.0)) - 1))
-
-
-@pytest.mark.hard("lab.measures.frame_scores", "mean of the least distances", 0.0, "m", "definition: the cap each way")
-def test_chamfer_of_an_empty_set(errors: Errors) -> None:
-    """No prediction for five true points: the least of no distances; a miss is charged the cap both ways."""
-    truth_m, nothing_m = np.zeros((5, 2)), np.zeros((0, 2))
-    assert match_points(nothing_m, truth_m, 2.0).shape == (0, 2)
-    try:
-        naive = abs(float(np.linalg.norm(truth_m[:, None] - nothing_m, axis=-1).min(axis=1).mean()) - 2.0 * CAP_M)
-    except ValueError:
-        naive = math.inf
-    errors(naive=naive, ours=abs(capped_chamfer(nothing_m, truth_m).metres - 2.0 * CAP_M))
 
 
 @pytest.mark.hard("lab.measures.point_scores", "a.a - 2 a.b + b.b in float32", 1e-13, "m",
@@ -626,18 +515,3 @@ def test_attention_with_points_far_away(errors: Errors) -> None:
         naive, ours = ((answer.double() - exact).norm() / exact.norm()
                        for answer in (network.decoder(feature), network(image, patch, state)))  # fmt: skip
     errors(naive=naive.item() if torch.isfinite(naive) else math.inf, ours=ours.item())
-
-
-@pytest.mark.hard("models.perception.find.ridges", "the strongest azimuth of the map", 0.5, "deg", "a cell of the map")
-def test_echoes_beyond_the_azimuths_of_a_map(errors: Errors) -> None:
-    """From 60 to 89 degrees an echo's lobe, and from 70 on its lobe at the other end, rises to the map's border."""
-    azimuths_deg = np.array([60.0, 63.0, 70.0, 75.0, 89.0])
-    naive, ours = [], [0.0]
-    for azimuth_deg in azimuths_deg:
-        ra_map = echo_map(azimuth_deg)
-        strongest = np.unravel_index(np.abs(ra_map.values).argmax(), ra_map.grid.shape)[1]
-        naive.append(abs(math.degrees(ra_map.grid.azimuth_rad[strongest]) - azimuth_deg))
-        peaks = detect(ra_map, CfarParams())
-        ours += np.abs(np.degrees(peaks.azimuth_rad) - azimuth_deg).tolist()
-    assert len(ours) == 2, "of the one at 60 degrees alone a peak is left"
-    errors(naive=max(naive), ours=max(ours))

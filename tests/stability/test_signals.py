@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from contrib.boards.digital_array import DigitalArrayParams, range_doppler
-from models.perception.find.encoding import Encoding, encode_columns
 from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
@@ -302,20 +301,6 @@ def test_peak_of_a_single_cell(errors: Errors) -> None:
         before, here, after = np.log(values[99:102, 100] ** 2)
         naive = 0.5 * (before - after) / (before - 2.0 * here + after)
     errors(naive=abs(naive), ours=abs(peak.range_m[0] / RangeAzimuthGrid().range_bin_m - 100.0))
-
-
-@pytest.mark.hard("models.perception.find.encoding", "less the mean, over the spread", 1e-6, "",
-                  "float32; an empty map is 0, a flat one at the noise (0 + 5) / 90")  # fmt: skip
-@pytest.mark.parametrize(("level", "expected"), [(0.0, 0.0), (1e-7, 5.0 / 90.0)], ids=["empty", "flat"])
-def test_maps_without_contrast(level: float, expected: float, errors: Errors) -> None:
-    """A map of one value has no spread: 0 / 0, or rounding over rounding. Level that the network sees."""
-    encoding = Encoding(channels=("level",))
-    columns = np.full((320, 32), level, np.complex64)
-    ours = encode_columns(encoding, columns, np.array(np.square(np.float64(columns.real[0, 0]))))
-    magnitude = np.abs(columns)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        naive = (magnitude - magnitude.mean()) / magnitude.std()
-    errors(naive=np.abs(naive - expected).max(), ours=np.abs(ours - expected).max())
 
 
 @pytest.mark.hard("sim_player.signal.receiver", "corner over |f|", 1e-15, "",

@@ -23,18 +23,6 @@ from tests.stability.catalogue import Errors
 ENCODING = Encoding(range_bins=8, columns=8)
 
 
-@pytest.mark.parametrize("logit", [-200.0, 200.0])
-def test_focal_loss_of_confident_logits(logit: float) -> None:
-    """Where the network is sure and wrong the loss is |logit| a cell, and its gradient at most 1 a cell."""
-    logits = torch.full((1, 1, 2, 1), logit, requires_grad=True)
-    heatmap = torch.tensor([1.0, 0.0]).reshape(1, 1, 2, 1)
-    loss = heatmap_focal_loss(logits, heatmap)
-    loss.backward()
-    assert loss.item() == pytest.approx(abs(logit), rel=1e-6)
-    assert torch.isfinite(logits.grad).all()
-    assert logits.grad.abs().max().item() == pytest.approx(1.0, abs=1e-6)
-
-
 def number(value: float) -> float:
     """The value, infinite where it is none."""
     return value if math.isfinite(value) else math.inf
@@ -224,25 +212,6 @@ def test_encoding_is_finite_and_bounded(name: str, noise_power_mw: float) -> Non
     assert np.isfinite(encoded).all()
     # levels, shadows 0..1; contrast -1..0; coordinates -1..1, to a rounding
     assert np.abs(encoded).max() <= 1.0 + 1e-6
-
-
-@pytest.mark.hard("models.perception.find.encoding", "abs(z)^2 in float32", 1e-5, "",
-                  "rounding of the gain in float32: 1e-7 of the power, and the map's own")  # fmt: skip
-def test_level_of_an_enormous_map(errors: Errors) -> None:
-    """|z|^2 of 1e37 leaves float32 (3e38): a gain common to signal and noise must not change the level."""
-    values, gain = hard_maps()["constant"], np.float32(1e37)
-    ordinary = encode_columns(ENCODING, values, np.float64(1e-3))
-    ours = encode_columns(ENCODING, values * gain, np.float64(1e-3 * float(gain) ** 2))
-    with np.errstate(over="ignore", invalid="ignore"):
-        level_db = 10.0 * np.log10(np.abs(values * gain) ** 2 / (1e-3 * float(gain) ** 2))
-    naive = np.abs((level_db - ENCODING.level_min_db) / 90.0 - ordinary[0]).max()
-    errors(naive=number(float(naive)), ours=float(np.abs(ours - ordinary).max()))
-
-
-def test_empty_map_is_level_zero_whatever_the_noise() -> None:
-    for noise_power_mw in (0.0, 1.0):
-        encoded = encode_columns(ENCODING, hard_maps()["zero"], np.float64(noise_power_mw))
-        assert (encoded[:3] == 0.0).all()
 
 
 def test_without_noise_levels_count_from_the_strongest_cell() -> None:
