@@ -75,25 +75,6 @@ def test_the_published_peaks_stand_beside_ours(corner_map: RangeAzimuthMap) -> N
     assert ours.azimuth_rad.tolist() != published.azimuth_rad.tolist()
 
 
-def mirrored(ra_map: RangeAzimuthMap) -> RangeAzimuthMap:
-    """The same map with left and right exchanged."""
-    return msgspec.structs.replace(ra_map, values=np.ascontiguousarray(ra_map.values[:, ::-1]))
-
-
-def test_left_and_right_are_alike(corner_map: RangeAzimuthMap) -> None:
-    """With one look and with two: peaks of the mirrored map lie at the negative azimuths, with equal scores. Tolerance
-    of scores: 1e-5, the order of a float32 network's sums over 512 x 256 cells.
-    """
-    for flip_test in (True, False):
-        here, there = (detected(one, flip_test=flip_test) for one in (corner_map, mirrored(corner_map)))
-        assert here.detector.endswith("/flip_test") == flip_test
-        rows = [
-            sorted(zip(peaks.range_m, side * peaks.azimuth_rad, peaks.score, strict=True))
-            for peaks, side in ((here, 1.0), (there, -1.0))
-        ]
-        np.testing.assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-5)
-
-
 def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each differs from its default and is handed on under its own name."""
     handed: dict[str, Any] = {}

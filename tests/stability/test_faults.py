@@ -11,8 +11,6 @@ import pytest
 
 from contrib.two_machines.peer_clock import MAX_DRIFT, ClockSample, PeerClock, shift_stamps
 from msgs.values.units import ns_from_s
-from msgs.values.vehicle import VehicleState
-from nodes.process.liveness import LATE_S, Sample, Silence
 from tests.fuzz.cases import peaks
 from tests.stability.catalogue import Errors
 
@@ -90,20 +88,6 @@ def test_one_way_full_of_maps(errors: Errors) -> None:
     )
 
 
-@AGAINST_THE_MEAN
-def test_first_answer_after_a_restart(errors: Errors) -> None:
-    """The peer starts again and its clock with it: 36 years back, said by one answer against sixty-three."""
-    ways_ns = itertools.repeat(500_000)
-    before, _ = answers(ways_ns, ways_ns, 63)
-    restarted_ns = SECOND_NS - before[-1].answered_ns
-    asked_ns = before[-1].asked_ns + SECOND_NS
-    samples = [*before, ClockSample(asked_ns, asked_ns + 500_000 + restarted_ns, asked_ns + 1_000_000)]
-    errors(
-        naive=1e-9 * abs(sum(sample.offset_ns for sample in samples) // 64 - restarted_ns),
-        ours=1e-9 * abs(heard(samples).offset_ns - restarted_ns),
-    )
-
-
 @pytest.mark.hard("contrib.two_machines.peer_clock.shift_stamps", "seconds in float64", 0.0, "ns", "whole numbers")
 def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
     """A stamp for each peak, 1.8e18 ns on the peer's clock: moved as seconds they land 256 ns beside."""
@@ -115,42 +99,3 @@ def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
         naive=max(abs(int(one) - right) for one, right in zip(naive_ns, exact, strict=True)),
         ours=max(abs(int(one) - right) for one, right in zip(moved.peak_stamp_ns, exact, strict=True)),
     )
-
-
-@pytest.mark.hard("contrib.two_machines.peer_clock.shift_stamps", "offset taken off every stamp", 0.0, "ns",
-                  "0 stands for none")  # fmt: skip
-def test_a_stamp_that_is_none(errors: Errors) -> None:
-    """No motion yet: its stamp is 0, which no clock may turn into a time."""
-    errors(naive=AHEAD_NS, ours=abs(shift_stamps(VehicleState(stamp_ns=0), -AHEAD_NS).stamp_ns))
-
-
-def silent(samples: list[Sample]) -> Silence:
-    silence = Silence()
-    for one in samples:
-        silence.add(one)
-    return silence
-
-
-@pytest.mark.hard("nodes.process.liveness.Silence", "time since the last heartbeat", 0.25 + 1e-9, "s held against it",
-                  "the longest interval between two looks that counts, rounding")  # fmt: skip
-def test_supervisor_that_slept_itself(errors: Errors) -> None:
-    """The lid was closed for an hour: all nodes are silent for as long, and none has failed."""
-    looks = [Sample(0.0, "SS", 1.0, 0.0), Sample(3600.0, "SS", 1.0, 0.0)]
-    errors(naive=3600.0, ours=silent(looks).answerable_s - LATE_S)
-
-
-@pytest.mark.hard("nodes.process.liveness.Silence", "time since the last heartbeat", 0.1 + 1e-9, "s held against it",
-                  "1 % of ten seconds on a core, summed in 200 steps of float64")  # fmt: skip
-def test_hundred_processes_on_a_core(errors: Errors) -> None:
-    """It runs for 1 % of ten seconds and waits for the rest: killed for its silence, it would load the machine more."""
-    looks = [Sample(0.05 * index, "RS", 5e-4 * index, 0.0495 * index) for index in range(201)]
-    errors(naive=10.0, ours=silent(looks).answerable_s - LATE_S)
-
-
-@pytest.mark.hard("nodes.process.liveness.Silence", "waiting of all its threads since the first look", 1e-9,
-                  "s of 10 s", "the interval in which a thread ended counts once, 200 sums of float64")  # fmt: skip
-def test_thread_that_ends_takes_its_waiting_along(errors: Errors) -> None:
-    """A worker that had waited a minute for a core ends: the sum over threads falls by that minute."""
-    looks = [Sample(0.05 * index, "RS", 0.05 * index, 60.0 * (index < 100)) for index in range(201)]
-    held_s = 10.0 - (looks[-1].waited_s - looks[0].waited_s)
-    errors(naive=abs(held_s - 10.0), ours=abs(silent(looks).answerable_s - LATE_S - 10.0))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from models.physics.rough_lobe import RoughLobe, mean_over_orders
-from sim_player.effects.diffuse_scattering import absent
 from sim_player.scene.description import Scene, Surface
 from sim_player.scene.world import prepare
 from tests.sim_player.trace.point_scenes import points_world, traced, wall
@@ -86,24 +85,12 @@ def test_orders_of_a_rough_wall(errors: Errors) -> None:
     errors(naive=naive / exact - 1.0, ours=mean_over_orders(mean, 1.0, 0.0, 0.0) / exact - 1.0)
 
 
-@pytest.mark.parametrize("name", ["roughness_m", "correlation_m"])
-def test_nan_is_refused(name: str) -> None:
-    given = {"roughness_m": 1e-3, "correlation_m": 0.03, name: math.nan}
-    with pytest.raises(ValueError, match=f"{name} must be finite and positive, got nan"):
-        RoughLobe(**given, wavelength_m=WAVELENGTH_M)
-
-
 @pytest.mark.parametrize("field", ["roughness_mm", "correlation_mm"])
 def test_scene_with_nan_is_refused(field: str) -> None:
     ends = ((10.0, -5.0), (10.0, 5.0))
     surface = Surface(role="relay", material="brick", polyline_m=ends, **{field: math.nan})
     with pytest.raises(ValueError, match=rf"surfaces\[0\]\.{field}: must be finite, got nan"):
         prepare(Scene(name="nan", surfaces=(surface,)))
-
-
-def test_smooth_wall_has_no_lobe() -> None:
-    smooth = wall((12.0, -8.0), (12.0, 8.0))
-    assert absent(points_world([], smooth)) == "no wall is rough"
 
 
 def test_grazing_wall_echoes_are_finite() -> None:

@@ -26,12 +26,6 @@ def test_the_cases_are_the_benchmarks() -> None:
     assert len(TWO) == 2
 
 
-@pytest.mark.parametrize("scene", TWO, ids=lambda scene: scene.stem)
-def test_a_sound_radar_raises_no_flag(scene: Path) -> None:
-    case = run("none", 0.0, scene, seed=0)
-    assert (case.missed, case.ghosts, case.flags) == (0, 0, [])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", CASES)
 @pytest.mark.parametrize("scene", TWO, ids=lambda scene: scene.stem)
