@@ -111,41 +111,6 @@ def test_a_dead_beam_does_not_reach_far() -> None:
     assert left.max() == pytest.approx(8.0, rel=0.1)
 
 
-def _largest_db(values: np.ndarray) -> float:
-    """Level of a map's largest cell over the 8 of an ideal beam on its target."""
-    return float(20.0 * np.log10(np.abs(values).max() / 8.0))
-
-
-@pytest.mark.hard("models.perception.form.coarray", "zeros in its place", 2e-4, "dB",
-                  "ridge of 1e-7 over least singular values squared of 6e-3")  # fmt: skip
-def test_a_missing_beam(errors: Errors) -> None:
-    """The beam on the target never came: a row of zeros says that nothing stands there. Level of the target."""
-    setup = RadarSetup()
-    interpolator = AzimuthInterpolator(setup, GRID)
-    profiles = _profiles(setup, 20.0)
-    profiles[16] = 0.0
-    values, _ = interpolator.interpolate(profiles, np.inf, (16,))
-    ideal_db = _largest_db(ideal_beams(setup, GRID.azimuth_rad) @ _coefficients(20.0))
-    errors(
-        naive=abs(_largest_db(profiles[:, 0] @ interpolator.coherent_matrix) - ideal_db),
-        ours=abs(_largest_db(values) - ideal_db),
-    )
-
-
-@pytest.mark.hard("models.perception.form.coarray", "one coherent fit, untested", 0.2, "dB",
-                  "6-bit phases: 1.6 deg rms a column, 2 % of a two-way beam of 8")  # fmt: skip
-def test_a_mover(errors: Errors) -> None:
-    """0.6 m/s: the phase turns by half a circle from beam to beam, and beams add up to nothing. Level of its peak."""
-    setup = RadarSetup()
-    interpolator = AzimuthInterpolator(setup, GRID)
-    turns = 2.0 * 0.6 * 0.012 / setup.radar.wavelength_m * np.arange(25)
-    profiles = (_profiles(setup, 10.0) * np.exp(2j * np.pi * turns)[:, None]).astype(np.complex64)
-    values, incoherent = interpolator.interpolate(profiles, 1e-6)
-    assert incoherent.all()
-    naive = profiles[:, 0] @ interpolator.coherent_matrix
-    errors(naive=abs(_largest_db(naive)), ours=abs(_largest_db(values)))
-
-
 @pytest.mark.hard("models.perception.form.coarray", "exact phases assumed", 2e-5, "",
                   "ridge of 1e-7 over least singular values squared of 6e-3")  # fmt: skip
 @pytest.mark.parametrize("bits", [2, 6])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from contrib.boards.target_list import TargetListParams, TargetListReader
-from contrib.imports.detection_columns import DetectionMapping, detections_of, polar_covariance
+from contrib.imports.detection_columns import DetectionMapping, detections_of
 from contrib.imports.detection_tables import table_scans
 from nodes.can.bus import load_dbc
 from tests.contrib.boards.target_radar_stand_in import measurement, random_targets
@@ -36,24 +36,6 @@ def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: 
         naive=max(abs(a - b) for a, b in zip(naive_ns, true_ns, strict=True)),
         ours=max(abs(a - b) for a, b in zip(read_ns, true_ns, strict=True)),
     )
-
-
-@pytest.mark.hard("contrib.imports.detection_columns",
-                  "longitudinal error as that of range, lateral as that of azimuth", 1e-9, "relative",
-                  "rounding of a rotation there and back")  # fmt: skip
-def test_covariances_turn_with_the_azimuth(errors: Errors) -> None:
-    """0.1 m along and 1 m across: at 80 deg the range has the lateral error; turned back, the plane's comes out."""
-    variance_m2 = np.tile([0.01, 1.0], (81, 1))
-    range_m, azimuth_rad = np.full(81, 50.0), np.radians(np.arange(-80.0, 81.0, 2.0))
-    polar = polar_covariance(range_m, azimuth_rad, variance_m2)
-    cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
-    jacobian = np.stack([np.stack([cos, -range_m * sin], -1), np.stack([sin, range_m * cos], -1)], -2)
-    naive = np.stack([variance_m2[:, 0], variance_m2[:, 1] / range_m**2], -1)[:, :, None] * np.eye(2)
-    true = variance_m2[:, :, None] * np.eye(2)
-    ours_error, naive_error = (
-        np.abs(jacobian @ each @ jacobian.transpose(0, 2, 1) - true).max() for each in (polar, naive)
-    )
-    errors(naive=float(naive_error), ours=float(ours_error))
 
 
 @pytest.mark.hard("contrib.imports.detection_columns", "degrees to radians alone", 1e-12, "rad",

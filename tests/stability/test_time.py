@@ -10,15 +10,12 @@ import pytest
 
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.ra_forming import ScanProfiles, form_map
-from models.perception.state_history import StateHistory
-from models.scores.object_matching import match_objects
 from models.vehicle.can_state import StampMapper
 from msgs.values.frames import Pose2
-from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
-from msgs.values.vehicle import VehicleState, ego_motion
-from nodes.inputs.view_latency import ViewWatch, last_beam_ns, latency_ns
+from msgs.values.vehicle import ego_motion
+from nodes.inputs.view_latency import ViewWatch, last_beam_ns
 from tests.stability.catalogue import Errors
 
 EPOCH_NS = 1_763_750_000_123_456_789
@@ -101,38 +98,6 @@ def test_turn_across_the_heading_wrap(errors: Errors) -> None:
     errors(naive=abs(after.yaw_rad - before.yaw_rad - exact), ours=abs(turned - exact))
 
 
-@pytest.mark.hard("models.scores.object_matching", "difference of unsigned stamps", 1e-14, "m", "rounding of 20 m")
-def test_object_measured_before_its_scene(errors: Errors) -> None:
-    """An object stamped 0.2 s before the scene, moving at 10 m/s: unsigned, -0.2 s are 584 years."""
-    truth = SceneTruth(
-        stamp_ns=EPOCH_NS, scan_id=0, los_points_m=np.zeros((0, 3), np.float32),
-        mirrored_points_m=np.zeros((0, 3), np.float32), hidden_points_m=np.zeros((0, 3), np.float32),
-        hidden_object=np.zeros(0, np.int32),
-        objects=(TruthObject(id=0, object_class="car", x_m=20.0, y_m=5.0, length_m=4.4, width_m=1.8, yaw_rad=0.0,
-                             velocity_x_mps=10.0, hidden=True),),
-    )  # fmt: skip
-    found = HiddenObject(
-        id=0, x_m=18.0, y_m=5.0, length_m=4.4, width_m=1.8, yaw_rad=0.0, score=0.9, cov_m2=((0.1, 0.0), (0.0, 0.1)),
-        stamp_ns=EPOCH_NS - 200_000_000,
-    )  # fmt: skip
-    matched = match_objects([found], truth).matched
-    with np.errstate(over="ignore"):
-        elapsed_s = float(np.uint64(found.stamp_ns) - np.uint64(truth.stamp_ns)) * 1e-9
-    errors(naive=abs(18.0 - 10.0 * elapsed_s - 20.0), ours=matched[0][2])
-
-
-@pytest.mark.hard("models.perception.state_history", "the last that came", 0.0, "m/s", "the newest by stamp")
-def test_vehicle_state_held_up_on_its_way(errors: Errors) -> None:
-    """States of 10, 30 and 20 ms come in this order, braking at 5 m/s^2: the scan of 35 ms belongs to that of 30."""
-    speed_mps = {ms: 20.0 - 0.005 * ms for ms in (10, 30, 20)}
-    history = StateHistory()
-    for ms, speed in speed_mps.items():
-        history.add(VehicleState(stamp_ns=EPOCH_NS + ms * 1_000_000, speed_mps=speed))
-    state = history.at(EPOCH_NS + 35_000_000)
-    assert state is not None
-    errors(naive=abs(list(speed_mps.values())[-1] - speed_mps[30]), ours=abs(state.speed_mps - speed_mps[30]))
-
-
 @pytest.mark.hard("models.perception.form.ra_forming", "interpolation between float64 epochs", 0.5, "ns",
                   "rounding to whole nanoseconds")  # fmt: skip
 def test_stamps_of_the_azimuths(errors: Errors) -> None:
@@ -163,18 +128,6 @@ def interpolated(at: float, x: np.ndarray, y: np.ndarray) -> mpmath.mpf:
     return int(y[i]) + min(max(share, mpmath.mpf(0)), mpmath.mpf(1)) * int(y[i + 1] - y[i])
 
 
-@pytest.mark.hard("nodes.inputs.view_latency", "difference of seconds since 1970", 0.0, "ns", "integers")
-def test_latency_of_a_view(errors: Errors) -> None:
-    """A view 1 ns to 1 us after its last beam: seconds of the epoch are doubles 240 ns apart."""
-    naive = ours = 0.0
-    for delay_ns in (1, 10, 100, 1000):
-        now_ns = EPOCH_NS + last_beam_ns() + delay_ns
-        naive_s = now_ns * 1e-9 - EPOCH_NS * 1e-9 - last_beam_ns() * 1e-9
-        naive = max(naive, abs(naive_s * 1e9 - delay_ns))
-        ours = max(ours, float(abs(latency_ns(EPOCH_NS, now_ns) - delay_ns)))
-    errors(naive=naive, ours=ours)
-
-
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0], ids=["forwards", "backwards"])
 @pytest.mark.hard("nodes.inputs.view_latency", "deadline against now less stamp", 0.0, "views",
                   "every view came 0.1 s after its last beam")  # fmt: skip
@@ -201,17 +154,6 @@ def test_scan_numbers_that_jump(errors: Errors) -> None:
     watch.add(7, 0, last_beam_ns())
     watch.add(2**31, period_ns, period_ns + last_beam_ns())
     errors(naive=2**31 - 7 - 1, ours=watch.figures(period_ns + last_beam_ns()).absent_total)
-
-
-@pytest.mark.hard("nodes.inputs.view_latency", "views over the time watched", 0.0, "1/s", "nothing came")
-def test_rate_at_the_start(errors: Errors) -> None:
-    """Asked at the moment the watch begins: no views in no time."""
-    figures = ViewWatch(EPOCH_NS).figures(EPOCH_NS)
-    try:
-        naive = figures.views / s_from_ns(EPOCH_NS - EPOCH_NS)
-    except ZeroDivisionError:
-        naive = math.inf
-    errors(naive=naive, ours=figures.rate_hz)
 
 
 @pytest.mark.hard("models.vehicle.can_state", "one offset between the clocks", 200e-6, "s",

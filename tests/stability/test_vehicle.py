@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from fractions import Fraction
 
 import can
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from models.vehicle.can_state import AGE_PERIODS, CanDecoder, StampMapper, Verdict
-from models.vehicle.end_to_end import counter_step
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule
 from nodes.can.bus import frame_stamp_ns
 from tests.stability.catalogue import Errors
@@ -72,20 +70,6 @@ def test_the_last_value_of_a_range_counts_and_the_next_does_not(scale: str) -> N
     # a scale that is a little more in binary than in decimals
     if scale in ("0.1", "0.07"):
         assert naive_wrong > 0
-
-
-@pytest.mark.slow
-@pytest.mark.hard("models.vehicle.end_to_end", "new less last", 0.0, "steps",
-                  "the only step of 0..modulus-1 that leads from one to the other")  # fmt: skip
-def test_counter_steps_at_the_wrap_of_any_modulus(errors: Errors) -> None:
-    """Every pair of every modulus to 256, wrap included."""
-    naive = ours = 0
-    for modulus in (2, 15, 16, 255, 256):
-        for last, new in itertools.product(range(modulus), repeat=2):
-            exact = next(step for step in itertools.count() if (last + step) % modulus == new)
-            naive = max(naive, abs(new - last - exact))
-            ours = max(ours, abs(counter_step(last, new, modulus) - exact))
-    errors(naive=naive, ours=ours)
 
 
 @pytest.mark.hard("models.vehicle.can_state", "offset of the first frame", 200e-6, "s",
