@@ -18,7 +18,7 @@ from msgs.bus.local import Faults, LocalNetwork
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
 from nodes.inputs.view_latency import DEADLINE_S, last_beam_ns
-from nodes.node import Node, _turn
+from nodes.node import _turn
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
 from nodes.viewer.assembly import LATE_MAP_PERIOD_NS, Assembly
 from nodes.viewer.newest import Board
@@ -303,14 +303,3 @@ def test_work_left_over_is_done_before_the_end() -> None:
     assert rig.listener.counts()[0][0].messages == 0
     assert [one.message.scan_id for one in rig.listener.receive(0.0)] == [2], "the newest of three maps"  # type: ignore[attr-defined]
     assert rig.listener.counts()[0][0].messages == 3
-
-
-def test_every_node_can_count_what_it_sheds() -> None:
-    node = Node()
-    node.shed.add("scan", "behind")
-    node.shed.add("beam", "late", 3)
-    node.shed.add("scan", "behind", 2)
-    assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [
-        ("scan", "behind", 3),
-        ("beam", "late", 3),
-    ]

@@ -15,7 +15,6 @@ from lab.training.exported_weights import settle_norms
 from lab.training.fit_confidence import FitConfig, _Loss
 from lab.training.objectives.anchors import anchor_loss, anchor_targets
 from lab.training.objectives.focal import binary_focal_loss
-from lab.training.objectives.heatmaps import gaussian_heatmap
 from lab.training.objectives.losses import heatmap_focal_loss
 from models.perception.find.encoding import Encoding, encode_columns
 from tests.stability.catalogue import Errors
@@ -56,35 +55,11 @@ def test_gradient_of_sure_and_wrong(errors: Errors) -> None:
     errors(naive=gradients[0], ours=gradients[1])
 
 
-@pytest.mark.parametrize("logit", [-1e4, 1e4])
-@pytest.mark.hard("lab.training.objectives.focal", "log of the sigmoid", 1e-6, "",
-                  "rounding to float32, relative to the loss")  # fmt: skip
-def test_binary_focal_loss_of_sure_and_wrong(errors: Errors, logit: float) -> None:
-    """Mask and background at z = +-1e4: one is right, 0 log 0, the other costs its weight times 1e4."""
-    logits, mask, alpha = torch.full((2,), logit), torch.tensor([1.0, 0.0]), 0.75
-    p = torch.sigmoid(logits)
-    terms = alpha * mask * (1.0 - p) ** 2 * p.log() + (1.0 - alpha) * (1.0 - mask) * p**2 * (1.0 - p).log()
-    exact = 0.5 * (alpha if logit < 0.0 else 1.0 - alpha) * 1e4
-    ours = binary_focal_loss(logits, mask, alpha).item()
-    errors(naive=number(abs(-terms.mean().item() / exact - 1.0)), ours=abs(ours / exact - 1.0))
-
-
 def labels_of(row: list[float], column: list[float], path_class: int = 0) -> PointLabels:
     count = len(row)
     return PointLabels(
         row=np.array(row), column=np.array(column), path_class=np.full(count, path_class, np.uint8),
     )  # fmt: skip
-
-
-@pytest.mark.hard("lab.training.objectives.losses", "mean over the peaks", 1e-6, "",
-                  "closed form 16 ln 2 / 4, rounding to float32")  # fmt: skip
-def test_focal_loss_without_a_peak(errors: Errors) -> None:
-    """A map without a peak, all cells at z = 0: divided by no peak; what is left is the sum of the negatives."""
-    logits, exact = torch.zeros(1, 1, 4, 4), 16 * 0.25 * math.log(2.0)
-    negatives = (torch.sigmoid(logits) ** 2 * functional.softplus(logits)).sum()
-    naive = (negatives / torch.zeros_like(logits).sum()).item()
-    ours = heatmap_focal_loss(logits, torch.zeros_like(logits)).item()
-    errors(naive=number(abs(naive / exact - 1.0)), ours=abs(ours / exact - 1.0))
 
 
 @pytest.mark.hard("lab.training.objectives.anchors", "mean over the anchors of points", 1e-6, "",
@@ -151,30 +126,6 @@ def test_binary_focal_loss_of_half_precision_answers(errors: Errors) -> None:
     z = logits.double()
     exact = (0.01 * torch.sigmoid(z) ** 2 * functional.softplus(z)).mean().item()
     errors(naive=abs(naive / exact - 1.0), ours=abs(binary_focal_loss(logits, mask).item() / exact - 1.0))
-
-
-def sliced_heatmap(shape: tuple[int, int], row: int, column: int) -> np.ndarray:
-    """A Gaussian about a cell as it is first written: a kernel added to the square of cells about it."""
-    heatmap, step = np.zeros(shape, np.float32), np.arange(-6, 7)
-    square = heatmap[row - 6 : row + 7, column - 6 : column + 7]
-    square += np.exp(-0.5 * np.add.outer(step**2, step**2)).astype(np.float32)
-    return heatmap
-
-
-@pytest.mark.parametrize("cell", [(0, 0), (31, 15)], ids=["first", "last"])
-@pytest.mark.hard("lab.training.objectives.heatmaps", "kernel on heatmap[i - r : i + r + 1]",
-                  math.exp(-0.5 * 5.4**2) + 1e-7, "",
-                  "the Gaussian is cut at 5.4 sigma; one rounding to float32")  # fmt: skip
-def test_target_at_the_border(errors: Errors, cell: tuple[int, int]) -> None:
-    """A point in a corner: the slice about it starts at -6, counted from the other end, or stops short."""
-    rows, columns = np.ogrid[:32, :16]
-    exact = np.exp(-0.5 * ((rows - cell[0]) ** 2 + (columns - cell[1]) ** 2))
-    try:
-        naive = float(np.abs(sliced_heatmap((32, 16), *cell) - exact).max())
-    except ValueError:
-        naive = math.inf
-    ours = gaussian_heatmap((32, 16), np.array([cell[0]]), np.array([cell[1]]))
-    errors(naive=naive, ours=float(np.abs(ours - exact).max()))
 
 
 @pytest.mark.hard("lab.training.fit_confidence", "-t log(p) - (1 - t) log(1 - p)", 1e-12, "",
