@@ -15,8 +15,9 @@ from models.perception.form.ra_forming import FormingParams
 from models.perception.track.scan_state import MemoryParams
 from models.perception.track.views_over_scans import ViewStage
 from models.physics.mirror import wall_from_ends
+from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.frames import polar_from_xy
-from msgs.values.perception import BevFrame, BevGrid, PathClass, Peaks, SceneTruth, Wall
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, PathClass, Peaks, SceneTruth, Track, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 
@@ -77,3 +78,28 @@ def example_truth(**fields: Any) -> SceneTruth:
     plain: dict[str, Any] = {"stamp_ns": 0, "scan_id": 0, "hidden_object": np.zeros(0, np.int32)}
     plain |= dict.fromkeys(("los_points_m", "mirrored_points_m", "hidden_points_m"), none)
     return SceneTruth(**plain | fields)
+
+
+def beam_of(setup: RadarSetup, index: int, samples: np.ndarray, **fields: Any) -> RadarBeam:
+    """A beam of a set-up at its time in scan 0, unless told otherwise."""
+    plain: dict[str, Any] = {"stamp_ns": index * setup.beam_interval_ns, "beam_count": len(setup.beams)}
+    plain["azimuth_rad"] = float(setup.beams.azimuth_rad[index])
+    plain["full_scale_dbm"] = setup.full_scale_dbm
+    return example_beam(beam_index=index, samples=samples, **plain | fields)
+
+
+def example_object(**fields: Any) -> HiddenObject:
+    """A car-sized object 0 at the radar, of score 0.9 and a metre of error, unless told otherwise."""
+    plain: dict[str, Any] = {"id": 0, "x_m": 0.0, "y_m": 0.0, "length_m": 4.0, "width_m": 2.0, "yaw_rad": 0.0}
+    return HiddenObject(**plain | {"score": 0.9, "cov_m2": ((1.0, 0.0), (0.0, 1.0))} | fields)
+
+
+def example_track(**fields: Any) -> Track:
+    """A track at (1, 2) m, followed for a second, known to a metre, unless told otherwise."""
+    plain: dict[str, Any] = {"id": 1, "x_m": 1.0, "y_m": 2.0, "velocity_x_mps": 0.0, "velocity_y_mps": 0.0}
+    return Track(**plain | {"age_s": 1.0, "cov_m2": ((1.0, 0.0), (0.0, 1.0))} | fields)
+
+
+def example_status(**fields: Any) -> NodeStatus:
+    """The heartbeat of a node that is well, of process 1 at time 0, unless told otherwise."""
+    return NodeStatus(**{"stamp_ns": 0, "node": "geometry", "pid": 1, "state": NodeState.READY} | fields)

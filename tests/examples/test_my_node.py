@@ -16,8 +16,9 @@ import pytest
 from msgs.bus.zmq import ZmqBus
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState, NodeStatus
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject
+from msgs.values.perception import BevFrame, BevGrid
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_object
 from tests.docs.pages import C_LIBRARIES, has_c_libraries
 
 SOURCE = CHECKOUT / "examples" / "my_node" / "my_node.c"
@@ -53,19 +54,7 @@ def run_dir() -> Iterator[Path]:
 
 def view(scan_id: int, *positions_m: tuple[float, float]) -> BevFrame:
     grid = BevGrid()
-    objects = tuple(
-        HiddenObject(
-            id=number,
-            x_m=x_m,
-            y_m=y_m,
-            length_m=4.0,
-            width_m=2.0,
-            yaw_rad=0.0,
-            score=0.9,
-            cov_m2=((1.0, 0.0), (0.0, 1.0)),
-        )
-        for number, (x_m, y_m) in enumerate(positions_m)
-    )
+    objects = tuple(example_object(id=number, x_m=x_m, y_m=y_m) for number, (x_m, y_m) in enumerate(positions_m))
     return BevFrame(
         stamp_ns=scan_id,
         scan_id=scan_id,

@@ -38,18 +38,16 @@ from msgs.files.shipped import shipped_path
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
-from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.diagnostics import LogRecord, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.frames import xy_from_polar
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.perception import (
     BevFrame,
     BevGrid,
-    HiddenObject,
     HiddenPoint,
     Peaks,
     SceneTruth,
-    Track,
     TruthObject,
     TruthSurface,
     Wall,
@@ -83,6 +81,7 @@ from nodes.node import Node
 from nodes.recording import snapshot_recorder
 from nodes.recording.files import as_recorded
 from sim_player.car import SimulatedCar
+from tests.builders import beam_of, example_map, example_object, example_status, example_track
 from tests.fuzz.strategies import Said, Step
 from tests.side_sensors import cloud, jpeg
 
@@ -127,14 +126,8 @@ def beam(setup: RadarSetup, scan_id: int, index: int, stamp_ns: int) -> RadarBea
     tone = 800.0 * np.exp(2j * np.pi * turns)
     noise = rng.normal(scale=20.0, size=(radar.chirps_per_beam, *tone.shape, 2))
     codes = np.stack([tone.real, tone.imag], axis=-1) + noise
-    return RadarBeam(
-        stamp_ns=stamp_ns + index * setup.beam_interval_ns,
-        scan_id=scan_id,
-        beam_index=index,
-        beam_count=len(setup.beams),
-        azimuth_rad=float(setup.beams.azimuth_rad[index]),
-        samples=codes.astype(np.int16),
-        full_scale_dbm=setup.full_scale_dbm,
+    return beam_of(
+        setup, index, codes.astype(np.int16), stamp_ns=stamp_ns + index * setup.beam_interval_ns, scan_id=scan_id
     )
 
 
@@ -158,14 +151,12 @@ def ra_map(scan_id: int, stamp_ns: int, mode: str = "coherent") -> RangeAzimuthM
     values = rng.standard_normal(GRID.shape) + 1j * rng.standard_normal(GRID.shape)
     values[20, 30] += 40.0
     values[31, 40] -= 30.0
-    return RangeAzimuthMap(
+    return example_map(
+        values.astype(np.complex64),
         stamp_ns=stamp_ns,
         scan_id=scan_id,
         grid=GRID,
-        values=values.astype(np.complex64),
         azimuth_stamp_ns=stamp_ns + np.arange(GRID.azimuth_bins, dtype=np.int64) * 10**6,
-        noise_power_mw=1.0,
-        incoherent=np.zeros(GRID.range_bins, bool),
         mode=mode,
         missing_beams=(1,),
     )
@@ -275,28 +266,16 @@ def view(scan_id: int, stamp_ns: int) -> BevFrame:
         walls=(Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -10.0), (20.0, 10.0)), inliers=9),),
         points=(HiddenPoint(x_m=13.0, y_m=-9.0, score=0.5, image_x_m=27.0, image_y_m=-9.0, wall=0),),
         objects=tuple(
-            HiddenObject(
-                id=number,
-                x_m=13.0 + number,
-                y_m=-9.0,
-                length_m=4.0,
-                width_m=2.0,
-                yaw_rad=0.1,
-                score=0.9,
-                cov_m2=covariance,
-                stamp_ns=stamp_ns,
-                points=3,
+            example_object(
+                id=number, x_m=13.0 + number, y_m=-9.0, yaw_rad=0.1, cov_m2=covariance, stamp_ns=stamp_ns, points=3
             )
             for number in (1, 2)
         ),
         tracks=(
-            Track(
-                id=1,
+            example_track(
                 x_m=13.0,
                 y_m=-9.0,
-                velocity_x_mps=0.0,
                 velocity_y_mps=5.0,
-                age_s=1.0,
                 cov_m2=covariance,
                 time_to_appear_s=1.5,
                 velocity_cov_m2ps2=covariance,
@@ -327,11 +306,10 @@ def truth(scan_id: int, stamp_ns: int) -> SceneTruth:
 
 def status(stamp_ns: int) -> NodeStatus:
     count = TopicCount(topic="radar/beam", messages=25, bytes=10**6, lost=1)
-    return NodeStatus(
+    return example_status(
         stamp_ns=stamp_ns,
         node="ra_former",
         pid=7,
-        state=NodeState.READY,
         uptime_s=1e-9 * stamp_ns,
         stages=(StageTime(name="beam", count=2, last_ms=1.0, mean_ms=1.0, max_ms=2.0, samples_ms=(1.0, 2.0)),),
         received=(count,),

@@ -221,19 +221,6 @@ def test_a_post_is_rendered_once_for_all_and_never_for_nobody(board: Board, serv
     assert rendered == [49]
 
 
-def test_ten_pages_all_see_the_newest(board: Board, server: ViewerServer) -> None:
-    with contextlib.ExitStack() as stack:
-        pages = [stack.enter_context(client(server)) for _ in range(10)]
-        for page in pages:
-            page.recv(PATIENCE_S)
-        until(lambda: server.clients == 10)
-        for number in range(5):
-            text_post(board, number)
-            for page in pages:
-                assert update(page)[1] == [{"type": "view", "scan_id": number}]
-    until(lambda: server.clients == 0)
-
-
 def test_a_page_that_never_reads_holds_nobody_up(board: Board, server: ViewerServer) -> None:
     """The dead page is owed one update of 64 KiB a tile; 200 more posts leave no trace of it but that one."""
     assembly = Assembly(board)

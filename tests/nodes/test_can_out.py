@@ -10,7 +10,6 @@ from pathlib import Path
 
 import can
 import cantools
-import msgspec
 import numpy as np
 import pytest
 
@@ -331,8 +330,3 @@ def test_bad_parameters_are_one_line(change: dict, rule: str) -> None:
     with pytest.raises(ValueError, match=rule) as caught:
         can_out.create(can_out.Params(**{"interface": "virtual", **change}))
     assert "\n" not in str(caught.value)
-
-
-def test_age_from_is_one_of_two() -> None:
-    with pytest.raises(msgspec.ValidationError, match="age_from"):
-        msgspec.convert({"age_from": "never"}, can_out.Params)

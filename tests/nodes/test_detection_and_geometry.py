@@ -14,7 +14,6 @@ import pytest
 from benchmarks.perception.yaw_bias import limited
 from models.perception.find.detectors import NetworkDetector, detector_name
 from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
-from models.perception.form.ra_former import RaFormer
 from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
@@ -23,9 +22,7 @@ from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
-from nodes.player import Params, scene_player
 from tests.builders import example_map
-from tests.models.perception.mirrors.test_confidence import model, scan_of
 from tests.models.perception.see.networks_by_hand import echoes, empty_map, evidence_network
 from tests.models.perception.track.test_yaw_rate_bias import drive, town, turns
 
@@ -50,48 +47,6 @@ def test_noise_becomes_an_empty_view_of_the_same_scan(method: str) -> None:
     (view,) = geometry.create(geometry.Params()).step([received(peaks.message, "perception/peaks")], 0)
     assert isinstance(view.message, BevFrame)
     assert (view.message.stamp_ns, view.message.scan_id, view.message.objects) == (7, 3, ())
-
-
-@pytest.fixture(scope="module")
-def corner_map() -> RangeAzimuthMap:
-    """One scan of a simulated corner."""
-    player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=16, effects="basic"))
-    former = RaFormer(player.setup)
-    (ra_map,) = [ra_map for index in range(25) for ra_map in former.add(player.beam(0, index))]
-    return ra_map
-
-
-def detected(ra_map: RangeAzimuthMap, **params: Any) -> Peaks:
-    """What the node finds in a map."""
-    (out,) = dense_predictor.create(dense_predictor.Params(**params)).step([received(ra_map, "radar/ra_map")], 0)
-    assert isinstance(out.message, Peaks)
-    assert len(out.message) > 0
-    return out.message
-
-
-def test_the_published_peaks_stand_beside_ours(corner_map: RangeAzimuthMap) -> None:
-    """One scene, both ways: the same kind of answer, other places."""
-    ours, published = (detected(corner_map, refine=refine) for refine in (True, False))
-    assert ours.azimuth_rad.tolist() != published.azimuth_rad.tolist()
-
-
-def mirrored(ra_map: RangeAzimuthMap) -> RangeAzimuthMap:
-    """The same map with left and right exchanged."""
-    return msgspec.structs.replace(ra_map, values=np.ascontiguousarray(ra_map.values[:, ::-1]))
-
-
-def test_left_and_right_are_alike(corner_map: RangeAzimuthMap) -> None:
-    """With one look and with two: peaks of the mirrored map lie at the negative azimuths, with equal scores. Tolerance
-    of scores: 1e-5, the order of a float32 network's sums over 512 x 256 cells.
-    """
-    for flip_test in (True, False):
-        here, there = (detected(one, flip_test=flip_test) for one in (corner_map, mirrored(corner_map)))
-        assert here.detector.endswith("/flip_test") == flip_test
-        rows = [
-            sorted(zip(peaks.range_m, side * peaks.azimuth_rad, peaks.score, strict=True))
-            for peaks, side in ((here, 1.0), (there, -1.0))
-        ]
-        np.testing.assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-5)
 
 
 def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,25 +77,6 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
     assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar_params)  # type: ignore[comparison-overlap]
 
 
-def test_the_geometry_node_heeds_a_confidence_of_its_detector(tmp_path: Path) -> None:
-    """Two images, 35 and 5 dB strong, folded in a facade: of p = sigmoid(2 tanh((snr - 20) / 10) - 0.5) they have
-    sigmoid(2 tanh(1.5) - 0.5) = 0.7876 and sigmoid(2 tanh(-1.5) - 0.5) = 0.0902. At a threshold of 0.5 the first is
-    kept with that score. Without a model, and with one of another detector's peaks, both keep the score 0.9 of their
-    peaks. Tolerance: the digits given.
-    """
-    peaks = msgspec.structs.replace(scan_of([35.0, 5.0]), detector="ours")
-    scores = {}
-    for name, of_detector in (("any", ""), ("ours", "ours"), ("theirs", "theirs")):
-        path = tmp_path / f"{name}.json"
-        path.write_bytes(msgspec.json.encode(model(detector=of_detector)))
-        node = geometry.create(geometry.Params(confidence=str(path)))
-        (view,) = node.step([received(peaks, "perception/peaks")], 0)
-        scores[name] = [point.score for point in view.message.points]
-    (view,) = geometry.create(geometry.Params(confidence="none")).step([received(peaks, "perception/peaks")], 0)
-    assert [point.score for point in view.message.points] == scores["theirs"] == [0.9, 0.9]
-    assert scores["any"] == scores["ours"] == [pytest.approx(0.7876, abs=1e-4)]
-
-
 def test_the_default_confidence_is_that_of_the_default_network() -> None:
     *_, fitted = geometry.parts_of(geometry.Params(confidence="default"))
     assert fitted is not None
@@ -151,11 +87,6 @@ def test_the_default_confidence_is_that_of_the_default_network() -> None:
 def test_a_missing_model_ends_the_node_at_start(tmp_path: Path) -> None:
     with pytest.raises((ValueError, FileNotFoundError), match=r"nowhere\.json"):
         dense_predictor.create(dense_predictor.Params(model=str(tmp_path / "nowhere.onnx")))
-
-
-def test_another_method_is_refused_with_those_that_exist() -> None:
-    with pytest.raises(msgspec.ValidationError, match="method"):
-        msgspec.convert({"method": "magic"}, dense_predictor.Params)
 
 
 def test_a_view_carries_the_vehicles_motion_at_its_scan() -> None:

@@ -18,10 +18,11 @@ from msgs.bus.local import Faults, LocalNetwork
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
 from nodes.inputs.view_latency import DEADLINE_S, last_beam_ns
-from nodes.node import Node, _turn
+from nodes.node import _turn
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
 from nodes.viewer.assembly import LATE_MAP_PERIOD_NS, Assembly
 from nodes.viewer.newest import Board
+from tests.builders import beam_of
 from tests.nodes.test_bev_viewer import frame, ra_map
 
 MS = 1_000_000
@@ -83,10 +84,7 @@ class Rig:
     def _beam(self) -> RadarBeam:
         scan, index = divmod(self.sent, BEAMS)
         self.sent += 1
-        return RadarBeam(
-            stamp_ns=self.network.now_ns, scan_id=scan, beam_index=index, beam_count=BEAMS,
-            azimuth_rad=float(SETUP.beams.azimuth_rad[index]), samples=NOISE, full_scale_dbm=SETUP.full_scale_dbm,
-        )  # fmt: skip
+        return beam_of(SETUP, index, NOISE, stamp_ns=self.network.now_ns, scan_id=scan, beam_count=BEAMS)
 
     def _clock_ns(self) -> int:
         """Read before and after each fold: the fold's cost lies between two readings."""
@@ -219,10 +217,7 @@ def test_the_limit_of_holes_counts_the_beams_that_are_looked_at(lost: int, publi
     gone = set(range(2, 2 + 2 * lost, 2))
     maps: list[RangeAzimuthMap] = []
     for index in sorted(set(range(BEAMS)) - gone):
-        beam = RadarBeam(
-            stamp_ns=index * SETUP.beam_interval_ns, scan_id=0, beam_index=index, beam_count=BEAMS,
-            azimuth_rad=float(SETUP.beams.azimuth_rad[index]), samples=NOISE, full_scale_dbm=SETUP.full_scale_dbm,
-        )  # fmt: skip
+        beam = beam_of(SETUP, index, NOISE, beam_count=BEAMS)
         envelope = Envelope(publisher="radar", topic="radar/beam", sequence=index, sent_ns=0)
         maps += [out.message for out in node.step([Received("radar/beam", beam, envelope)], 0)]
     maps += [out.message for out in node.step([], PATIENCE_NS)]
@@ -308,13 +303,3 @@ def test_work_left_over_is_done_before_the_end() -> None:
     assert rig.listener.counts()[0][0].messages == 0
     assert [one.message.scan_id for one in rig.listener.receive(0.0)] == [2], "the newest of three maps"  # type: ignore[attr-defined]
     assert rig.listener.counts()[0][0].messages == 3
-
-
-def test_every_node_can_count_what_it_sheds() -> None:
-    node = Node()
-    node.shed.add("scan", "behind")
-    node.shed.add("beam", "late", 3)
-    node.shed.add("scan", "behind", 2)
-    assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [
-        ("scan", "behind", 3), ("beam", "late", 3),
-    ]  # fmt: skip

@@ -2,8 +2,8 @@
 
 A case is a test with the marker `hard` and the fixture `errors`:
 
-    @pytest.mark.hard(where="models.physics.fresnel", naive="growing exponential written out", bound=1e-12, unit="",
-                      source="rounding of two products")
+    @pytest.mark.hard("models.physics.fresnel", "growing exponential written out", 1e-12, "",
+                      "rounding of two products")
     def test_opaque_slab_is_a_half_space(errors: Errors) -> None:
         \"\"\"A metre of metal: e^{+4e6} on the way back.\"\"\"
         errors(naive=..., ours=...)

@@ -27,18 +27,11 @@ def errors(request: pytest.FixtureRequest) -> Errors:
 
     def take(*, naive: float, ours: float) -> None:
         why = (request.function.__doc__ or "").strip().split("\n\n")[0]
+        where, naive_form, bound, unit, source = marker.args
         case = Case(
-            family=request.path.stem.removeprefix("test_"),
-            name=request.node.name.removeprefix("test_").replace("_", " "),
-            why=" ".join(why.split()),
-            where=marker.kwargs["where"],
-            naive_form=marker.kwargs["naive"],
-            naive=float(naive),
-            ours=float(ours),
-            bound=float(marker.kwargs["bound"]),
-            unit=marker.kwargs["unit"],
-            source=marker.kwargs["source"],
-        )
+            request.path.stem.removeprefix("test_"), request.node.name.removeprefix("test_").replace("_", " "),
+            " ".join(why.split()), where, naive_form, float(naive), float(ours), float(bound), unit, source,
+        )  # fmt: skip
         case.hold()
         request.config.stash[CASES].append(case)
 

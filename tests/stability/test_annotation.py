@@ -24,13 +24,8 @@ surfaces:
 """
 
 
-@pytest.mark.hard(
-    where="contrib.annotate.registration.plane_hold",
-    naive="open3d's information matrix, which knows no normals",
-    bound=0.01,
-    unit="of a unit slide resisted",
-    source="registration.min_hold; the truth is 0",
-)
+@pytest.mark.hard("contrib.annotate.registration.plane_hold", "open3d's information matrix, which knows no normals",
+                  0.01, "of a unit slide resisted", "registration.min_hold; the truth is 0")  # fmt: skip
 def test_a_corridor_holds_nothing_along_itself(errors: Errors) -> None:
     """Two endless walls and a road: a cloud fits anywhere along them, with full overlap and no residual but noise."""
     cloud = lidar_cloud(
@@ -45,13 +40,8 @@ def test_a_corridor_holds_nothing_along_itself(errors: Errors) -> None:
     errors(naive=naive, ours=plane_hold(np.asarray(planes.points), np.asarray(planes.normals)).least)
 
 
-@pytest.mark.hard(
-    where="benchmarks.perception.annotation.pose_error",
-    naive="arc cosine of the trace",
-    bound=1e-12,
-    unit="rad",
-    source="rounding of a rotation's entries",
-)
+@pytest.mark.hard("benchmarks.perception.annotation.pose_error", "arc cosine of the trace", 1e-12, "rad",
+                  "rounding of a rotation's entries")  # fmt: skip
 def test_two_poses_that_are_nearly_one(errors: Errors) -> None:
     """A turn of 1e-9 rad: its cosine is 1 in float64."""
     turned = rigid((0.0, 0.0, 0.0), 0.0, 0.0, 1e-9)
@@ -59,13 +49,8 @@ def test_two_poses_that_are_nearly_one(errors: Errors) -> None:
     errors(naive=abs(naive - 1e-9), ours=abs(pose_error(np.eye(4), turned)[1] - 1e-9))
 
 
-@pytest.mark.hard(
-    where="contrib.annotate.slice_labels.in_sight",
-    naive="own wall in the way like any other",
-    bound=0.0,
-    unit="of 400 points",
-    source="a straight wall hides nothing of itself",
-)
+@pytest.mark.hard("contrib.annotate.slice_labels.in_sight", "own wall in the way like any other", 0.0, "of 400 points",
+                  "a straight wall hides nothing of itself")  # fmt: skip
 def test_a_wall_seen_edge_on(errors: Errors) -> None:
     """A wall along the line of sight, 0.3 m off it, 60 m long, 2 cm of noise: every other point lies behind its fit."""
     rng = np.random.default_rng(0)
@@ -78,13 +63,8 @@ def test_a_wall_seen_edge_on(errors: Errors) -> None:
     errors(naive=lost[0], ours=lost[1])
 
 
-@pytest.mark.hard(
-    where="contrib.annotate.registration.Hold.unknown",
-    naive="axis of the smallest eigenvalue",
-    bound=0.0,
-    unit="unknown motions not named",
-    source="a plane leaves two slides and a turn",
-)
+@pytest.mark.hard("contrib.annotate.registration.Hold.unknown", "axis of the smallest eigenvalue", 0.0,
+                  "unknown motions not named", "a plane leaves two slides and a turn")  # fmt: skip
 def test_a_flat_cloud(errors: Errors) -> None:
     """A bare yard, level within rounding: three motions are free, and their eigenvectors are any mixture of them."""
     rng = np.random.default_rng(9)
@@ -95,13 +75,8 @@ def test_a_flat_cloud(errors: Errors) -> None:
     errors(naive=float(3 - len([hold.weakest])), ours=float(3 - len(hold.unknown(0.01))))
 
 
-@pytest.mark.hard(
-    where="contrib.annotate.clouds.read_cloud",
-    naive="zeros taken for points at the sensor",
-    bound=0.003,
-    unit="of the points in conflict",
-    source="registration.max_conflict",
-)
+@pytest.mark.hard("contrib.annotate.clouds.read_cloud", "zeros taken for points at the sensor", 0.003,
+                  "of the points in conflict", "registration.max_conflict")  # fmt: skip
 def test_pulses_without_echo(errors: Errors, tmp_path: Path) -> None:
     """Open sky: 7 % of a scanner's pulses come back as (0, 0, 0), and every other viewpoint looked through there."""
     rng = np.random.default_rng(10)

@@ -53,26 +53,16 @@ def _noise_gain(setup: RadarSetup, missing: tuple[int, ...] = ()) -> float:
     return float(10.0 * np.log10(np.sum(np.abs(values) ** 2, axis=0).max()))
 
 
-@pytest.mark.hard(
-    where="models.perception.form.coarray",
-    naive="least squares on the beams that came",
-    bound=4.0,
-    unit="dB",
-    source="ridge: no cell above 2.5 times a beam's noise",
-)
+@pytest.mark.hard("models.perception.form.coarray", "least squares on the beams that came", 4.0, "dB",
+                  "ridge: no cell above 2.5 times a beam's noise")  # fmt: skip
 def test_a_gap_of_three_beams(errors: Errors) -> None:
     """Beams 11 to 13 missing: exact without noise, but in the gap noise shouts. Worst cell over a beam's noise."""
     missing = (11, 12, 13)
     errors(naive=_least_squares_gain(RadarSetup(), missing), ours=_noise_gain(RadarSetup(), missing))
 
 
-@pytest.mark.hard(
-    where="models.perception.form.coarray",
-    naive="least squares",
-    bound=4.0,
-    unit="dB",
-    source="ridge: no cell above 2.5 times a beam's noise",
-)
+@pytest.mark.hard("models.perception.form.coarray", "least squares", 4.0, "dB",
+                  "ridge: no cell above 2.5 times a beam's noise")  # fmt: skip
 @pytest.mark.parametrize(
     "azimuth_deg",
     [(0.0, 0.0, 0.0), (-1.0, -0.5, 0.0, 0.5, 1.0), tuple(np.linspace(80.0, 89.9, 25))],
@@ -121,58 +111,8 @@ def test_a_dead_beam_does_not_reach_far() -> None:
     assert left.max() == pytest.approx(8.0, rel=0.1)
 
 
-def _largest_db(values: np.ndarray) -> float:
-    """Level of a map's largest cell over the 8 of an ideal beam on its target."""
-    return float(20.0 * np.log10(np.abs(values).max() / 8.0))
-
-
-@pytest.mark.hard(
-    where="models.perception.form.coarray",
-    naive="zeros in its place",
-    bound=2e-4,
-    unit="dB",
-    source="ridge of 1e-7 over least singular values squared of 6e-3",
-)
-def test_a_missing_beam(errors: Errors) -> None:
-    """The beam on the target never came: a row of zeros says that nothing stands there. Level of the target."""
-    setup = RadarSetup()
-    interpolator = AzimuthInterpolator(setup, GRID)
-    profiles = _profiles(setup, 20.0)
-    profiles[16] = 0.0
-    values, _ = interpolator.interpolate(profiles, np.inf, (16,))
-    ideal_db = _largest_db(ideal_beams(setup, GRID.azimuth_rad) @ _coefficients(20.0))
-    errors(
-        naive=abs(_largest_db(profiles[:, 0] @ interpolator.coherent_matrix) - ideal_db),
-        ours=abs(_largest_db(values) - ideal_db),
-    )
-
-
-@pytest.mark.hard(
-    where="models.perception.form.coarray",
-    naive="one coherent fit, untested",
-    bound=0.2,
-    unit="dB",
-    source="6-bit phases: 1.6 deg rms a column, 2 % of a two-way beam of 8",
-)
-def test_a_mover(errors: Errors) -> None:
-    """0.6 m/s: the phase turns by half a circle from beam to beam, and beams add up to nothing. Level of its peak."""
-    setup = RadarSetup()
-    interpolator = AzimuthInterpolator(setup, GRID)
-    turns = 2.0 * 0.6 * 0.012 / setup.radar.wavelength_m * np.arange(25)
-    profiles = (_profiles(setup, 10.0) * np.exp(2j * np.pi * turns)[:, None]).astype(np.complex64)
-    values, incoherent = interpolator.interpolate(profiles, 1e-6)
-    assert incoherent.all()
-    naive = profiles[:, 0] @ interpolator.coherent_matrix
-    errors(naive=abs(_largest_db(naive)), ours=abs(_largest_db(values)))
-
-
-@pytest.mark.hard(
-    where="models.perception.form.coarray",
-    naive="exact phases assumed",
-    bound=2e-5,
-    unit="",
-    source="ridge of 1e-7 over least singular values squared of 6e-3",
-)
+@pytest.mark.hard("models.perception.form.coarray", "exact phases assumed", 2e-5, "",
+                  "ridge of 1e-7 over least singular values squared of 6e-3")  # fmt: skip
 @pytest.mark.parametrize("bits", [2, 6])
 def test_quantised_phases(bits: int, errors: Errors) -> None:
     """Beams of phases rounded to so many bits are no ideal beams; relative error of the map of one target."""
@@ -187,13 +127,8 @@ def test_quantised_phases(bits: int, errors: Errors) -> None:
     errors(naive=error(RadarSetup(array=ArrayParams(phase_bits=0))), ours=error(setup))
 
 
-@pytest.mark.hard(
-    where="models.perception.form.coarray",
-    naive="energies summed in float32",
-    bound=0.0,
-    unit="of movers",
-    source="float64 holds 1e-46: every mover without noise is found",
-)
+@pytest.mark.hard("models.perception.form.coarray", "energies summed in float32", 0.0, "of movers",
+                  "float64 holds 1e-46: every mover without noise is found")  # fmt: skip
 def test_movers_in_tiny_units(errors: Errors) -> None:
     """Amplitudes of 1e-23: |y|^2 is below the least float32, no residual exceeds anything. Share not found."""
     setup = RadarSetup()
@@ -308,13 +243,8 @@ def fisher_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, ampli
     return np.block(blocks)
 
 
-@pytest.mark.hard(
-    where="benchmarks.perception.cramer_rao",
-    naive="inverse of the information matrix",
-    bound=1e-7,
-    unit="",
-    source="2^-52 times condition 1.8e8 of the matrix' root, twice for a variance",
-)
+@pytest.mark.hard("benchmarks.perception.cramer_rao", "inverse of the information matrix", 1e-7, "",
+                  "2^-52 times condition 1.8e8 of the matrix' root, twice for a variance")  # fmt: skip
 def test_two_echoes_a_thousandth_of_a_degree_apart(errors: Errors) -> None:
     """The variance of their azimuths is huge, and comes out negative where squares are inverted. Relative error."""
     azimuth_rad, amplitude = np.radians([0.0, 1e-3]), np.array([1e-5, 1e-5j])
@@ -326,13 +256,8 @@ def test_two_echoes_a_thousandth_of_a_degree_apart(errors: Errors) -> None:
     errors(naive=np.abs(naive / exact - 1.0).max(), ours=np.abs(ours / exact - 1.0).max())
 
 
-@pytest.mark.hard(
-    where="benchmarks.perception.cramer_rao",
-    naive="beam width over sqrt(2 SNR)",
-    bound=1e-6,
-    unit="",
-    source="central difference: rounding 1e-16 over h cos = 6e-8",
-)
+@pytest.mark.hard("benchmarks.perception.cramer_rao", "beam width over sqrt(2 SNR)", 1e-6, "",
+                  "central difference: rounding 1e-16 over h cos = 6e-8")  # fmt: skip
 def test_a_bound_that_grows_towards_endfire(errors: Errors) -> None:
     """89.999 deg: sines no longer tell angles apart, an error 57,000 times the sine's. Relative error of sigma."""
     setup, azimuth_rad, amplitude = RadarSetup(), np.radians([89.999]), np.array([1e-5])
@@ -367,13 +292,8 @@ def test_what_no_sample_tells_has_no_finite_bound() -> None:
     assert (bound[:, 1, 1] > 1e20).all()
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.observability",
-    naive="both cross products on the wedge's side",
-    bound=0.0,
-    unit="of the cells in sight",
-    source="a wall seen edge-on hides nothing",
-)
+@pytest.mark.hard("models.perception.mirrors.observability", "both cross products on the wedge's side", 0.0,
+                  "of the cells in sight", "a wall seen edge-on hides nothing")  # fmt: skip
 def test_radar_on_the_line_of_a_wall(errors: Errors) -> None:
     """The wedge behind the wall has no width and no side: 0 >= 0 lets every cell pass. Share of cells lost."""
     grid, params = BevGrid(), VisibilityParams()

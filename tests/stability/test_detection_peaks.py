@@ -67,23 +67,8 @@ def test_missing_speeds_heights_and_strengths_change_no_wall(share: float) -> No
     assert len(through(with_gaps)[1].walls) == 2
 
 
-def test_duplicates_count_once() -> None:
-    message = detections(street_points())
-    columns = ("range_m", "azimuth_rad", "covariance", "snr_db")
-    twice = {name: np.concatenate([getattr(message, name)] * 2) for name in columns}
-    peaks, frame = through(message)
-    again, frame_of_twice = through(msgspec.structs.replace(message, **twice))
-    np.testing.assert_allclose(again.range_m, peaks.range_m)
-    assert len(frame_of_twice.objects) == len(frame.objects) == 1
-
-
-@pytest.mark.hard(
-    where="models.perception.target_lists.ego_doppler",
-    naive="least squares over all detections",
-    bound=0.05,
-    unit="m/s",
-    source="three standard deviations of the radar's velocity from 150 speeds of 0.1 m/s",
-)
+@pytest.mark.hard("models.perception.target_lists.ego_doppler", "least squares over all detections", 0.05, "m/s",
+                  "three standard deviations of the radar's velocity from 150 speeds of 0.1 m/s")  # fmt: skip
 def test_a_column_of_cars_does_not_pull_the_velocity(errors: Errors) -> None:
     """A quarter of the detections are of traffic that drives along, and speeds repeat every 10 m/s."""
     velocity = np.array([14.0, 0.0])

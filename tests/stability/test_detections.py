@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from contrib.boards.target_list import TargetListParams, TargetListReader
-from contrib.imports.detection_columns import DetectionMapping, detections_of, polar_covariance
+from contrib.imports.detection_columns import DetectionMapping, detections_of
 from contrib.imports.detection_tables import table_scans
 from nodes.can.bus import load_dbc
 from tests.contrib.boards.target_radar_stand_in import measurement, random_targets
@@ -22,13 +22,7 @@ MAPPING = {
 }  # fmt: skip
 
 
-@pytest.mark.hard(
-    where="contrib.imports.detection_tables",
-    naive="seconds as a double",
-    bound=0.0,
-    unit="ns",
-    source="decimal digits and integers",
-)
+@pytest.mark.hard("contrib.imports.detection_tables", "seconds as a double", 0.0, "ns", "decimal digits and integers")
 def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: Path) -> None:
     """Seconds since 1970 with nine decimals: doubles lie 240 ns apart."""
     true_ns = (1_700_000_000 * 10**9 + np.arange(1000) * 50_000_003).tolist()
@@ -44,35 +38,8 @@ def test_epoch_stamps_of_tables_keep_every_nanosecond(errors: Errors, tmp_path: 
     )
 
 
-@pytest.mark.hard(
-    where="contrib.imports.detection_columns",
-    naive="longitudinal error as that of range, lateral as that of azimuth",
-    bound=1e-9,
-    unit="relative",
-    source="rounding of a rotation there and back",
-)
-def test_covariances_turn_with_the_azimuth(errors: Errors) -> None:
-    """0.1 m along and 1 m across: at 80 deg the range has the lateral error; turned back, the plane's comes out."""
-    variance_m2 = np.tile([0.01, 1.0], (81, 1))
-    range_m, azimuth_rad = np.full(81, 50.0), np.radians(np.arange(-80.0, 81.0, 2.0))
-    polar = polar_covariance(range_m, azimuth_rad, variance_m2)
-    cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
-    jacobian = np.stack([np.stack([cos, -range_m * sin], -1), np.stack([sin, range_m * cos], -1)], -2)
-    naive = np.stack([variance_m2[:, 0], variance_m2[:, 1] / range_m**2], -1)[:, :, None] * np.eye(2)
-    true = variance_m2[:, :, None] * np.eye(2)
-    ours_error, naive_error = (
-        np.abs(jacobian @ each @ jacobian.transpose(0, 2, 1) - true).max() for each in (polar, naive)
-    )
-    errors(naive=float(naive_error), ours=float(ours_error))
-
-
-@pytest.mark.hard(
-    where="contrib.imports.detection_columns",
-    naive="degrees to radians alone",
-    bound=1e-12,
-    unit="rad",
-    source="rounding of the remainder",
-)
+@pytest.mark.hard("contrib.imports.detection_columns", "degrees to radians alone", 1e-12, "rad",
+                  "rounding of the remainder")  # fmt: skip
 def test_azimuths_of_a_full_turn_come_out_around_the_front(errors: Errors) -> None:
     """A sensor that counts 0..360 deg clockwise: 350 deg are 10 deg to the left."""
     degrees = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 359.999])
@@ -86,13 +53,7 @@ def test_azimuths_of_a_full_turn_come_out_around_the_front(errors: Errors) -> No
     )
 
 
-@pytest.mark.hard(
-    where="contrib.boards.target_list",
-    naive="difference of counters as they are",
-    bound=0.0,
-    unit="scans",
-    source="integers",
-)
+@pytest.mark.hard("contrib.boards.target_list", "difference of counters as they are", 0.0, "scans", "integers")
 def test_scan_numbers_go_on_at_the_counters_wrap(errors: Errors) -> None:
     """65534, 65535, 0, 2: one measurement is missing, not minus 65535."""
     counters = (65534, 65535, 0, 2)

@@ -29,10 +29,8 @@ def report_of(log_std: float = 0.0, heading: tuple[float, float] = (1.0, 0.0)) -
     return report.covariance_m2[0], float(report.yaw_rad[0])
 
 
-@pytest.mark.hard(
-    where="models.perception.see.evidence_answers", naive="exponential of the answer as it stands", bound=8.0, unit="m",
-    source="limit of the logarithm: e^2 m = 7.39 m",
-)  # fmt: skip
+@pytest.mark.hard("models.perception.see.evidence_answers", "exponential of the answer as it stands", 8.0, "m",
+                  "limit of the logarithm: e^2 m = 7.39 m")  # fmt: skip
 def test_a_network_may_say_any_error(errors: Errors) -> None:
     """A logarithm of 400, as an unusual input may cause: its variance is no double."""
     covariance_m2, _ = report_of(log_std=400.0)
@@ -42,11 +40,8 @@ def test_a_network_may_say_any_error(errors: Errors) -> None:
     errors(naive=naive, ours=float(np.sqrt(np.linalg.eigvalsh(covariance_m2).max())))
 
 
-@pytest.mark.hard(
-    where="models.perception.see.evidence_answers", naive="arccos of the doubled angle's cosine", bound=1e-15,
-    unit="rad",
-    source="rounding of the inverse tangent, of single precision in the answer",
-)  # fmt: skip
+@pytest.mark.hard("models.perception.see.evidence_answers", "arccos of the doubled angle's cosine", 1e-15, "rad",
+                  "rounding of the inverse tangent, of single precision in the answer")  # fmt: skip
 def test_half_of_a_very_small_angle(errors: Errors) -> None:
     """A box 1e-9 rad off its axis: its cosine is 1, so the inverse cosine sees no angle and no side."""
     half_rad = 1e-9
@@ -56,11 +51,8 @@ def test_half_of_a_very_small_angle(errors: Errors) -> None:
     errors(naive=abs(0.5 * math.acos(math.cos(2.0 * half_rad)) - wanted_rad), ours=abs(yaw_rad - wanted_rad))
 
 
-@pytest.mark.hard(
-    where="models.perception.see.evidence_answers", naive="half angle by a normalised bisector", bound=1e-12,
-    unit="rad",
-    source="any axis is as good",
-)  # fmt: skip
+@pytest.mark.hard("models.perception.see.evidence_answers", "half angle by a normalised bisector", 1e-12, "rad",
+                  "any axis is as good")  # fmt: skip
 def test_a_heading_that_the_network_does_not_know(errors: Errors) -> None:
     """Both numbers of the heading zero: a vector without direction cannot be brought to length 1."""
     with np.errstate(invalid="ignore"):

@@ -11,8 +11,6 @@ import pytest
 
 from contrib.two_machines.peer_clock import MAX_DRIFT, ClockSample, PeerClock, shift_stamps
 from msgs.values.units import ns_from_s
-from msgs.values.vehicle import VehicleState
-from nodes.process.liveness import LATE_S, Sample, Silence
 from tests.fuzz.cases import peaks
 from tests.stability.catalogue import Errors
 
@@ -20,11 +18,11 @@ from tests.stability.catalogue import Errors
 UP_NS, AHEAD_NS = 630_720_000_123_456_789, 1_131_719_876_543_211_235
 SECOND_NS = ns_from_s(1.0)
 AGAINST_THE_MEAN = pytest.mark.hard(
-    where="contrib.two_machines.peer_clock.PeerClock",
-    naive="mean of the last 64 answers",
-    bound=2 * (0.5e-3 + 1.0 * MAX_DRIFT),
-    unit="s",
-    source="half a round trip of 1 ms and a second's drift, once for the answer and once for the offset in use",
+    "contrib.two_machines.peer_clock.PeerClock",
+    "mean of the last 64 answers",
+    2 * (0.5e-3 + 1.0 * MAX_DRIFT),
+    "s",
+    "half a round trip of 1 ms and a second's drift, once for the answer and once for the offset in use",
 )
 
 
@@ -50,13 +48,8 @@ def heard(samples: list[ClockSample]) -> PeerClock:
     return clock
 
 
-@pytest.mark.hard(
-    where="contrib.two_machines.peer_clock.ClockSample",
-    naive="mean of the two times in float64",
-    bound=0.5,
-    unit="ns",
-    source="half of an odd sum is rounded down",
-)
+@pytest.mark.hard("contrib.two_machines.peer_clock.ClockSample", "mean of the two times in float64", 0.5, "ns",
+                  "half of an odd sum is rounded down")  # fmt: skip
 def test_clock_of_a_host_that_is_up_for_decades(errors: Errors) -> None:
     """Stamps of 6e17 ns: doubles stand 128 ns apart there, and a radar's samples 10 ns."""
     naive = ours = 0.0
@@ -68,13 +61,10 @@ def test_clock_of_a_host_that_is_up_for_decades(errors: Errors) -> None:
     errors(naive=naive, ours=ours)
 
 
-@pytest.mark.hard(
-    where="contrib.two_machines.peer_clock.PeerClock",
-    naive="the answer of the shortest round trip ever",
-    bound=2 * (2e-3 + 1.0 * MAX_DRIFT),
-    unit="s",
-    source="half a round trip of 4 ms and a second's drift, once for the answer and once for the offset in use",
-)
+@pytest.mark.hard("contrib.two_machines.peer_clock.PeerClock", "the answer of the shortest round trip ever",
+                  2 * (2e-3 + 1.0 * MAX_DRIFT), "s",
+                  "half a round trip of 4 ms and a second's drift, once for the answer and once for the offset in "
+                  "use")  # fmt: skip
 def test_lucky_answer_of_an_hour_ago(errors: Errors) -> None:
     """A clock 100 ppm fast: an answer of 20 us is worth the most for seconds, and 0.36 s wrong an hour later."""
     lucky_ns, usual_ns = 10_000, 2_000_000
@@ -98,27 +88,7 @@ def test_one_way_full_of_maps(errors: Errors) -> None:
     )
 
 
-@AGAINST_THE_MEAN
-def test_first_answer_after_a_restart(errors: Errors) -> None:
-    """The peer starts again and its clock with it: 36 years back, said by one answer against sixty-three."""
-    ways_ns = itertools.repeat(500_000)
-    before, _ = answers(ways_ns, ways_ns, 63)
-    restarted_ns = SECOND_NS - before[-1].answered_ns
-    asked_ns = before[-1].asked_ns + SECOND_NS
-    samples = [*before, ClockSample(asked_ns, asked_ns + 500_000 + restarted_ns, asked_ns + 1_000_000)]
-    errors(
-        naive=1e-9 * abs(sum(sample.offset_ns for sample in samples) // 64 - restarted_ns),
-        ours=1e-9 * abs(heard(samples).offset_ns - restarted_ns),
-    )
-
-
-@pytest.mark.hard(
-    where="contrib.two_machines.peer_clock.shift_stamps",
-    naive="seconds in float64",
-    bound=0.0,
-    unit="ns",
-    source="whole numbers",
-)
+@pytest.mark.hard("contrib.two_machines.peer_clock.shift_stamps", "seconds in float64", 0.0, "ns", "whole numbers")
 def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
     """A stamp for each peak, 1.8e18 ns on the peer's clock: moved as seconds they land 256 ns beside."""
     sent = peaks(0, UP_NS + AHEAD_NS)
@@ -129,62 +99,3 @@ def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
         naive=max(abs(int(one) - right) for one, right in zip(naive_ns, exact, strict=True)),
         ours=max(abs(int(one) - right) for one, right in zip(moved.peak_stamp_ns, exact, strict=True)),
     )
-
-
-@pytest.mark.hard(
-    where="contrib.two_machines.peer_clock.shift_stamps",
-    naive="offset taken off every stamp",
-    bound=0.0,
-    unit="ns",
-    source="0 stands for none",
-)
-def test_a_stamp_that_is_none(errors: Errors) -> None:
-    """No motion yet: its stamp is 0, which no clock may turn into a time."""
-    errors(naive=AHEAD_NS, ours=abs(shift_stamps(VehicleState(stamp_ns=0), -AHEAD_NS).stamp_ns))
-
-
-def silent(samples: list[Sample]) -> Silence:
-    silence = Silence()
-    for one in samples:
-        silence.add(one)
-    return silence
-
-
-@pytest.mark.hard(
-    where="nodes.process.liveness.Silence",
-    naive="time since the last heartbeat",
-    bound=0.25 + 1e-9,
-    unit="s held against it",
-    source="the longest interval between two looks that counts, rounding",
-)
-def test_supervisor_that_slept_itself(errors: Errors) -> None:
-    """The lid was closed for an hour: all nodes are silent for as long, and none has failed."""
-    looks = [Sample(0.0, "SS", 1.0, 0.0), Sample(3600.0, "SS", 1.0, 0.0)]
-    errors(naive=3600.0, ours=silent(looks).answerable_s - LATE_S)
-
-
-@pytest.mark.hard(
-    where="nodes.process.liveness.Silence",
-    naive="time since the last heartbeat",
-    bound=0.1 + 1e-9,
-    unit="s held against it",
-    source="1 % of ten seconds on a core, summed in 200 steps of float64",
-)
-def test_hundred_processes_on_a_core(errors: Errors) -> None:
-    """It runs for 1 % of ten seconds and waits for the rest: killed for its silence, it would load the machine more."""
-    looks = [Sample(0.05 * index, "RS", 5e-4 * index, 0.0495 * index) for index in range(201)]
-    errors(naive=10.0, ours=silent(looks).answerable_s - LATE_S)
-
-
-@pytest.mark.hard(
-    where="nodes.process.liveness.Silence",
-    naive="waiting of all its threads since the first look",
-    bound=1e-9,
-    unit="s of 10 s",
-    source="the interval in which a thread ended counts once, 200 sums of float64",
-)
-def test_thread_that_ends_takes_its_waiting_along(errors: Errors) -> None:
-    """A worker that had waited a minute for a core ends: the sum over threads falls by that minute."""
-    looks = [Sample(0.05 * index, "RS", 0.05 * index, 60.0 * (index < 100)) for index in range(201)]
-    held_s = 10.0 - (looks[-1].waited_s - looks[0].waited_s)
-    errors(naive=abs(held_s - 10.0), ours=abs(silent(looks).answerable_s - LATE_S - 10.0))

@@ -18,13 +18,8 @@ EPS = 2.0**-52
 mp.dps = 60
 
 
-@pytest.mark.hard(
-    where="models.physics.link_budget",
-    naive="counts with the echo less counts without",
-    bound=100 * EPS,
-    unit="",
-    source="a dozen roundings; the exponent -rate t of the waiting pulses carries its own",
-)
+@pytest.mark.hard("models.physics.link_budget", "counts with the echo less counts without", 100 * EPS, "",
+                  "a dozen roundings; the exponent -rate t of the waiting pulses carries its own")  # fmt: skip
 def test_an_echo_of_a_photon_in_a_billion_pulses(errors: Errors) -> None:
     """Diffuse light falls as L^-4: 1e-9 photons a pulse beside 0.04 of ambient. Relative error of the SNR."""
     spad, photons, range_m = SpadParams(arming="gated"), 1e-9, 8.0
@@ -42,13 +37,7 @@ def test_an_echo_of_a_photon_in_a_billion_pulses(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.physics.link_budget",
-    naive="quantile of 1 - P_fa",
-    bound=1e-13,
-    unit="",
-    source="the quantile's own accuracy",
-)
+@pytest.mark.hard("models.physics.link_budget", "quantile of 1 - P_fa", 1e-13, "", "the quantile's own accuracy")
 def test_a_false_alarm_in_a_billion_billion_cells(errors: Errors) -> None:
     """P_fa 1e-18: 1 - P_fa of doubles is one, its quantile infinite. Relative error of the threshold."""
     quantile = mp.sqrt(2) * mp.erfinv(1 - 2 * mpf(1e-18))

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
+from msgs.bus.codec import CodecError, decode, decode_inline, encode, json_schema, to_builtins
 from msgs.bus.interface import Envelope
 from msgs.bus.local import LocalNetwork
 from msgs.bus.topics import TOPICS
@@ -27,10 +27,6 @@ ENVELOPE = {"protocol": 1, "publisher": "rogue", "topic": "vehicle/state", "sequ
 
 class Sample(msgspec.Struct, frozen=True, eq=False):
     values: np.ndarray
-
-
-class Angle(msgspec.Struct, frozen=True):
-    steering_rad: float
 
 
 @pytest.mark.parametrize("shape", [[1 << 62, 4], [1 << 32, 1 << 32], [3, 6148914691236517206], [1 << 63, 2]])
@@ -73,14 +69,6 @@ def test_lengths_that_promise_four_gigabytes(lie: bytes) -> None:
         decode_inline(VehicleState, b"\x81\xa8stamp_ns" + lie)
 
 
-def test_every_bit_of_extreme_floats_survives() -> None:
-    """NaN payloads, signed zeros, subnormals: arrays are bytes, not numbers, all the way."""
-    bits = np.array([0x7FF0000000000001, 0xFFF8000000000123, 1 << 63, 1, 0x7FEFFFFFFFFFFFFF], np.uint64)
-    values = bits.view(np.float64)
-    again = decode_inline(Sample, encode_inline(Sample(values))).values
-    np.testing.assert_array_equal(again.view(np.uint64), bits)
-
-
 @pytest.mark.parametrize("stamp_ns", [0, 2**53 + 1, 2**62])
 def test_integers_stay_exact_beyond_the_floats(tmp_path: Path, stamp_ns: int) -> None:
     message = LogRecord(stamp_ns=stamp_ns, node="a", level="info", text="")
@@ -94,12 +82,6 @@ def test_integers_stay_exact_beyond_the_floats(tmp_path: Path, stamp_ns: int) ->
     assert (recorded.message, recorded.log_time_ns) == (message, 2**64 - 1)
 
 
-@pytest.mark.parametrize("angle_rad", [5e-324, -0.0, 1.7976931348623157e308, 0.1])
-def test_scalars_keep_every_bit(angle_rad: float) -> None:
-    again = decode_inline(Angle, encode_inline(Angle(angle_rad)))
-    assert struct.pack("<d", again.steering_rad) == struct.pack("<d", angle_rad)
-
-
 def test_summary_of_arrays_at_the_edge() -> None:
     """The magnitude of the largest complex64 exceeds float32, a sum of int8 its type; none finite, no figure."""
     largest = np.float32(np.finfo(np.float32).max)
@@ -111,11 +93,6 @@ def test_summary_of_arrays_at_the_edge() -> None:
     overflowing = to_builtins(Sample(np.full(4, np.finfo(np.float64).max)))["values"]
     assert overflowing["mean"] is None
     json.dumps(overflowing, allow_nan=False)
-
-
-def test_large_array_prints_small() -> None:
-    text = json.dumps(to_builtins(Sample(np.zeros((128, 8192, 2), np.int16))))
-    assert len(text) < 200
 
 
 def test_poisoned_envelope_does_not_silence_a_publisher() -> None:

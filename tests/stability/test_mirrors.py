@@ -62,13 +62,8 @@ def naive_crosses(origin: np.ndarray, target: np.ndarray, a: np.ndarray, b: np.n
     return bool((along_ray > 0.0) & (along_ray < 1.0) & (along_wall >= 0.0) & (along_wall <= 1.0))
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="both parameters of the crossing within 0..1",
-    bound=0.0,
-    unit="of 10,000 points",
-    source="a wall does not hide what stands on it",
-)
+@pytest.mark.hard("models.physics.mirror", "both parameters of the crossing within 0..1", 0.0, "of 10,000 points",
+                  "a wall does not hide what stands on it")  # fmt: skip
 def test_object_on_the_wall_plane_is_not_hidden(errors: Errors) -> None:
     """Points on random walls: rounding puts half of them behind."""
     rng = np.random.default_rng(5)
@@ -81,13 +76,8 @@ def test_object_on_the_wall_plane_is_not_hidden(errors: Errors) -> None:
     errors(naive=naively, ours=hidden)
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="both parameters of the crossing within 0..1, in the frame of the map",
-    bound=0.0,
-    unit="of 5,000 points",
-    source="a wall does not hide what stands on it, listed twice or not",
-)
+@pytest.mark.hard("models.physics.mirror", "both parameters of the crossing within 0..1, in the frame of the map", 0.0,
+                  "of 5,000 points", "a wall does not hide what stands on it, listed twice or not")  # fmt: skip
 def test_duplicate_walls_do_not_hide_what_each_mirrors(errors: Errors) -> None:
     """The same wall twice, once by way of another frame: a rounding apart, one stands before the other's points."""
     a, b = random_walls(7, 100)
@@ -103,13 +93,8 @@ def test_duplicate_walls_do_not_hide_what_each_mirrors(errors: Errors) -> None:
     errors(naive=naively, ours=hidden)
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="both parameters of the crossing within 0..1",
-    bound=0.0,
-    unit="of 2,000 rays that slip through",
-    source="two walls that share a corner are closed",
-)
+@pytest.mark.hard("models.physics.mirror", "both parameters of the crossing within 0..1", 0.0,
+                  "of 2,000 rays that slip through", "two walls that share a corner are closed")  # fmt: skip
 def test_two_walls_that_share_a_corner_leave_no_gap(errors: Errors) -> None:
     """Rays aimed at the shared corner, from every side: by rounding they pass beyond the end of either wall."""
     rng = np.random.default_rng(6)
@@ -124,13 +109,8 @@ def test_two_walls_that_share_a_corner_leave_no_gap(errors: Errors) -> None:
     errors(naive=naively, ours=slipped)
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="both parameters of the crossing within 0..1",
-    bound=0.0,
-    unit="of 2,000 rays cut",
-    source="a ray along a wall sees its edge, of no width",
-)
+@pytest.mark.hard("models.physics.mirror", "both parameters of the crossing within 0..1", 0.0, "of 2,000 rays cut",
+                  "a ray along a wall sees its edge, of no width")  # fmt: skip
 def test_ray_parallel_to_its_wall_is_not_cut(errors: Errors) -> None:
     """Radar and object on the wall's own line, beyond its ends: the determinant is rounding, any answer comes out."""
     a, b = random_walls(9, 2000)
@@ -144,13 +124,8 @@ def test_ray_parallel_to_its_wall_is_not_cut(errors: Errors) -> None:
     errors(naive=naively, ours=cut)
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="both ends weighted by their heights above the wall",
-    bound=0.0,
-    unit="of 2,000 bounces",
-    source="nothing is mirrored by a wall seen edge-on",
-)
+@pytest.mark.hard("models.physics.mirror", "both ends weighted by their heights above the wall", 0.0,
+                  "of 2,000 bounces", "nothing is mirrored by a wall seen edge-on")  # fmt: skip
 def test_radar_and_object_on_the_wall_plane_have_no_mirror(errors: Errors) -> None:
     """Heights of radar and object above the wall are rounding: their ratio puts a specular point anywhere."""
     a, b = random_walls(11, 2000)
@@ -168,13 +143,8 @@ def test_radar_and_object_on_the_wall_plane_have_no_mirror(errors: Errors) -> No
     errors(naive=naively, ours=seen)
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="normal as the unit vector to the foot of the perpendicular",
-    bound=2e-14,
-    unit="m",
-    source="rounding of 30 m in float64, four times",
-)
+@pytest.mark.hard("models.physics.mirror", "normal as the unit vector to the foot of the perpendicular", 2e-14, "m",
+                  "rounding of 30 m in float64, four times")  # fmt: skip
 def test_wall_through_the_origin(errors: Errors) -> None:
     """Walls through the radar's own place: the perpendicular from there has no length and no direction."""
     target = np.array([12.0, -3.0])
@@ -193,13 +163,8 @@ def test_wall_through_the_origin(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="mirror in y = m x + q",
-    bound=2e-14,
-    unit="m",
-    source="rounding of 30 m in float64, four times",
-)
+@pytest.mark.hard("models.physics.mirror", "mirror in y = m x + q", 2e-14, "m",
+                  "rounding of 30 m in float64, four times")  # fmt: skip
 def test_wall_straight_ahead_has_no_slope(errors: Errors) -> None:
     """Walls along y, exactly and by 1e-9 m: the slope is infinite or 3e10, and q with it."""
     target = np.array([12.0, -3.0])
@@ -219,13 +184,8 @@ def test_wall_straight_ahead_has_no_slope(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="foot of the perpendicular over the squared length",
-    bound=1e-14,
-    unit="m",
-    source="rounding of 10 m in float64, four times",
-)
+@pytest.mark.hard("models.physics.mirror", "foot of the perpendicular over the squared length", 1e-14, "m",
+                  "rounding of 10 m in float64, four times")  # fmt: skip
 def test_zero_length_wall(errors: Errors) -> None:
     """A wall whose ends are one point has a distance all the same, cuts nothing and is refused as a mirror."""
     end, points = np.array([[3.0, 4.0]]), np.array([[0.0, 0.0], [3.0, 4.0], [9.0, 12.0]])
@@ -254,13 +214,8 @@ def lines_meet(p1: np.ndarray, p2: np.ndarray, p3: np.ndarray, p4: np.ndarray) -
     return np.array([one * (x3 - x4) - (x1 - x2) * two, one * (y3 - y4) - (y1 - y2) * two]) / turn
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="point of two lines by the determinants x1 y2 - y1 x2",
-    bound=5e-13,
-    unit="m",
-    source="four roundings (1e-16 each) of 110 m over the sine between ray and wall, 0.1 and more",
-)
+@pytest.mark.hard("models.physics.mirror", "point of two lines by the determinants x1 y2 - y1 x2", 5e-13, "m",
+                  "four roundings (1e-16 each) of 110 m over the sine between ray and wall, 0.1 and more")  # fmt: skip
 def test_huge_scene_in_map_coordinates(errors: Errors) -> None:
     """A street in metres of a national grid, 5,000 km from its origin: products of 2e13 m^2 end on 4e-3."""
     rng = np.random.default_rng(13)
@@ -279,13 +234,8 @@ def test_huge_scene_in_map_coordinates(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.mirror",
-    naive="lines are parallel where the determinant is below 1e-9 m^2",
-    bound=1e-13,
-    unit="of the ray",
-    source="rounding, over the sine of 0.01",
-)
+@pytest.mark.hard("models.physics.mirror", "lines are parallel where the determinant is below 1e-9 m^2", 1e-13,
+                  "of the ray", "rounding, over the sine of 0.01")  # fmt: skip
 def test_tiny_scene(errors: Errors) -> None:
     """Rays and walls of 10 um (a street in megametres is no different): a fixed threshold takes all as parallel."""
     rng = np.random.default_rng(14)
@@ -356,13 +306,10 @@ def test_curved_mirror_survives_what_a_scene_should_not_hold(
     assert (np.abs(found.gain) < 61.0 * np.sqrt(1.0 / 0.03) * np.sqrt(1.0 / 0.03)).all()
 
 
-@pytest.mark.hard(
-    where="models.physics.curved_mirror",
-    naive="geometrical optics, 1 / sqrt(1 - 2 kappa l1 l2 / ((l1 + l2) cos))",
-    bound=1e-9,
-    unit="relative",
-    source="closed form: sqrt(k / 2 pi) times the arc over r sqrt(2 r), all in phase; quadrature to rounding",
-)
+@pytest.mark.hard("models.physics.curved_mirror", "geometrical optics, 1 / sqrt(1 - 2 kappa l1 l2 / ((l1 + l2) cos))",
+                  1e-9, "relative",
+                  "closed form: sqrt(k / 2 pi) times the arc over r sqrt(2 r), all in phase; quadrature to "
+                  "rounding")  # fmt: skip
 def test_whole_arc_in_phase_is_one_bounce(errors: Errors) -> None:
     """Radar and object at the arc's centre: every point of the wall is a Fermat point, and rays focus to infinity."""
     found = bounces(np.zeros(2), np.zeros((1, 2)), *HOLLOW, 0.03)
@@ -393,13 +340,10 @@ def wall_integral(origin: np.ndarray, target: np.ndarray, radius_m: float, reach
     return complex(np.exp(0.25j * np.pi) * np.sum(values) * (s[1] - s[0]))
 
 
-@pytest.mark.hard(
-    where="models.physics.curved_mirror",
-    naive="the ray of geometrical optics, 1 / sqrt(1 - 2 kappa l1 l2 / ((l1 + l2) cos))",
-    bound=0.01,
-    unit="of the field",
-    source="RAY_ERROR, where rays give way to the integral; reference: the integral in extended precision",
-)
+@pytest.mark.hard("models.physics.curved_mirror",
+                  "the ray of geometrical optics, 1 / sqrt(1 - 2 kappa l1 l2 / ((l1 + l2) cos))", 0.01, "of the field",
+                  "RAY_ERROR, where rays give way to the integral; reference: the integral in extended "
+                  "precision")  # fmt: skip
 def test_concave_wall_focuses_at_its_caustic(errors: Errors) -> None:
     """A wall of 40 m radius, objects before, on and behind the image of the radar 30 m from it: rays diverge there."""
     radius_m, reach_m, origin = 40.0, 30.0, np.array([30.0, 0.0])
@@ -418,13 +362,10 @@ def test_concave_wall_focuses_at_its_caustic(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.curved_mirror",
-    naive="spreading from the image at 1 / (2 kappa - 1 / l1)",
-    bound=2e-15,
-    unit="relative",
-    source="four roundings (1e-16 each) of 1 - 2 kappa l1 l2 / (l1 + l2) over its 0.15, halved by the root; the root",
-)
+@pytest.mark.hard("models.physics.curved_mirror", "spreading from the image at 1 / (2 kappa - 1 / l1)", 2e-15,
+                  "relative",
+                  "four roundings (1e-16 each) of 1 - 2 kappa l1 l2 / (l1 + l2) over its 0.15, halved by the root; "
+                  "the root")  # fmt: skip
 def test_far_image_of_a_radar_in_the_focus(errors: Errors) -> None:
     """A radar 20 m before a wall of 40 m radius has its image at infinity: infinity over itself."""
     naive, ours = [], []
@@ -441,13 +382,8 @@ def test_far_image_of_a_radar_in_the_focus(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.curved_mirror",
-    naive="centre plus radius times the unit vector",
-    bound=2e-14,
-    unit="m",
-    source="rounding of 20 m in float64",
-)
+@pytest.mark.hard("models.physics.curved_mirror", "centre plus radius times the unit vector", 2e-14, "m",
+                  "rounding of 20 m in float64")  # fmt: skip
 def test_a_nearly_flat_wall_has_a_far_centre(errors: Errors) -> None:
     """Curvatures of 1e-6 to 1e-12 1/m: the centre is up to 1e12 m away, and its distance known to 1e-4 m."""
     a, b, share = np.array([0.0, 0.0]), np.array([20.0, 0.0]), np.linspace(0.0, 1.0, 21)
@@ -466,13 +402,9 @@ def test_a_nearly_flat_wall_has_a_far_centre(errors: Errors) -> None:
     errors(naive=np.abs(naive).max(), ours=np.abs(ours).max())
 
 
-@pytest.mark.hard(
-    where="tests.models.physics.curved_reference",
-    naive="(-b +- sqrt(b^2 - 4 a c)) / 2 a of ray and circle",
-    bound=0.0,
-    unit="of 6,000 rays told wrong",
-    source="a wall bent by less than 1e-9 m cuts what the flat one cuts",
-)
+@pytest.mark.hard("tests.models.physics.curved_reference", "(-b +- sqrt(b^2 - 4 a c)) / 2 a of ray and circle", 0.0,
+                  "of 6,000 rays told wrong",
+                  "a wall bent by less than 1e-9 m cuts what the flat one cuts")  # fmt: skip
 def test_rays_and_a_nearly_flat_wall(errors: Errors) -> None:
     """1e-12 and 1e-18 1/m, from either side: the root that matters is a difference of equals over next to nothing."""
     a, b = np.array([0.0, 0.0]), np.array([20.0, 0.0])
@@ -507,13 +439,8 @@ def exact_edge_terms(beyond_rad: float) -> complex:
         return complex((mp.cot((mp.pi + beta) / 4) + mp.cot((mp.pi - beta) / 4)) * scaled)
 
 
-@pytest.mark.hard(
-    where="models.physics.diffraction",
-    naive="cot((pi - beta) / 4) F(k L a)",
-    bound=1.5e-5,
-    unit="relative",
-    source="next order of F, 2 sqrt(x / pi), where the limit takes over: 2e-7 rad, k L = 2,100",
-)
+@pytest.mark.hard("models.physics.diffraction", "cot((pi - beta) / 4) F(k L a)", 1.5e-5, "relative",
+                  "next order of F, 2 sqrt(x / pi), where the limit takes over: 2e-7 rad, k L = 2,100")  # fmt: skip
 def test_object_on_the_border_of_a_walls_shadow(errors: Errors) -> None:
     """Radar, wall's end and object in line, to 1e-16 and on the dark side: infinity times nothing, twice rounded."""
     kl = 20.0 * np.pi / WAVELENGTH_M
@@ -553,13 +480,10 @@ def test_no_targets_no_bounces() -> None:
     assert len(bounces(np.zeros(2), np.zeros((0, 2)), *HOLLOW, 0.03)) == 0
 
 
-@pytest.mark.hard(
-    where="sim_player.effects.los_surfaces",
-    naive="a flash of each piece on which the foot's share of the length lies within 0..1",
-    bound=1e-6,
-    unit="of the flash of the facade in one piece",
-    source="a facade's field does not depend on how many pieces it is drawn in",
-)
+@pytest.mark.hard("sim_player.effects.los_surfaces",
+                  "a flash of each piece on which the foot's share of the length lies within 0..1", 1e-6,
+                  "of the flash of the facade in one piece",
+                  "a facade's field does not depend on how many pieces it is drawn in")  # fmt: skip
 def test_foot_on_a_joint_in_any_direction(errors: Errors) -> None:
     """A facade in two pieces that meet at the foot of the perpendicular, turned by 100 angles: rounding puts the foot
     on both, on one or on none of them.

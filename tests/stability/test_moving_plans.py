@@ -28,11 +28,11 @@ WALL = Surface(
 )
 CAR = SceneObject(class_="car", x_m=12.0, y_m=6.0)
 CHOSEN_BEFORE = pytest.mark.hard(
-    where="sim_player.planner.weakest",
-    naive="paths chosen at the instant before",
-    bound=1.0,
-    unit="budgets",
-    source="the law of `peaks`",
+    "sim_player.planner.weakest",
+    "paths chosen at the instant before",
+    1.0,
+    "budgets",
+    "the law of `peaks`",
 )
 
 

@@ -36,13 +36,8 @@ def _map_error(weights: np.ndarray | None, real: np.ndarray, azimuth_deg: float)
     return float(np.abs(row - exact).max() / np.sqrt(8.0))
 
 
-@pytest.mark.hard(
-    where="contrib.boards.phaser",
-    naive="weights of the phases that were asked for",
-    bound=2e-5,
-    unit="of the peak",
-    source="ridge of 1e-7; beams in float32",
-)
+@pytest.mark.hard("contrib.boards.phaser", "weights of the phases that were asked for", 2e-5, "of the peak",
+                  "ridge of 1e-7; beams in float32")  # fmt: skip
 def test_rounded_calibrated_phases(errors: Errors) -> None:
     """Calibration plus steering is rounded to 2.8 degrees in the register: every column keeps another rest."""
     table = beam_table(PARAMS, BOARD, BeamGrid())

@@ -13,13 +13,8 @@ EPS = 2.0**-52
 mp.dps = 60
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.optics",
-    naive="1 - exp(-g^2)",
-    bound=16 * EPS,
-    unit="",
-    source="roundings of the Fresnel power and of g^2",
-)
+@pytest.mark.hard("models.physics.photons.optics", "1 - exp(-g^2)", 16 * EPS, "",
+                  "roundings of the Fresnel power and of g^2")  # fmt: skip
 def test_polished_face_scatters_a_little(errors: Errors) -> None:
     """Heights of 0.1 pm: what leaves the mirror is 2e-12 of it. Relative error of the scattered share."""
     roughness_m, wavelength_m = 1e-13, 850e-9

@@ -12,39 +12,29 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
-from hashlib import sha256
 
-import mpmath
 import msgspec
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
-from scipy.special import gamma
 
-from lab.measures.frame_scores import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
-from lab.measures.point_scores import chamfer, match_points
-from lab.networks.compact_unet import CompactUNet, CompactUNetConfig
+from lab.measures.frame_scores import FrameScores, bootstrap_weights, estimates
+from lab.measures.point_scores import chamfer
 from lab.networks.residual_reflect_net import ResidualReflectNet
-from lab.training.export.onnx import Exported, export_onnx, write_card
-from lab.training.export.quantize import quantize_int8
 from models.perception.find.cfar import CfarParams, detect, ordered_statistic_alpha, ordered_statistic_mask
 from models.perception.find.encoding import Encoding, encode_columns
-from models.perception.find.onnx_model import DensePredictor, ModelCard
 from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.confidence import FEATURES, PositionConfidence
 from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
-from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
 from models.scores.object_matching import match_objects
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, SceneTruth, TruthObject
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from tests.builders import example_map
-from tests.models.perception.find.test_cfar import echo_map
 from tests.stability.catalogue import Errors
 
 RADAR = np.zeros(2)
@@ -234,13 +224,6 @@ def test_hidden_vehicles_are_recovered_and_nothing_else(name):
     assert false <= rate * SEEDS
 
 
-def test_same_peaks_same_bytes():
-    peaks = synthetic_peaks("corner", 3)
-    first, second = (recover_bev(peaks, GeometryParams()) for _ in range(2))
-    assert (first.walls, first.points, first.objects) == (second.walls, second.points, second.objects)
-    assert first.visibility.tobytes() == second.visibility.tobytes()
-
-
 @pytest.mark.parametrize("count", [1, 2, 5, 60])
 def test_all_peaks_in_one_place(count):
     peaks = synthetic_peaks("facade", 0)
@@ -273,13 +256,7 @@ def slope_line(points_m: np.ndarray) -> tuple[np.ndarray, float]:
     return normal, float(-normal @ points_m.mean(axis=0))
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.lines",
-    naive="regression of y on x",
-    bound=1e-12,
-    unit="m",
-    source="rounding of 45 m coordinates",
-)
+@pytest.mark.hard("models.perception.mirrors.lines", "regression of y on x", 1e-12, "m", "rounding of 45 m coordinates")
 def test_vertical_wall(errors: Errors) -> None:
     """Points (0.5, y) of a wall along the line of sight, turned: no slope fits, the normal form does."""
     points_m = np.stack([np.full(20, 0.5), np.linspace(5.0, 45.0, 20)], axis=1)
@@ -288,13 +265,8 @@ def test_vertical_wall(errors: Errors) -> None:
     errors(naive=off_true_m(points_m, *slope_line(points_m)), ours=off_true_m(points_m, normal, offset_m))
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.lines",
-    naive="second moments about the origin in float32",
-    bound=1e-11,
-    unit="rad",
-    source="rounding of 1 km over 0.3 m of scatter",
-)
+@pytest.mark.hard("models.perception.mirrors.lines", "second moments about the origin in float32", 1e-11, "rad",
+                  "rounding of 1 km over 0.3 m of scatter")  # fmt: skip
 def test_wall_far_from_the_origin(errors: Errors) -> None:
     """1 m long at 1 km: raw moments of 1e6 m^2 hold a variance of 0.1 m^2; centred ones lose nothing."""
     along = np.array([math.cos(1.0), math.sin(1.0)])
@@ -307,13 +279,8 @@ def test_wall_far_from_the_origin(errors: Errors) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.hard(
-    where="models.perception.mirrors.lines",
-    naive="running sums in float32",
-    bound=1e-10,
-    unit="m",
-    source="1e5 sums rounded at 2e-16 of 45 m",
-)
+@pytest.mark.hard("models.perception.mirrors.lines", "running sums in float32", 1e-10, "m",
+                  "1e5 sums rounded at 2e-16 of 45 m")  # fmt: skip
 def test_wall_of_1e5_points(errors: Errors) -> None:
     """The centre of 1e5 points 45 m away is their sum over their number: at 4e6 float32 adds in steps of 0.25 m."""
     points_m = np.array([20.0, 40.0]) + np.linspace(-5.0, 5.0, 100_000)[:, None] * [0.6, 0.8]
@@ -324,13 +291,8 @@ def test_wall_of_1e5_points(errors: Errors) -> None:
     errors(naive=naive_m, ours=off_true_m(points_m, normal, offset_m))
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.lines",
-    naive="residual variance over n - 2",
-    bound=1e-15,
-    unit="m",
-    source="closed form sigma / sqrt(2), rounding",
-)
+@pytest.mark.hard("models.perception.mirrors.lines", "residual variance over n - 2", 1e-15, "m",
+                  "closed form sigma / sqrt(2), rounding")  # fmt: skip
 def test_two_points_know_how_well_they_know_their_line(errors: Errors) -> None:
     """Two points leave no residual and no freedom, 0 / 0; their own errors say how far off the line may be."""
     points_m, sigma_m = np.array([[10.0, -2.0], [10.0, 2.0]]), 0.1
@@ -340,61 +302,6 @@ def test_two_points_know_how_well_they_know_their_line(errors: Errors) -> None:
         naive_m = np.sqrt(np.sum(residual_m**2) / np.float64(len(points_m) - 2) / len(points_m))
     exact_m = sigma_m / math.sqrt(2.0)
     errors(naive=float(np.nan_to_num(abs(naive_m - exact_m), nan=np.inf)), ours=abs(offset_std_m - exact_m))
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_few_points_are_no_wall(count: int) -> None:
-    points_m = np.array([[10.0, -2.0], [10.0, 2.0]])[:count]
-    found, wall = find_walls(points_m, np.tile(0.01 * np.eye(2), (count, 1, 1)), np.zeros(count, int), WallParams())
-    assert found == []
-    assert wall.tolist() == [-1] * count
-    assert dbscan(points_m, 5.0, 2).tolist() == ([0, 0] if count == 2 else [-1] * count)
-
-
-@pytest.mark.hard(
-    where="models.perception.mirrors.walls",
-    naive="least squares through all points",
-    bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 20.0),
-    unit="m",
-    source="3 sigma of 20 points at an end of their line, sigma 0.09 m",
-)
-def test_wall_among_80_percent_outliers(errors: Errors) -> None:
-    """20 returns of a wall among 80 scattered over 35 x 40 m: the fit must find who belongs to it."""
-    rng = np.random.default_rng(5)
-    wall_m = np.stack([20.0 + 0.05 * rng.standard_normal(20), np.linspace(-9.0, 9.0, 20)], axis=1)
-    points_m = np.concatenate([wall_m, rng.uniform([5.0, -20.0], [40.0, 20.0], (80, 2))])
-    covariance_m2 = np.tile(0.05**2 * np.eye(2), (100, 1, 1))
-    found = find_walls(points_m, covariance_m2, np.zeros(100, int), WallParams(curved=False))[0][0]
-    ends_m = np.array([[20.0, -9.0], [20.0, 9.0]])
-    naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
-    errors(
-        naive=off_true_m(ends_m, naive, float(-naive @ points_m.mean(axis=0))),
-        ours=off_true_m(ends_m, np.array(found.normal), found.offset_m),
-    )
-
-
-@pytest.mark.hard(
-    where="models.perception.mirrors.walls",
-    naive="one principal axis a cluster",
-    bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 15.0),
-    unit="m",
-    source="3 sigma of 15 points at an end of their line, sigma 0.09 m",
-)
-def test_parallel_walls_in_one_cluster(errors: Errors) -> None:
-    """The two sides of a lane 3 m wide are one cluster: one line through it runs down the middle."""
-    rng = np.random.default_rng(6)
-    along_m = np.linspace(6.0, 24.0, 15)
-    sides = [np.stack([along_m, side + 0.05 * rng.standard_normal(15)], axis=1) for side in (-1.5, 1.5)]
-    points_m = np.concatenate(sides)
-    assert dbscan(points_m, 4.0, 2).tolist() == [0] * 30
-    found, _ = find_walls(points_m, np.tile(0.05**2 * np.eye(2), (30, 1, 1)), np.zeros(30, int), WallParams())
-    assert len(found) == 2
-    ends_m = [np.array([[6.0, side], [24.0, side]]) for side in (-1.5, 1.5)]
-    naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
-    errors(
-        naive=off_true_m(ends_m[0], naive, float(-naive @ points_m.mean(axis=0))),
-        ours=max(min(off_true_m(side, np.array(one.normal), one.offset_m) for one in found) for side in ends_m),
-    )
 
 
 def flooded(points_m: np.ndarray, eps_m: float) -> np.ndarray:
@@ -413,13 +320,8 @@ def flooded(points_m: np.ndarray, eps_m: float) -> np.ndarray:
     return labels
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.clustering",
-    naive="regions grown by recursion",
-    bound=0.0,
-    unit="points",
-    source="one chain is one cluster",
-)
+@pytest.mark.hard("models.perception.mirrors.clustering", "regions grown by recursion", 0.0, "points",
+                  "one chain is one cluster")  # fmt: skip
 def test_chain_of_1e5_points(errors: Errors) -> None:
     """1e5 points a metre apart in any order: every one is reached through all before it."""
     chain_m = np.random.default_rng(0).permutation(np.stack([np.arange(1e5), np.zeros(100_000)], axis=1))
@@ -461,13 +363,8 @@ def parabola_bin(power: np.ndarray, row: int) -> float:
 
 
 @pytest.mark.parametrize("edge", ["first", "last"])
-@pytest.mark.hard(
-    where="models.perception.find.peaks",
-    naive="parabola over neighbours modulo the map",
-    bound=1e-6,
-    unit="bins",
-    source="float32 rounding of the map",
-)
+@pytest.mark.hard("models.perception.find.peaks", "parabola over neighbours modulo the map", 1e-6, "bins",
+                  "float32 rounding of the map")  # fmt: skip
 def test_peak_on_the_edge_of_the_map(errors: Errors, edge: str) -> None:
     """A peak in the first or last range bin has one neighbour: index -1 is the other end of the map."""
     row = 0 if edge == "first" else RangeAzimuthGrid().range_bins - 1
@@ -476,13 +373,8 @@ def test_peak_on_the_edge_of_the_map(errors: Errors, edge: str) -> None:
     errors(naive=abs(parabola_bin(power, row) - row), ours=abs(refined_bin(ra_map, row) - row))
 
 
-@pytest.mark.hard(
-    where="models.perception.find.peaks",
-    naive="square of a complex64 magnitude",
-    bound=1e-6,
-    unit="bins",
-    source="float32 rounding of the map",
-)
+@pytest.mark.hard("models.perception.find.peaks", "square of a complex64 magnitude", 1e-6, "bins",
+                  "float32 rounding of the map")  # fmt: skip
 def test_peak_of_an_enormous_map(errors: Errors) -> None:
     """At 1e25 sqrt(mW) the power leaves float32 and inf - inf is no vertex; the square is taken in float64."""
     ra_map = first_bin_map(gain=1e25, bin_at=200, vertex=0.3)
@@ -496,13 +388,8 @@ def naive_power(values: np.ndarray) -> np.ndarray:
         return np.square(np.abs(values))
 
 
-@pytest.mark.hard(
-    where="models.perception.find.cfar",
-    naive="square of a complex64 magnitude",
-    bound=0.0,
-    unit="peaks",
-    source="a gain common to signal and noise changes nothing",
-)
+@pytest.mark.hard("models.perception.find.cfar", "square of a complex64 magnitude", 0.0, "peaks",
+                  "a gain common to signal and noise changes nothing")  # fmt: skip
 def test_detections_of_an_enormous_map(errors: Errors) -> None:
     """Noise, an echo and all of it times 2^80: powers beyond float32 are all alike, and no maximum is left."""
     rng = np.random.default_rng(0)
@@ -518,86 +405,8 @@ def test_detections_of_an_enormous_map(errors: Errors) -> None:
     errors(naive=len(reference) - min(np.count_nonzero(naive), len(reference)), ours=0.0 if same else math.inf)
 
 
-@pytest.mark.hard(
-    where="models.perception.find.cfar",
-    naive="n! (n - k + a)! / ((n - k)! (n + a)!)",
-    bound=1e-11,
-    unit="",
-    source="root to 2e-12, times its slope of 0.4 a unit",
-)
-def test_ordered_statistic_rate_without_factorials(errors: Errors) -> None:
-    """The rate of the 38th of 128 cells: 128! (90 + a)! leaves float64; the sum of log1p(a / i) does not."""
-    count, rank, rate = 128, 38, 1e-4
-    alpha = ordered_statistic_alpha(count, rank, rate)
-    with np.errstate(over="ignore", invalid="ignore"):
-        naive = gamma(count + 1.0) * gamma(count - rank + alpha + 1.0)
-        naive /= gamma(count - rank + 1.0) * gamma(count + alpha + 1.0)
-    with mpmath.workdps(40):
-        exact = mpmath.mpf(1)
-        for left in range(count - rank + 1, count + 1):
-            exact *= mpmath.mpf(left) / (left + mpmath.mpf(alpha))
-    errors(naive=float(np.nan_to_num(abs(naive / rate - 1.0), nan=np.inf)), ours=abs(float(exact) / rate - 1.0))
-
-
-@pytest.mark.hard(
-    where="lab.measures.point_scores",
-    naive="assign first, drop what is too far",
-    bound=0.0,
-    unit="pairs",
-    source="both pairs lie within the gate",
-)
-def test_gate_belongs_into_the_assignment(errors: Errors) -> None:
-    """The cheapest assignment pairs the nearest two and leaves two 2.5 m apart; both fit the gate of 2 m otherwise."""
-    truth_m, predicted_m = np.array([[0.0, 0.0], [0.1, 1.95]]), np.array([[0.1, 0.0], [1.9, 0.0]])
-    distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
-    rows, columns = linear_sum_assignment(distance_m)
-    naive = np.count_nonzero(distance_m[rows, columns] <= 2.0)
-    errors(naive=abs(naive - 2), ours=abs(len(match_points(predicted_m, truth_m, 2.0)) - 2))
-
-
-@pytest.mark.hard(
-    where="lab.measures.point_scores",
-    naive="infinite cost beyond the gate",
-    bound=0.0,
-    unit="pairs",
-    source="one pair lies within the gate",
-)
-def test_a_prediction_out_of_everyones_reach(errors: Errors) -> None:
-    """One of two predictions has no truth within the gate: with infinite costs no assignment is feasible."""
-    truth_m, predicted_m = np.array([[0.0, 0.0], [9.0, 0.0]]), np.array([[0.5, 0.0], [-50.0, 0.0]])
-    distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
-    try:
-        naive = abs(len(linear_sum_assignment(np.where(distance_m <= 2.0, distance_m, np.inf))[0]) - 1.0)
-    except ValueError:
-        naive = math.inf
-    errors(naive=naive, ours=abs(len(match_points(predicted_m, truth_m, 2.0)) - 1))
-
-
-@pytest.mark.hard(
-    where="lab.measures.frame_scores",
-    naive="mean of the least distances",
-    bound=0.0,
-    unit="m",
-    source="definition: the cap each way",
-)
-def test_chamfer_of_an_empty_set(errors: Errors) -> None:
-    """No prediction for five true points: the least of no distances; a miss is charged the cap both ways."""
-    truth_m, nothing_m = np.zeros((5, 2)), np.zeros((0, 2))
-    assert match_points(nothing_m, truth_m, 2.0).shape == (0, 2)
-    try:
-        naive = abs(float(np.linalg.norm(truth_m[:, None] - nothing_m, axis=-1).min(axis=1).mean()) - 2.0 * CAP_M)
-    except ValueError:
-        naive = math.inf
-    errors(naive=naive, ours=abs(capped_chamfer(nothing_m, truth_m).metres - 2.0 * CAP_M))
-
-
-@pytest.mark.hard(
-    where="lab.measures.point_scores",
-    naive="a.a - 2 a.b + b.b in float32",
-    bound=1e-13,
-    unit="m",
-    source="rounding of 100 m coordinates",
-)
+@pytest.mark.hard("lab.measures.point_scores", "a.a - 2 a.b + b.b in float32", 1e-13, "m",
+                  "rounding of 100 m coordinates")  # fmt: skip
 def test_chamfer_of_close_points_far_away(errors: Errors) -> None:
     """Predictions 1 mm off at 100 m: squares of 1e4 m^2 leave nothing of 1e-6 m^2."""
     truth_m = np.stack([np.linspace(60.0, 80.0, 21), np.linspace(80.0, 60.0, 21)], axis=1)
@@ -610,13 +419,8 @@ def test_chamfer_of_close_points_far_away(errors: Errors) -> None:
     errors(naive=abs(naive_m - exact_m), ours=abs(chamfer(predicted_m, truth_m).metres - exact_m))
 
 
-@pytest.mark.hard(
-    where="lab.measures.frame_scores",
-    naive="mean +- 1.96 s / sqrt(n)",
-    bound=0.0,
-    unit="m",
-    source="definition: all draws are the frame",
-)
+@pytest.mark.hard("lab.measures.frame_scores", "mean +- 1.96 s / sqrt(n)", 0.0, "m",
+                  "definition: all draws are the frame")  # fmt: skip
 def test_interval_of_one_frame(errors: Errors) -> None:
     """One frame has no spread, 0 / 0: its bootstrap interval is the frame itself."""
     got = estimates(FrameScores(np.ones((1, 8, 3), int), np.ones((1, 4, 4))), bootstrap_weights(1, 10, 0))
@@ -628,13 +432,7 @@ def test_interval_of_one_frame(errors: Errors) -> None:
     errors(naive=naive if math.isfinite(naive) else math.inf, ours=max(one.high - one.value, one.value - one.low))
 
 
-@pytest.mark.hard(
-    where="models.perception.mirrors.confidence",
-    naive="e^z / (1 + e^z)",
-    bound=1e-15,
-    unit="",
-    source="rounding of one quotient",
-)
+@pytest.mark.hard("models.perception.mirrors.confidence", "e^z / (1 + e^z)", 1e-15, "", "rounding of one quotient")
 def test_probability_of_a_sure_place(errors: Errors) -> None:
     """A legal model whose weights of 1e3 say z = 16e3: both exponentials are infinite."""
     hidden, count = 16, len(FEATURES)
@@ -659,31 +457,6 @@ def test_ordered_statistic_threshold_meets_its_rate(count, rank, rate):
     assert np.prod(left / (left + alpha)) == pytest.approx(rate, rel=1e-6)
 
 
-@pytest.fixture(scope="module")
-def networks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, DensePredictor]:
-    """One small network in three precisions, with a head that tells cells apart."""
-    torch.set_num_threads(1)
-    torch.manual_seed(0)
-    encoding = Encoding(range_bins=32, columns=8)
-    config = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
-    network = CompactUNet(config).eval()
-    torch.nn.init.normal_(network.head.weight, std=0.3)
-    folder = tmp_path_factory.mktemp("networks")
-    paths = {name: folder / f"{name}.onnx" for name in ("fp32", "fp16", "int8")}
-    export_onnx(Exported(network), paths["fp32"])
-    export_onnx(Exported(network, half=True), paths["fp16"])
-    samples = [encode_columns(encoding, noise_columns(seed), np.float64(1.0)) for seed in range(4)]
-    quantize_int8(paths["fp32"], paths["int8"], np.stack(samples))
-    for path in paths.values():
-        card = ModelCard(
-            name=path.stem, sha256=sha256(path.read_bytes()).hexdigest(), parameters=1, encoding=encoding,
-            grid=RangeAzimuthGrid(range_bins=48, azimuth_bins=64), input_shape=(1, 5, 32, 8),
-            output_shape=(1, 2, 32, 64), threshold=0.3, scores=(), data={}, training={},
-        )  # fmt: skip
-        write_card(card, path)
-    return {name: DensePredictor(path) for name, path in paths.items()}
-
-
 def noise_columns(seed: int) -> np.ndarray:
     """Sampled map [32, 8] of noise with echoes up to 60 dB over it."""
     rng = np.random.default_rng(seed)
@@ -702,33 +475,11 @@ def naive_encoding(encoding: Encoding, columns: np.ndarray, noise_power_mw: floa
     return encoded
 
 
-#: Steps of the arithmetic in a confidence.
-STEP = {"fp32": 2.0**-17, "fp16": 2.0**-8, "int8": 2.0**-6}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "precision",
-    [
-        pytest.param(
-            name,
-            marks=pytest.mark.hard(
-                where="models.perception.find.encoding",
-                naive="10 log10(abs(z)^2 / noise) in float32",
-                bound=step,
-                unit="",
-                source="a gain changes nothing, an empty map is level 0; 64 roundings of the network's arithmetic",
-            ),
-        )
-        for name, step in STEP.items()
-    ],
-)
-def test_network_on_zero_constant_and_enormous_maps(
-    errors: Errors, networks: dict[str, DensePredictor], precision: str
-) -> None:
-    """Confidence of a map times 2^100 against that of the map itself, and of an empty one: inf / inf and 0 / 0."""
-    network, gain = networks[precision], np.float32(2.0**100)
-    encoding = network.card.encoding
+@pytest.mark.hard("models.perception.find.encoding", "10 log10(abs(z)^2 / noise) in float32", 1e-5, "",
+                  "a gain changes nothing, an empty map is level 0; float32 rounding of the input")  # fmt: skip
+def test_input_of_zero_constant_and_enormous_maps(errors: Errors) -> None:
+    """A network's input of a map times 2^100 against that of the map itself, and of an empty one: inf / inf, 0 / 0."""
+    encoding, gain = Encoding(range_bins=32, columns=8), np.float32(2.0**100)
     empty = np.zeros((32, 8), np.complex64)
     silent = encode_columns(encoding, empty, np.float64(1.0))
     assert not silent[:3].any()
@@ -737,8 +488,9 @@ def test_network_on_zero_constant_and_enormous_maps(
     pairs.append((empty, 0.0, silent))
 
     def change(encode: Callable[[Encoding, np.ndarray, float], np.ndarray]) -> float:
-        apart = [np.abs(network.infer(encode(encoding, columns, noise_mw)) - network.infer(reference)).max()
-                 for columns, noise_mw, reference in pairs]  # fmt: skip
+        apart = [
+            np.abs(encode(encoding, columns, noise_mw) - reference).max() for columns, noise_mw, reference in pairs
+        ]
         return float(np.nan_to_num(apart, nan=np.inf).max())
 
     ours = change(lambda encoding, columns, noise_mw: encode_columns(encoding, columns, np.float64(noise_mw)))
@@ -746,13 +498,8 @@ def test_network_on_zero_constant_and_enormous_maps(
         errors(naive=change(naive_encoding), ours=ours)
 
 
-@pytest.mark.hard(
-    where="lab.networks.residual_reflect_net",
-    naive="exp(s) / sum(exp(s))",
-    bound=1e-5,
-    unit="",
-    source="float32 rounding through three layers, relative to the answer",
-)
+@pytest.mark.hard("lab.networks.residual_reflect_net", "exp(s) / sum(exp(s))", 1e-5, "",
+                  "float32 rounding through three layers, relative to the answer")  # fmt: skip
 def test_attention_with_points_far_away(errors: Errors) -> None:
     """A patch 10 km off makes scores of 1e5, whose exponentials are infinite; held against the same in float64."""
     torch.manual_seed(0)
@@ -768,19 +515,3 @@ def test_attention_with_points_far_away(errors: Errors) -> None:
         naive, ours = ((answer.double() - exact).norm() / exact.norm()
                        for answer in (network.decoder(feature), network(image, patch, state)))  # fmt: skip
     errors(naive=naive.item() if torch.isfinite(naive) else math.inf, ours=ours.item())
-
-
-@pytest.mark.hard(where="models.perception.find.ridges", naive="the strongest azimuth of the map", bound=0.5,
-                  unit="deg", source="a cell of the map")  # fmt: skip
-def test_echoes_beyond_the_azimuths_of_a_map(errors: Errors) -> None:
-    """From 60 to 89 degrees an echo's lobe, and from 70 on its lobe at the other end, rises to the map's border."""
-    azimuths_deg = np.array([60.0, 63.0, 70.0, 75.0, 89.0])
-    naive, ours = [], [0.0]
-    for azimuth_deg in azimuths_deg:
-        ra_map = echo_map(azimuth_deg)
-        strongest = np.unravel_index(np.abs(ra_map.values).argmax(), ra_map.grid.shape)[1]
-        naive.append(abs(math.degrees(ra_map.grid.azimuth_rad[strongest]) - azimuth_deg))
-        peaks = detect(ra_map, CfarParams())
-        ours += np.abs(np.degrees(peaks.azimuth_rad) - azimuth_deg).tolist()
-    assert len(ours) == 2, "of the one at 60 degrees alone a peak is left"
-    errors(naive=max(naive), ours=max(ours))

@@ -63,7 +63,7 @@ def both_bands(where: str, naive: str, bounds: tuple[float, float], source: str)
             pytest.param(
                 carrier_hz,
                 id=f"{carrier_hz / 1e9:.0f} GHz",
-                marks=pytest.mark.hard(where=where, naive=naive, bound=bound, unit="rad", source=source),
+                marks=pytest.mark.hard(where, naive, bound, "rad", source),
             )
             for carrier_hz, bound in zip((10e9, 77e9), bounds, strict=True)
         ],
@@ -86,13 +86,8 @@ def test_phase_of_a_beat_to_110_m(errors: Errors, carrier_hz: float) -> None:
     errors(naive=off_rad(naive, exact), ours=off_rad(beat_phase_rad(radar, LENGTH_M), exact))
 
 
-@pytest.mark.hard(
-    where="models.physics.waveform",
-    naive="cast to float32 before the turns are taken out",
-    bound=2.4e-7,
-    unit="rad",
-    source="half a step of float32 below 2 pi",
-)
+@pytest.mark.hard("models.physics.waveform", "cast to float32 before the turns are taken out", 2.4e-7, "rad",
+                  "half a step of float32 below 2 pi")  # fmt: skip
 def test_phase_is_wrapped_before_it_is_cast(errors: Errors) -> None:
     """77 GHz at 110 m is 3.6e5 rad, and steps of float32 there are 1/32 rad, however exact the phase was."""
     radar = radar_at(77e9)
@@ -103,13 +98,8 @@ def test_phase_is_wrapped_before_it_is_cast(errors: Errors) -> None:
     errors(naive=off_rad(whole.astype(np.float32), exact), ours=off_rad(ours, exact))
 
 
-@pytest.mark.hard(
-    where="models.physics.waveform",
-    naive="residual video phase left out",
-    bound=3e-11,
-    unit="rad",
-    source="rounding of 7,900 turns in float64",
-)
+@pytest.mark.hard("models.physics.waveform", "residual video phase left out", 3e-11, "rad",
+                  "rounding of 7,900 turns in float64")  # fmt: skip
 def test_residual_video_phase_is_kept(errors: Errors) -> None:
     """pi S tau^2 is 34.5 turns at 110 m: no phase is right without it, at any sample."""
     radar = radar_at(10e9)
@@ -121,13 +111,8 @@ def test_residual_video_phase_is_kept(errors: Errors) -> None:
     errors(naive=off_rad(naive, exact), ours=off_rad(np.angle(beats), exact))
 
 
-@pytest.mark.hard(
-    where="models.physics.waveform",
-    naive="phasor turned on from sample to sample in complex64",
-    bound=3e-12,
-    unit="rad",
-    source="eight roundings of 514 turns in float64",
-)
+@pytest.mark.hard("models.physics.waveform", "phasor turned on from sample to sample in complex64", 3e-12, "rad",
+                  "eight roundings of 514 turns in float64")  # fmt: skip
 def test_a_beat_over_its_chirp(errors: Errors) -> None:
     """8,192 samples and 514 turns on: every rounding of a recurrence stays in it."""
     radar = radar_at(10e9)
@@ -188,13 +173,8 @@ def moving_path(length_m: float, speed_mps: float) -> Paths:
     )
 
 
-@pytest.mark.hard(
-    where="sim_player.signal.literal",
-    naive="f_c (t - tau(t)) with absolute time in float32",
-    bound=2.4e-9,
-    unit="rad",
-    source="four roundings of 422,000 turns in float64",
-)
+@pytest.mark.hard("sim_player.signal.literal", "f_c (t - tau(t)) with absolute time in float32", 2.4e-9, "rad",
+                  "four roundings of 422,000 turns in float64")  # fmt: skip
 def test_last_chirp_of_a_frame_of_a_moving_path(errors: Errors) -> None:
     """A car at 30 m/s at 77 GHz, last of 128 chirps: 5.4 turns of motion stand beside 5e7 of the carrier."""
     radar, length, speed = radar_at(77e9, 512), LENGTH_M[400], 30.0
@@ -211,13 +191,8 @@ def test_last_chirp_of_a_frame_of_a_moving_path(errors: Errors) -> None:
     errors(naive=off_rad(np.float32(TURN_RAD) * turns, exact), ours=off_rad(ours, exact))
 
 
-@pytest.mark.hard(
-    where="sim_player.signal.fmcw",
-    naive="f_c (L + 2 v t) / c of every chirp in float32",
-    bound=2e-5,
-    unit="rad rms",
-    source="the tolerance of the slow-time basis, 1e-5 of a path, twice",
-)
+@pytest.mark.hard("sim_player.signal.fmcw", "f_c (L + 2 v t) / c of every chirp in float32", 2e-5, "rad rms",
+                  "the tolerance of the slow-time basis, 1e-5 of a path, twice")  # fmt: skip
 def test_slow_time_of_a_frame(errors: Errors) -> None:
     """-15 to 40 m/s at 77 GHz from 220 m: 10 turns in a frame, read off 56,500."""
     radar, length = radar_at(77e9), 220.0
@@ -287,13 +262,8 @@ def largest(errors_found: list[np.ndarray]) -> float:
     return float(np.max(np.abs(np.concatenate(errors_found))))
 
 
-@pytest.mark.hard(
-    where="models.physics.waveform",
-    naive="sin(pi x) / (N sin(pi x / N))",
-    bound=1e-14,
-    unit="",
-    source="the phase pi x (N - 1) / N, to x = 11, in two roundings",
-)
+@pytest.mark.hard("models.physics.waveform", "sin(pi x) / (N sin(pi x / N))", 1e-14, "",
+                  "the phase pi x (N - 1) / N, to x = 11, in two roundings")  # fmt: skip
 def test_a_tone_on_its_bin(errors: Errors) -> None:
     """A target in the middle of a bin: 0 / 0. Beside it both sines vanish together."""
     bins, tones = range(90, 111), (100.0, 100.0 + 1e-13, 100.5, 101.0 - 2e-14)
@@ -306,13 +276,8 @@ def test_a_tone_on_its_bin(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.physics.waveform",
-    naive="sin(pi x) / (N sin(pi x / N))",
-    bound=6e-12,
-    unit="",
-    source="the phase pi x (N - 1) / N, to x = 6,000, in two roundings",
-)
+@pytest.mark.hard("models.physics.waveform", "sin(pi x) / (N sin(pi x / N))", 6e-12, "",
+                  "the phase pi x (N - 1) / N, to x = 6,000, in two roundings")  # fmt: skip
 def test_a_tone_one_turn_a_sample_away(errors: Errors) -> None:
     """Bin 0 of a tone just below bin 6,000: x / N is nearly 1, and what is left of both sines is rounding.
 
@@ -328,13 +293,7 @@ def test_a_tone_one_turn_a_sample_away(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.physics.waveform",
-    naive="sinc(x) / (1 - x^2)",
-    bound=1e-15,
-    unit="",
-    source="rounding of sin(pi) and of three taps",
-)
+@pytest.mark.hard("models.physics.waveform", "sinc(x) / (1 - x^2)", 1e-15, "", "rounding of sin(pi) and of three taps")
 def test_hann_window_one_bin_off(errors: Errors) -> None:
     """The window's own closed form is 0 / 0 one bin beside the tone; the limit is -1/2 at unit coherent gain."""
     x = np.arange(-2.0, 3.0)
@@ -345,13 +304,8 @@ def test_hann_window_one_bin_off(errors: Errors) -> None:
     errors(naive=np.abs(naive - limit).max(), ours=np.abs(ours - limit).max())
 
 
-@pytest.mark.hard(
-    where="sim_player.signal.compiled_beats",
-    naive="grid step taken from the fraction of a turn",
-    bound=1e-9,
-    unit="of the tone",
-    source="the gridding kernel, 1e-12 of the strongest tone, over 14 steps",
-)
+@pytest.mark.hard("sim_player.signal.compiled_beats", "grid step taken from the fraction of a turn", 1e-9,
+                  "of the tone", "the gridding kernel, 1e-12 of the strongest tone, over 14 steps")  # fmt: skip
 def test_a_tone_a_rounding_below_zero(errors: Errors) -> None:
     """-1e-18 turns a sample: its fraction of a turn rounds up to a whole one, a step beyond the grid's last."""
     cycles = np.array([-1e-18])

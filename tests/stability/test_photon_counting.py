@@ -25,13 +25,9 @@ def worst(found: np.ndarray, wanted: list) -> float:
     return max(float(abs(mpf(float(one)) / other - 1)) for one, other in zip(found, wanted, strict=True))
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.flux",
-    naive="differences of the distribution",
-    bound=1e-10,
-    unit="",
-    source="exp(-z^2 / 2) at z = 35 turns the rounding of delays, 100 ps wide pulses at 20 ns, into z^2 200 eps",
-)
+@pytest.mark.hard("models.physics.photons.flux", "differences of the distribution", 1e-10, "",
+                  "exp(-z^2 / 2) at z = 35 turns the rounding of delays, 100 ps wide pulses at 20 ns, into z^2 200 "
+                  "eps")  # fmt: skip
 def test_far_behind_a_pulse(errors: Errors) -> None:
     """Up to 35 standard deviations behind its delay a pulse has 1e-268 photons, 1 - 1 in doubles. Relative error."""
     spad = SpadParams(ambient_rate_hz=0.0)
@@ -45,13 +41,9 @@ def test_far_behind_a_pulse(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.counting",
-    naive="differences of the distribution",
-    bound=450 * 600 * EPS / 2,
-    unit="",
-    source="the exponential turns an error of 600 counts, 450 sums of half a rounding, into a relative one of p",
-)
+@pytest.mark.hard("models.physics.photons.counting", "differences of the distribution", 450 * 600 * EPS / 2, "",
+                  "the exponential turns an error of 600 counts, 450 sums of half a rounding, into a relative one of "
+                  "p")  # fmt: skip
 def test_bins_behind_total_pile_up(errors: Errors) -> None:
     """600 photons at 5 ns: what comes after is seen in one of 1e260 periods. Relative error."""
     spad = SpadParams(arming="gated")
@@ -63,13 +55,8 @@ def test_bins_behind_total_pile_up(errors: Errors) -> None:
     errors(naive=worst(spad.pulses * np.diff(until), wanted), ours=worst(found, wanted))
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.counting",
-    naive="period number times period, modulo the tick, in float64",
-    bound=1e-12,
-    unit="ticks",
-    source="one rounding of a time under a tick",
-)
+@pytest.mark.hard("models.physics.photons.counting", "period number times period, modulo the tick, in float64", 1e-12,
+                  "ticks", "one rounding of a time under a tick")  # fmt: skip
 def test_ticks_of_a_run_after_450_000_periods(errors: Errors) -> None:
     """Ticks lie anew in each period: every 33rd begins on one, and rounding puts it a whole tick late."""
     spad = msgspec.structs.replace(SpadParams(), tick_from="run")
@@ -81,13 +68,8 @@ def test_ticks_of_a_run_after_450_000_periods(errors: Errors) -> None:
     errors(naive=np.abs(naive - wanted).max(), ours=np.abs(ours - wanted).max())
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.dead_time",
-    naive="1 - (1 - e^-m) / m",
-    bound=8 * EPS,
-    unit="",
-    source="a short series or two roundings next to a half",
-)
+@pytest.mark.hard("models.physics.photons.dead_time", "1 - (1 - e^-m) / m", 8 * EPS, "",
+                  "a short series or two roundings next to a half")  # fmt: skip
 def test_hardly_any_flux_in_a_cell(errors: Errors) -> None:
     """Who comes back within a dark cell is detected there with m / 2: the closed form is 0 / 0 at last. Relative."""
     counts = np.logspace(-18.0, -1.01, 50)

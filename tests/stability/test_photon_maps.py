@@ -24,13 +24,10 @@ def counts() -> np.ndarray:
     return np.array([draw_histogram(SPAD, *wall, rng) for _ in range(64)]).astype("<u4")
 
 
-@pytest.mark.hard(
-    where="models.perception.form.photon_map",
-    naive="counts less the mean count of the period, over its root",
-    bound=0.14,
-    unit="",
-    source="four errors of the mean square of 29 x 64 normal values, with counts of 90 a cell on average",
-)
+@pytest.mark.hard("models.perception.form.photon_map", "counts less the mean count of the period, over its root", 0.14,
+                  "",
+                  "four errors of the mean square of 29 x 64 normal values, with counts of 90 a cell on "
+                  "average")  # fmt: skip
 def test_light_behind_a_wall(errors: Errors) -> None:
     """54 times less light is counted behind than before: it is not an echo's absence. Mean square less 1."""
     found = counts()

@@ -9,7 +9,6 @@ import pytest
 from mpmath import mp, mpf
 
 from models.physics.photons.first_photon import (
-    first_photon_histogram,
     first_photon_probability,
 )
 from tests.models.physics.photons.histograms import bins_of_ticks, mean_counts_of
@@ -37,13 +36,8 @@ def worst(found: np.ndarray, wanted: list[mpf]) -> float:
     return max(float(abs(mpf(float(one)) / other - 1)) for one, other in zip(found, wanted, strict=True))
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.first_photon",
-    naive="differences of the distribution",
-    bound=8 * EPS,
-    unit="",
-    source="four roundings of a half each, and the exponential's",
-)
+@pytest.mark.hard("models.physics.photons.first_photon", "differences of the distribution", 8 * EPS, "",
+                  "four roundings of a half each, and the exponential's")  # fmt: skip
 def test_hardly_any_light(errors: Errors) -> None:
     """1e-18 counts a bin: 1 - e^{-m} of doubles is zero. Relative error of the probabilities."""
     mean_counts = np.full(64, 1e-18)
@@ -53,13 +47,9 @@ def test_hardly_any_light(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.physics.photons.first_photon",
-    naive="differences of the distribution",
-    bound=600 * EPS,
-    unit="",
-    source="the exponential turns a relative error of 600 counts, 64 sums of half a rounding at most, into one of p",
-)
+@pytest.mark.hard("models.physics.photons.first_photon", "differences of the distribution", 600 * EPS, "",
+                  "the exponential turns a relative error of 600 counts, 64 sums of half a rounding at most, into "
+                  "one of p")  # fmt: skip
 def test_total_pile_up(errors: Errors) -> None:
     """600 counts a period: late bins are seen in one of 1e260 periods, and all of them are told apart from never."""
     mean_counts = np.full(64, 600.0 / 64)
@@ -69,13 +59,8 @@ def test_total_pile_up(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="tests.models.physics.photons.histograms",
-    naive="-log(1 - h / n)",
-    bound=8 * EPS,
-    unit="",
-    source="a quotient of whole numbers below 2^53 and log1p, one rounding each",
-)
+@pytest.mark.hard("tests.models.physics.photons.histograms", "-log(1 - h / n)", 8 * EPS, "",
+                  "a quotient of whole numbers below 2^53 and log1p, one rounding each")  # fmt: skip
 def test_one_count_in_a_million_million_periods(errors: Errors) -> None:
     """Pile-up undone where there is none: 1 - 1e-12 has four digits of the count left. Relative error."""
     histogram, periods = np.arange(1, 9), 10**12
@@ -87,13 +72,8 @@ def test_one_count_in_a_million_million_periods(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="tests.models.physics.photons.histograms",
-    naive="sums of counts in float32",
-    bound=1e-9,
-    unit="",
-    source="whole numbers below 2^63: only quotient and logarithm round; counts are given",
-)
+@pytest.mark.hard("tests.models.physics.photons.histograms", "sums of counts in float32", 1e-9, "",
+                  "whole numbers below 2^63: only quotient and logarithm round; counts are given")  # fmt: skip
 def test_the_last_of_a_million_million_counts(errors: Errors) -> None:
     """1e12 periods of which 1,000 are left for the last bin, which takes half. Relative error of its mean count."""
     histogram, periods = np.array([10**12 - 1000, 500]), 10**12
@@ -106,13 +86,8 @@ def test_the_last_of_a_million_million_counts(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="tests.models.physics.photons.histograms",
-    naive="floor(tick x 55 ps / bin width) in float64",
-    bound=0.0,
-    unit="of the events on an edge",
-    source="a ratio of whole numbers",
-)
+@pytest.mark.hard("tests.models.physics.photons.histograms", "floor(tick x 55 ps / bin width) in float64", 0.0,
+                  "of the events on an edge", "a ratio of whole numbers")  # fmt: skip
 def test_events_on_the_edges_of_bins(errors: Errors) -> None:
     """55 ps ticks, bins of 1 / (512 x 15 MHz): every 625th tick is an edge, and rounding puts it on either side."""
     ratio = Fraction(10**12, 512 * 15 * 10**6 * 55)
@@ -120,19 +95,3 @@ def test_events_on_the_edges_of_bins(errors: Errors) -> None:
     wanted = np.arange(0, 400_000) * 264 % 512
     naive = np.floor(edges * 55e-12 / (1.0 / 15e6 / 512)).astype(np.int64) % 512
     errors(naive=np.mean(naive != wanted), ours=np.mean(bins_of_ticks(edges, ratio, 512) != wanted))
-
-
-@pytest.mark.parametrize("flux", [0.0, 1e-300, 1e-12, 1.0, 1e3, 1e300])
-@pytest.mark.parametrize("periods", [0, 1, 10**12])
-def test_any_flux_gives_counts(flux: float, periods: int) -> None:
-    """Nothing, everything, and 1e12 periods: whole counts, never more than periods, and no warning."""
-    drawn = first_photon_histogram(np.full(16, flux), periods, np.random.default_rng(0))
-    assert (drawn >= 0).all()
-    assert drawn.sum() <= periods
-    if flux == 0.0:
-        assert drawn.sum() == 0
-    if flux >= 1e3:
-        assert drawn[0] == periods
-    recovered = mean_counts_of(drawn, periods)
-    assert recovered.shape == (16,)
-    assert not (recovered < 0.0).any()

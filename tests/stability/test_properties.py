@@ -25,7 +25,6 @@ from models.perception.find.cfar import CfarParams, cfar_peaks
 from models.perception.find.detectors import NetworkDetector
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.ra_former import RaFormer
-from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.peaks_to_view import FoldedScan, GeometryParams, fold_scan
 from models.perception.mirrors.walls import WallParams, find_walls
@@ -35,8 +34,6 @@ from models.physics.fresnel import (
     half_space_reflection,
     slab_reflection,
     slab_transmission,
-    stack_reflection,
-    stack_transmission,
 )
 from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
 from msgs.values.frames import Pose2, polar_from_xy
@@ -216,14 +213,6 @@ def assert_same_paths(found: Paths, wanted: Paths, sign: float = 1.0) -> None:
 # --- the mirror
 
 
-@quick
-@given(places_m, walls_m, places_m)
-def test_mirrored_twice_is_where_it_was(point: np.ndarray, ends: Any, towards: np.ndarray) -> None:
-    normal, offset_m = wall_from_ends(*ends, towards)
-    twice = reflect(reflect(point, normal, offset_m), normal, offset_m)
-    np.testing.assert_allclose(twice, point, rtol=0.0, atol=ROUNDING_M)
-
-
 @pytest.mark.slow
 @quick
 @given(places_m, places_m, walls_m)
@@ -309,19 +298,6 @@ def test_a_passive_slab_returns_and_passes_no_more_than_it_gets(
     assert left >= -16.0 * np.finfo(float).eps
     if medium.imag == 0.0:
         assert left <= 16.0 * np.finfo(float).eps
-
-
-@quick
-@given(st.lists(st.tuples(passive_media, st.floats(0.0, 0.3)), min_size=1, max_size=4), st.floats(0.01, 1.0))
-def test_a_wall_passes_as_much_from_either_side(layers: list[tuple[complex, float]], cosine: float) -> None:
-    """Exchanged antennas: the same field comes through, whatever the layers; and no more energy than came."""
-    media, thicknesses_m = (np.array(column) for column in zip(*layers, strict=True))
-    wavelength_m = 0.03
-    there = stack_transmission(media, thicknesses_m, cosine, wavelength_m)
-    back = stack_transmission(media[::-1], thicknesses_m[::-1], cosine, wavelength_m)
-    # the phase of a deep layer has hundreds of turns, each rounded
-    assert abs(there - back) <= 1e-9
-    assert abs(there) ** 2 + abs(stack_reflection(media, thicknesses_m, cosine, wavelength_m)) ** 2 <= 1.0 + 1e-9
 
 
 # --- the simulated radar
@@ -550,19 +526,6 @@ def test_order_of_the_images_does_not_matter(peaks: Peaks, seed: int) -> None:
     np.testing.assert_allclose(found.recovered.points_m[one], wanted.recovered.points_m[two], rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(found.recovered.wall[one], wanted.recovered.wall[two])
     np.testing.assert_array_equal(found.hidden[one], wanted.hidden[two])
-
-
-@quick
-@given(seeds, st.integers(2, 60), st.floats(0.2, 5.0), st.integers(1, 5))
-def test_clusters_do_not_depend_on_the_order_of_points(seed: int, count: int, eps_m: float, least: int) -> None:
-    """Same sets of points, other numbers."""
-    rng = np.random.default_rng(seed)
-    points_m = rng.uniform(-8.0, 8.0, (count, 2))
-    order = rng.permutation(count)
-    before, after = dbscan(points_m, eps_m, least), dbscan(points_m[order], eps_m, least)
-    together = before[order][:, None] == before[order]
-    np.testing.assert_array_equal(after[:, None] == after, together)
-    np.testing.assert_array_equal(after < 0, before[order] < 0)
 
 
 @quick

@@ -103,29 +103,13 @@ def test_a_small_recording_cut_at_every_byte(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_large_recording_cut_at_random_bytes(large: Path, tmp_path: Path) -> None:
-    raw = large.read_bytes()
-    sizes, ends = chunk_sizes(large), chunk_ends(large)
-    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
-    cut.write_bytes(raw)
-    for turn, at in enumerate(sorted(np.random.default_rng(11).integers(8, len(raw) - 8, 300), reverse=True)):
-        os.truncate(cut, at)
-        count, loss = copy_recording(cut, NOWHERE, overwrite=True)
-        assert loss is not None
-        assert "cut off" in loss
-        assert count == sum(n for n, end in zip(sizes, ends, strict=True) if end <= at), at
-        if turn % 30 == 0:
-            check_cut(cut, at, large, out)
-
-
-@pytest.mark.slow
 def test_a_large_recording_with_flipped_bytes(large: Path, tmp_path: Path) -> None:
     """One byte wrong, wherever: at most one chunk is lost, no message is changed, and what is lost is told."""
     raw = bytearray(large.read_bytes())
     expected, largest = set(contents(large)[0]), max(chunk_sizes(large))
     damaged, out = tmp_path / "damaged.mcap", tmp_path / "out.mcap"
     rng = np.random.default_rng(12)
-    for at, change in zip(rng.integers(8, len(raw), 300), rng.integers(1, 256, 300), strict=True):
+    for at, change in zip(rng.integers(8, len(raw), 100), rng.integers(1, 256, 100), strict=True):
         raw[at] ^= change
         damaged.unlink(missing_ok=True)
         damaged.write_bytes(raw)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from models.physics.rough_lobe import RoughLobe, mean_over_orders
-from sim_player.effects.diffuse_scattering import absent
 from sim_player.scene.description import Scene, Surface
 from sim_player.scene.world import prepare
 from tests.sim_player.trace.point_scenes import points_world, traced, wall
@@ -74,13 +73,8 @@ def test_steeper_walls_than_facets_allow_are_those_of_slope_one() -> None:
     np.testing.assert_array_equal(steep.backscatter(COSINES), limit.backscatter(COSINES))
 
 
-@pytest.mark.hard(
-    where="models.physics.rough_lobe",
-    naive="g^2m exp(-g^2) / m! summed term by term",
-    bound=1e-11,
-    unit="",
-    source="next order, 2 / g^4",
-)
+@pytest.mark.hard("models.physics.rough_lobe", "g^2m exp(-g^2) / m! summed term by term", 1e-11, "",
+                  "next order, 2 / g^4")  # fmt: skip
 def test_orders_of_a_rough_wall(errors: Errors) -> None:
     """2 m of height, g^2 = 7e5 at 10 GHz: powers overflow, exp(-g^2) is 0. Mean of 1 / m against 1 / g^2 + 1 / g^4."""
     mean = (4.0 * math.pi * 2.0 / WAVELENGTH_M) ** 2
@@ -91,24 +85,12 @@ def test_orders_of_a_rough_wall(errors: Errors) -> None:
     errors(naive=naive / exact - 1.0, ours=mean_over_orders(mean, 1.0, 0.0, 0.0) / exact - 1.0)
 
 
-@pytest.mark.parametrize("name", ["roughness_m", "correlation_m"])
-def test_nan_is_refused(name: str) -> None:
-    given = {"roughness_m": 1e-3, "correlation_m": 0.03, name: math.nan}
-    with pytest.raises(ValueError, match=f"{name} must be finite and positive, got nan"):
-        RoughLobe(**given, wavelength_m=WAVELENGTH_M)
-
-
 @pytest.mark.parametrize("field", ["roughness_mm", "correlation_mm"])
 def test_scene_with_nan_is_refused(field: str) -> None:
     ends = ((10.0, -5.0), (10.0, 5.0))
     surface = Surface(role="relay", material="brick", polyline_m=ends, **{field: math.nan})
     with pytest.raises(ValueError, match=rf"surfaces\[0\]\.{field}: must be finite, got nan"):
         prepare(Scene(name="nan", surfaces=(surface,)))
-
-
-def test_smooth_wall_has_no_lobe() -> None:
-    smooth = wall((12.0, -8.0), (12.0, 8.0))
-    assert absent(points_world([], smooth)) == "no wall is rough"
 
 
 def test_grazing_wall_echoes_are_finite() -> None:

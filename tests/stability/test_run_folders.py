@@ -13,7 +13,6 @@ from lab.training.data.frames import DataSet, Splits, fixed_splits
 from lab.training.export.onnx import require_onnx
 from lab.training.run_folder import BEST, CONFIG, load_config, load_state
 from models.perception.find.score_calibration import check_table
-from msgs.files.whole_files import whole
 
 SHARD = {
     "values": np.ones((3, 512, 256), np.complex64),
@@ -61,20 +60,6 @@ def test_broken_run_folders_name_their_file(tmp_path: Path) -> None:
         load_config(tmp_path, dict)
     with pytest.raises(ValueError, match=r"best\.pt must be a checkpoint of tensors only"):
         load_state(tmp_path / BEST)
-
-
-def test_a_write_that_fails_leaves_the_old_file_alone(tmp_path: Path) -> None:
-    path = tmp_path / "last.pt"
-    path.write_text("old")
-
-    def fail() -> None:
-        with whole(path) as part:
-            part.write_text("new")
-            raise OSError
-
-    with pytest.raises(OSError, match=r"^$"):
-        fail()
-    assert [one.read_text() for one in tmp_path.iterdir()] == ["old"]
 
 
 def test_shares_that_are_written_alike_are_one_knot() -> None:

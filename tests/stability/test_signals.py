@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from contrib.boards.digital_array import DigitalArrayParams, range_doppler
-from models.perception.find.encoding import Encoding, encode_columns
 from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
@@ -89,13 +88,9 @@ def test_rails(code: int) -> None:
     assert np.abs(formed.values[2:]).max() <= 1e-6 * np.abs(formed.values[0]).max()
 
 
-@pytest.mark.hard(
-    where="models.perception.form.ra_forming",
-    naive="no window",
-    bound=0.015,
-    unit="of the echo",
-    source="five sigma of noise, sqrt(1.5 / 2^15) / 3 each, and Hann's side lobe 100 bins out, 1e4 / (pi 1e6)",
-)
+@pytest.mark.hard("models.perception.form.ra_forming", "no window", 0.015, "of the echo",
+                  "five sigma of noise, sqrt(1.5 / 2^15) / 3 each, and Hann's side lobe 100 bins out, 1e4 / (pi "
+                  "1e6)")  # fmt: skip
 def test_huge_offset_beside_a_weak_echo(errors: Errors) -> None:
     """30000 codes half a bin off zero, an echo of 3 codes 100 bins further: 1 / (pi 100) of the one is 30 times the
     other.
@@ -132,13 +127,9 @@ def _bin_noise_mw(setup: RadarSetup, codes_rms: float, averaged: int = 1) -> flo
     return per_sample * window_noise_gain("hann") / (averaged * setup.radar.samples_per_chirp)
 
 
-@pytest.mark.hard(
-    where="models.perception.form.ra_forming",
-    naive="mean square less squared mean, float32",
-    bound=0.1,
-    unit="",
-    source="four sigma of a median over 6600 bins: 1.44 / sqrt(n), 1.4 times for what a window shares between bins",
-)
+@pytest.mark.hard("models.perception.form.ra_forming", "mean square less squared mean, float32", 0.1, "",
+                  "four sigma of a median over 6600 bins: 1.44 / sqrt(n), 1.4 times for what a window shares between "
+                  "bins")  # fmt: skip
 def test_noise_under_a_huge_offset(errors: Errors) -> None:
     """30000 codes of offset and noise of 2: squares of 9e8 are known to 64 where 4 is looked for. Relative error."""
     setup = _setup(chirps=1, samples=8192)
@@ -151,13 +142,9 @@ def test_noise_under_a_huge_offset(errors: Errors) -> None:
     errors(naive=abs(naive / exact - 1.0), ours=abs(_fold(setup, codes)[1] / exact - 1.0))
 
 
-@pytest.mark.hard(
-    where="models.perception.form.ra_forming",
-    naive="spread between chirps",
-    bound=0.41,
-    unit="",
-    source="no independence between chirps: at most 1 - ln 2 = 0.31 low; four sigma of a median over 6600 bins: 0.1",
-)
+@pytest.mark.hard("models.perception.form.ra_forming", "spread between chirps", 0.41, "",
+                  "no independence between chirps: at most 1 - ln 2 = 0.31 low; four sigma of a median over 6600 "
+                  "bins: 0.1")  # fmt: skip
 @pytest.mark.parametrize("chirps", [1, 16], ids=["one chirp", "all chirps alike"])
 def test_welch_with_zero_variance(chirps: int, errors: Errors) -> None:
     """Noise that repeats from chirp to chirp has no spread, one chirp alone not even that (0 / 0). Relative error."""
@@ -172,13 +159,9 @@ def test_welch_with_zero_variance(chirps: int, errors: Errors) -> None:
     errors(naive=abs(naive / exact - 1.0), ours=abs(_fold(setup, codes, mode="welch")[1] / exact - 1.0))
 
 
-@pytest.mark.hard(
-    where="models.perception.form.ra_forming",
-    naive="median over ln 2",
-    bound=0.02,
-    unit="",
-    source="four sigma of a median over 6600 bins of 128 chirps: 1.25 / sqrt(128 n), 1.4 times for the window",
-)
+@pytest.mark.hard("models.perception.form.ra_forming", "median over ln 2", 0.02, "",
+                  "four sigma of a median over 6600 bins of 128 chirps: 1.25 / sqrt(128 n), 1.4 times for the "
+                  "window")  # fmt: skip
 def test_welch_of_many_chirps(errors: Errors) -> None:
     """The power of 128 chirps hardly varies: its median is its mean, not ln 2 of it. Relative error of the noise."""
     setup = _setup(chirps=128, samples=8192)
@@ -190,13 +173,7 @@ def test_welch_of_many_chirps(errors: Errors) -> None:
     errors(naive=abs(naive / exact - 1.0), ours=abs(_fold(setup, codes, mode="welch")[1] / exact - 1.0))
 
 
-@pytest.mark.hard(
-    where="models.perception.form.slow_time_sums",
-    naive="sum of int16",
-    bound=0.0,
-    unit="codes",
-    source="integers are exact",
-)
+@pytest.mark.hard("models.perception.form.slow_time_sums", "sum of int16", 0.0, "codes", "integers are exact")
 @pytest.mark.parametrize("code", [32767, -32768])
 def test_sums_of_128_chirps_at_full_scale(code: int, errors: Errors) -> None:
     """2^22 in 16 bits: what is left is -128 or 0."""
@@ -206,13 +183,8 @@ def test_sums_of_128_chirps_at_full_scale(code: int, errors: Errors) -> None:
     errors(naive=np.abs(naive - 128 * code).max(), ours=np.abs(sums.astype(np.int64) - 128 * code).max())
 
 
-@pytest.mark.hard(
-    where="models.perception.form.slow_time_sums",
-    naive="sum of int32",
-    bound=0.0,
-    unit="codes",
-    source="integers are exact; more than 65536 chirps a group are refused",
-)
+@pytest.mark.hard("models.perception.form.slow_time_sums", "sum of int32", 0.0, "codes",
+                  "integers are exact; more than 65536 chirps a group are refused")  # fmt: skip
 def test_sums_beyond_32_bits(errors: Errors) -> None:
     """65537 chirps at -32768: one more than an int32 holds, and the sum turns positive. Two groups hold them."""
     chirps = 65537
@@ -225,13 +197,8 @@ def test_sums_beyond_32_bits(errors: Errors) -> None:
     errors(naive=np.abs(naive - exact).max(), ours=np.abs(sums.sum(axis=0, dtype=np.int64) - exact).max())
 
 
-@pytest.mark.hard(
-    where="models.perception.form.slow_time_sums",
-    naive="|code| >= 32767 in int16",
-    bound=0.0,
-    unit="of the samples",
-    source="counting is exact",
-)
+@pytest.mark.hard("models.perception.form.slow_time_sums", "|code| >= 32767 in int16", 0.0, "of the samples",
+                  "counting is exact")  # fmt: skip
 def test_saturation_at_the_lower_rail(errors: Errors) -> None:
     """|-32768| is -32768 in 16 bits: the rail that most converters reach goes unnoticed. Share missed."""
     samples = np.full((5, 16, 2), -32768, np.int16)
@@ -240,13 +207,8 @@ def test_saturation_at_the_lower_rail(errors: Errors) -> None:
     errors(naive=1.0 - naive, ours=1.0 - saturated / 80)
 
 
-@pytest.mark.hard(
-    where="sim_player.signal.fmcw",
-    naive="cast without a clip",
-    bound=0.5,
-    unit="codes",
-    source="rounding to the nearest code within the rails",
-)
+@pytest.mark.hard("sim_player.signal.fmcw", "cast without a clip", 0.5, "codes",
+                  "rounding to the nearest code within the rails")  # fmt: skip
 def test_converter_past_full_scale(errors: Errors) -> None:
     """40000 codes wrap around to -25536: a strong echo changes sign."""
     level = np.array([40000.0 - 40000.0j, 32767.4 + 1e9j, -5e8 + 0.3j])
@@ -256,13 +218,8 @@ def test_converter_past_full_scale(errors: Errors) -> None:
     errors(naive=np.abs(naive - limited).max(), ours=np.abs(converted(level) - limited).max())
 
 
-@pytest.mark.hard(
-    where="contrib.boards.digital_array",
-    naive="transformed as it is",
-    bound=0.0,
-    unit="of the cells",
-    source="refused: no cell is given out",
-)
+@pytest.mark.hard("contrib.boards.digital_array", "transformed as it is", 0.0, "of the cells",
+                  "refused: no cell is given out")  # fmt: skip
 @pytest.mark.parametrize("value", [np.nan, np.inf], ids=["NaN", "Inf"])
 def test_a_float_capture_that_is_not_finite(value: float, errors: Errors) -> None:
     """One sample in 16384: its transform fills every cell of its channel, and beams add all channels. Share spoilt."""
@@ -275,13 +232,8 @@ def test_a_float_capture_that_is_not_finite(value: float, errors: Errors) -> Non
     errors(naive=1.0 - np.isfinite(beams).mean(), ours=0.0)
 
 
-@pytest.mark.hard(
-    where="contrib.boards.digital_array",
-    naive="mean of complex64",
-    bound=0.06,
-    unit="",
-    source="rounding of 1e6 in float32, half a unit",
-)
+@pytest.mark.hard("contrib.boards.digital_array", "mean of complex64", 0.06, "",
+                  "rounding of 1e6 in float32, half a unit")  # fmt: skip
 def test_what_stands_still_at_a_million(errors: Errors) -> None:
     """4096 chirps of 1e6 summed in float32: a still echo of 20 is left of what was to be taken off."""
     samples = np.full((4096, 1, 16), 1e6 * (0.7 + 0.3j), np.complex64)
@@ -289,13 +241,8 @@ def test_what_stands_still_at_a_million(errors: Errors) -> None:
     errors(naive=np.abs(samples - samples.mean(axis=0)).max(), ours=np.abs(range_doppler(samples, params)).max())
 
 
-@pytest.mark.hard(
-    where="sim_player.signal.levels",
-    naive="phase of every sample in float32",
-    bound=1e-4,
-    unit="of the largest sample",
-    source="the tolerances of the low rate, 1e-5, and of slow time, 1e-5, over a band half full",
-)
+@pytest.mark.hard("sim_player.signal.levels", "phase of every sample in float32", 1e-4, "of the largest sample",
+                  "the tolerances of the low rate, 1e-5, and of slow time, 1e-5, over a band half full")  # fmt: skip
 @pytest.mark.parametrize("count", [1, 20_000])
 def test_fast_echoes_near_and_far(count: int, errors: Errors) -> None:
     """From 0.5 to 200 m at up to 40 m/s, first and last of 128 chirps, every 101st sample; a lone echo at 200 m."""
@@ -331,13 +278,8 @@ def _peak_at(ra_map: RangeAzimuthMap, cell: tuple[int, int]) -> Peaks:
     return peaks_at(ra_map, cells, cells.astype(np.float64), np.ones(1), path_class, PeakParams())
 
 
-@pytest.mark.hard(
-    where="models.perception.find.peaks",
-    naive="10 log10(power / noise)",
-    bound=1e-12,
-    unit="dB",
-    source="what is nothing stands at the floor of -30 dB, to rounding",
-)
+@pytest.mark.hard("models.perception.find.peaks", "10 log10(power / noise)", 1e-12, "dB",
+                  "what is nothing stands at the floor of -30 dB, to rounding")  # fmt: skip
 def test_level_of_nothing_over_nothing(errors: Errors) -> None:
     """A peak of the network on an all-zero map without noise: logarithm of 0 / 0."""
     silent = _map(np.zeros((512, 256)), 0.0)
@@ -348,13 +290,8 @@ def test_level_of_nothing_over_nothing(errors: Errors) -> None:
     errors(naive=abs(naive + 30.0), ours=abs(peak.snr_db[0] + 30.0))
 
 
-@pytest.mark.hard(
-    where="models.perception.find.peaks",
-    naive="parabola through the logarithms",
-    bound=1e-12,
-    unit="bins",
-    source="symmetry: the peak lies on its bin, to rounding",
-)
+@pytest.mark.hard("models.perception.find.peaks", "parabola through the logarithms", 1e-12, "bins",
+                  "symmetry: the peak lies on its bin, to rounding")  # fmt: skip
 def test_peak_of_a_single_cell(errors: Errors) -> None:
     """Nothing beside it: the logarithms of its neighbours are minus infinity, and so is their difference (NaN)."""
     values = np.zeros((512, 256))
@@ -366,32 +303,8 @@ def test_peak_of_a_single_cell(errors: Errors) -> None:
     errors(naive=abs(naive), ours=abs(peak.range_m[0] / RangeAzimuthGrid().range_bin_m - 100.0))
 
 
-@pytest.mark.hard(
-    where="models.perception.find.encoding",
-    naive="less the mean, over the spread",
-    bound=1e-6,
-    unit="",
-    source="float32; an empty map is 0, a flat one at the noise (0 + 5) / 90",
-)
-@pytest.mark.parametrize(("level", "expected"), [(0.0, 0.0), (1e-7, 5.0 / 90.0)], ids=["empty", "flat"])
-def test_maps_without_contrast(level: float, expected: float, errors: Errors) -> None:
-    """A map of one value has no spread: 0 / 0, or rounding over rounding. Level that the network sees."""
-    encoding = Encoding(channels=("level",))
-    columns = np.full((320, 32), level, np.complex64)
-    ours = encode_columns(encoding, columns, np.array(np.square(np.float64(columns.real[0, 0]))))
-    magnitude = np.abs(columns)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        naive = (magnitude - magnitude.mean()) / magnitude.std()
-    errors(naive=np.abs(naive - expected).max(), ours=np.abs(ours - expected).max())
-
-
-@pytest.mark.hard(
-    where="sim_player.signal.receiver",
-    naive="corner over |f|",
-    bound=1e-15,
-    unit="",
-    source="flat below what a beam resolves: corner times its duration",
-)
+@pytest.mark.hard("sim_player.signal.receiver", "corner over |f|", 1e-15, "",
+                  "flat below what a beam resolves: corner times its duration")  # fmt: skip
 def test_flicker_at_zero_frequency(errors: Errors) -> None:
     """1 / f at f = 0, the first bin of every transform. Relative error."""
     radar = _setup().radar
@@ -402,13 +315,8 @@ def test_flicker_at_zero_frequency(errors: Errors) -> None:
     errors(naive=abs(naive[0] / exact - 1.0), ours=abs(ours[0] / exact - 1.0))
 
 
-@pytest.mark.hard(
-    where="sim_player.signal.receiver",
-    naive="sin(pi f T_f) / (N sin(pi f T_c)), twice",
-    bound=1e-9,
-    unit="",
-    source="2^-53 of 7e5 turns over a beam's start, times 2 pi",
-)
+@pytest.mark.hard("sim_player.signal.receiver", "sin(pi f T_f) / (N sin(pi f T_c)), twice", 1e-9, "",
+                  "2^-53 of 7e5 turns over a beam's start, times 2 pi")  # fmt: skip
 @pytest.mark.parametrize("frequency_bins", [0.0, 40.0], ids=["at zero", "on a bin"])
 def test_spur_that_repeats_with_the_chirps(frequency_bins: float, errors: Errors) -> None:
     """A whole number of turns a chirp: the sums over samples and chirps are sin(n pi) / sin(n pi). Its level."""

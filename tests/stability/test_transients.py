@@ -10,7 +10,6 @@ from mpmath import mp, mpf
 from scipy.special import ndtr
 
 from lab.transients.light_cone import LightCone, reconstruct
-from lab.transients.scan import ConfocalTransients
 from lab.transients.shape import hidden_shape
 from models.physics.photons.flux import counts_between, pulses_of
 from msgs.values.lidar import SpadParams
@@ -73,19 +72,9 @@ def test_a_square_far_smaller_or_larger_than_a_bin(half_width_m: float) -> None:
     assert np.isfinite(cone.invert(transients)).all()
 
 
-def test_huge_arrays_are_refused_before_memory_is_taken() -> None:
-    huge = np.broadcast_to(np.uint32(0), (1 << 12, 1 << 12, 1 << 12))
-    with pytest.raises(ValueError, match=r"counts must hold at most 16777216 counts, got 68719476736"):
-        ConfocalTransients(huge, 0.2, 4e-12)
-
-
-@pytest.mark.hard(
-    where="models.physics.photons.flux",
-    naive="exponential times distribution, both written out",
-    bound=1e-9,
-    unit="",
-    source="tails cancel to their ratio, rms / delay = 1e-1 over z = 30, and rounding of z^2 / 2 = 450 in each",
-)
+@pytest.mark.hard("models.physics.photons.flux", "exponential times distribution, both written out", 1e-9, "",
+                  "tails cancel to their ratio, rms / delay = 1e-1 over z = 30, and rounding of z^2 / 2 = 450 in "
+                  "each")  # fmt: skip
 def test_ahead_of_a_pulse_with_a_tail(errors: Errors) -> None:
     """From 3 to 30 standard deviations ahead of a pulse all of whose photons come late. Relative error."""
     spad = SpadParams(tail_share=1.0, tail_s=0.86e-9, ambient_rate_hz=0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from fractions import Fraction
 
 import can
@@ -11,19 +10,13 @@ import numpy as np
 import pytest
 
 from models.vehicle.can_state import AGE_PERIODS, CanDecoder, StampMapper, Verdict
-from models.vehicle.end_to_end import counter_step
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule
 from nodes.can.bus import frame_stamp_ns
 from tests.stability.catalogue import Errors
 
 
-@pytest.mark.hard(
-    where="nodes.can.bus",
-    naive="seconds in float32",
-    bound=120.0 + 128.0,
-    unit="ns",
-    source="half a step of the stamp's double, 240 ns, and one of its product with 1e9, 256 ns",
-)
+@pytest.mark.hard("nodes.can.bus", "seconds in float32", 120.0 + 128.0, "ns",
+                  "half a step of the stamp's double, 240 ns, and one of its product with 1e9, 256 ns")  # fmt: skip
 def test_epoch_stamps_keep_a_quarter_of_a_microsecond(errors: Errors) -> None:
     """python-can's stamps are doubles of the epoch: 2^-22 s = 0.24 us apart in 2017..2038; float32 has 128 s."""
     rng = np.random.default_rng(3)
@@ -36,13 +29,7 @@ def test_epoch_stamps_keep_a_quarter_of_a_microsecond(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="models.vehicle.can_state",
-    naive="difference of seconds since 1970",
-    bound=0.0,
-    unit="ns",
-    source="integers",
-)
+@pytest.mark.hard("models.vehicle.can_state", "difference of seconds since 1970", 0.0, "ns", "integers")
 def test_ages_are_exact_at_the_limit(errors: Errors) -> None:
     """Ten periods of 10 ms after an epoch stamp: integers meet the limit to 1 ns, seconds as floats miss it."""
     start_ns = 1_700_000_000_123_456_789
@@ -85,32 +72,8 @@ def test_the_last_value_of_a_range_counts_and_the_next_does_not(scale: str) -> N
         assert naive_wrong > 0
 
 
-@pytest.mark.slow
-@pytest.mark.hard(
-    where="models.vehicle.end_to_end",
-    naive="new less last",
-    bound=0.0,
-    unit="steps",
-    source="the only step of 0..modulus-1 that leads from one to the other",
-)
-def test_counter_steps_at_the_wrap_of_any_modulus(errors: Errors) -> None:
-    """Every pair of every modulus to 256, wrap included."""
-    naive = ours = 0
-    for modulus in (2, 15, 16, 255, 256):
-        for last, new in itertools.product(range(modulus), repeat=2):
-            exact = next(step for step in itertools.count() if (last + step) % modulus == new)
-            naive = max(naive, abs(new - last - exact))
-            ours = max(ours, abs(counter_step(last, new, modulus) - exact))
-    errors(naive=naive, ours=ours)
-
-
-@pytest.mark.hard(
-    where="models.vehicle.can_state",
-    naive="offset of the first frame",
-    bound=200e-6,
-    unit="s",
-    source="the delay of every other frame, 0.2 ms",
-)
+@pytest.mark.hard("models.vehicle.can_state", "offset of the first frame", 200e-6, "s",
+                  "the delay of every other frame, 0.2 ms")  # fmt: skip
 def test_a_slow_first_frame_does_not_shift_the_clock(errors: Errors) -> None:
     """The first frame waited 80 ms in a queue: an offset taken from it alone is wrong for good."""
     mapper = StampMapper()
@@ -126,13 +89,8 @@ def test_a_slow_first_frame_does_not_shift_the_clock(errors: Errors) -> None:
 
 
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
-@pytest.mark.hard(
-    where="models.vehicle.can_state",
-    naive="offset of the first frame",
-    bound=400e-6,
-    unit="s",
-    source="200 ppm over two windows of 1 s",
-)
+@pytest.mark.hard("models.vehicle.can_state", "offset of the first frame", 400e-6, "s",
+                  "200 ppm over two windows of 1 s")  # fmt: skip
 def test_drifting_clocks_do_not_walk_away(errors: Errors, drift: float) -> None:
     """200 ppm for ten minutes is 120 ms, more than ten periods of 10 ms."""
     mapper = StampMapper()

@@ -20,47 +20,12 @@ STDS = {"offset_std_m": 0.1, "angle_std_rad": 0.01}
 FACADE = WallLine.between(np.array([[20.0, -5.0], [20.0, 5.0]]), **STDS).as_wall(8)
 
 
-def prior(x_m: float, source: str = "map", low_m: float = -5.0, high_m: float = 5.0, **stds: float) -> PlacedPrior:
-    return PlacedPrior(source, WallLine.between(np.array([[x_m, low_m], [x_m, high_m]]), **{**STDS, **stds}))
-
-
 def walls_of(priors: list[PlacedPrior], walls: list[Wall]) -> list[Wall]:
     return fused(priors, NOTHING, walls)[0]
 
 
-@pytest.mark.hard(
-    where="models.perception.track.wall_fusion.fused",
-    naive="the prior beside the measured wall",
-    bound=0.0,
-    unit="walls",
-    source="one wall stands there",
-)
-def test_a_prior_a_millimetre_from_a_measured_wall(errors: Errors) -> None:
-    """Side by side each would mirror and each would block the other's rays."""
-    errors(naive=1.0, ours=float(len(walls_of([prior(20.001)], [FACADE])) - 1))
-
-
-@pytest.mark.hard(
-    where="models.perception.track.wall_fusion.fused",
-    naive="every wall of a message as a measurement of its own",
-    bound=1e-12,
-    unit="m",
-    source="a map says a thing once, however often it repeats it",
-)
-def test_one_wall_repeated_by_its_source(errors: Errors) -> None:
-    """A message full of one wall: its error does not shrink by the root of their number."""
-    (once,), (often,) = (walls_of([prior(20.1)] * count, [FACADE]) for count in (1, MAX_PRIOR_WALLS))
-    naive = math.sqrt(1.0 / (1.0 / 0.0109 + MAX_PRIOR_WALLS / 0.01))
-    errors(naive=abs(naive - once.offset_std_m), ours=abs(often.offset_std_m - once.offset_std_m))
-
-
-@pytest.mark.hard(
-    where="models.perception.track.wall_lines.WallLine.corrected",
-    naive="inverse of the sum of inverse covariances",
-    bound=1e-9,
-    unit="",
-    source="rounding, 2e-16 of numbers of order 1",
-)
+@pytest.mark.hard("models.perception.track.wall_lines.WallLine.corrected", "inverse of the sum of inverse covariances",
+                  1e-9, "", "rounding, 2e-16 of numbers of order 1")  # fmt: skip
 def test_a_prior_as_certain_as_it_may_be_and_one_as_vague(errors: Errors) -> None:
     """0.1 mm and 1e-5 rad on a wall known to 100 m and pi: the covariance stays that of the sharper one."""
     vague = WallLine.between(np.array([[20.0, -1000.0], [20.0, 1000.0]]), 100.0, math.pi)
@@ -79,30 +44,6 @@ def test_a_prior_as_certain_as_it_may_be_and_one_as_vague(errors: Errors) -> Non
     )
 
 
-@pytest.mark.parametrize(
-    "ends_m",
-    [
-        pytest.param(((-10.0, 0.0), (10.0, 0.0)), id="along the axis through the radar"),
-        pytest.param(((0.0, 0.0), (10.0, 3.0)), id="from the radar on"),
-        pytest.param(((1e-9, -5.0), (1e-9, 5.0)), id="a nanometre ahead"),
-    ],
-)
-def test_a_wall_through_the_radar_is_no_mirror(ends_m: tuple[tuple[float, float], ...]) -> None:
-    through = PlacedPrior("map", WallLine.between(np.array(ends_m), **STDS))
-    assert walls_of([through], [FACADE]) == [FACADE]
-
-
-def test_a_wall_of_no_length_is_refused_and_ten_thousand_are() -> None:
-    fields = {**STDS, "end_std_m": 0.1}
-    with pytest.raises(ValueError, match=r"wall length in m must lie in 0.1..2000, got 0.0"):
-        PriorWall(ends_m=((20.0, 1.0), (20.0, 1.0)), **fields)
-    wall = PriorWall(ends_m=((20.0, 1.0), (20.0, 2.0)), **fields)
-    with pytest.raises(ValueError, match=r"wall_priors.walls must be at most 256, got 10000"):
-        WallPriors(stamp_ns=0, source="map", walls=(wall,) * 10_000)
-    with pytest.raises(ValueError, match=r"wall.ends_m must be finite, got nan"):
-        PriorWall(ends_m=((math.nan, 1.0), (20.0, 2.0)), **fields)
-
-
 def test_eight_sources_full_of_random_walls() -> None:
     """2,048 priors, most of them wrong: finite walls, no more than a scan takes, and the measured ones first."""
     rng = np.random.default_rng(0)
@@ -118,14 +59,6 @@ def test_eight_sources_full_of_random_walls() -> None:
     assert all(
         np.isfinite([*wall.ends_m[0], *wall.ends_m[1], wall.offset_std_m, wall.angle_std_rad]).all() for wall in walls
     )
-
-
-def test_sources_that_contradict_each_other_do_not_average() -> None:
-    """1.5 m apart, both sure: neither wall between them is anywhere."""
-    (believed,) = walls_of([prior(18.5, "map"), prior(20.0, "lidar", offset_std_m=0.05)], [])
-    assert believed.offset_m == pytest.approx(20.0)
-    (measured,) = walls_of([prior(18.5, "map"), prior(21.5, "lidar")], [FACADE])
-    assert measured == FACADE
 
 
 @pytest.mark.parametrize("stamp_ns", [1, 1 << 62])

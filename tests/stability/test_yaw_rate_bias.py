@@ -28,13 +28,8 @@ def bias_after(states: list[VehicleState]) -> float:
     return bias.bias_rps
 
 
-@pytest.mark.hard(
-    where="models.perception.track.yaw_rate_bias",
-    naive="stamps of the epoch as seconds in float32",
-    bound=1e-12,
-    unit="rad/s",
-    source="integers: the same blocks, whatever the clock counts from",
-)
+@pytest.mark.hard("models.perception.track.yaw_rate_bias", "stamps of the epoch as seconds in float32", 1e-12, "rad/s",
+                  "integers: the same blocks, whatever the clock counts from")  # fmt: skip
 def test_the_clock_of_the_epoch_changes_nothing(errors: Errors) -> None:
     """Stamps since 1970 against stamps since the start: float32 has steps of 128 s there, so that no block is whole."""
     states = drive(60.0, town, turns)

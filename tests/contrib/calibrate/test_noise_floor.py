@@ -9,6 +9,7 @@ import pytest
 from contrib.calibrate.noise_floor import NoiseFloor, NoiseMeter
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import db_from_ratio, ratio_from_db
+from tests.builders import beam_of
 
 RADAR = RadarParams(chirps_per_beam=32, samples_per_chirp=1024, noise_figure_db=11.0)
 SETUP = RadarSetup(radar=RADAR)
@@ -32,15 +33,7 @@ def beam(index: int, corner_hz: float = 0.0, echo_dbm: float | None = None, spur
         samples += np.sqrt(ratio_from_db(SPUR_DBM)) * np.exp(2j * np.pi * (SPUR_HZ * time_s + rng.random()))
     codes = samples / np.sqrt(SETUP.milliwatt_per_code_squared)
     pairs = np.stack([codes.real, codes.imag], axis=-1).reshape(RADAR.chirps_per_beam, -1, 2)
-    return RadarBeam(
-        stamp_ns=index,
-        scan_id=0,
-        beam_index=index,
-        beam_count=len(SETUP.beams),
-        azimuth_rad=float(SETUP.beams.azimuth_rad[index]),
-        samples=np.rint(pairs).astype(np.int16),
-        full_scale_dbm=SETUP.full_scale_dbm,
-    )
+    return beam_of(SETUP, index, np.rint(pairs).astype(np.int16), stamp_ns=index)
 
 
 def measured(corner_hz: float = 0.0, echo_dbm: float | None = None, spur: bool = False) -> NoiseFloor:

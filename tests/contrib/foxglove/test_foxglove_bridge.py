@@ -27,10 +27,11 @@ from msgs.bus.interface import Envelope, Received
 from msgs.bus.topics import TOPICS, Topic
 from msgs.files.shipped import CHECKOUT
 from msgs.values.camera import CameraImage
-from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime
-from msgs.values.perception import BevFrame, HiddenObject, Track
+from msgs.values.diagnostics import LogRecord, NodeState, StageTime
+from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_object, example_status, example_track
 from tests.fuzz.cases import peaks, ra_map, view
 from tests.mirrorwave.convert.test_formats import truth
 from tests.side_sensors import cloud, jpeg
@@ -38,12 +39,8 @@ from tests.side_sensors import cloud, jpeg
 SUBPROTOCOL = "foxglove.sdk.v1"
 PATIENCE_S = 30.0
 NOW_NS = 5_000_000_000
-HIDDEN = HiddenObject(
-    id=1, x_m=3.0, y_m=1.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.5, cov_m2=((1.0, 0.0), (0.0, 1.0))
-)
-TRACK = Track(
-    id=1, x_m=1.0, y_m=2.0, velocity_x_mps=3.0, velocity_y_mps=4.0, age_s=1.0, cov_m2=((1.0, 0.0), (0.0, 1.0))
-)
+HIDDEN = example_object(id=1, x_m=3.0, y_m=1.0, score=0.5)
+TRACK = example_track(velocity_x_mps=3.0, velocity_y_mps=4.0)
 
 
 @pytest.fixture
@@ -60,11 +57,8 @@ def received(message: Any, topic: str = "log") -> Received:
 
 def messages() -> list[Any]:
     """One of each that becomes something; two heartbeats, since cores come from their difference."""
-    beat = NodeStatus(
+    beat = example_status(
         stamp_ns=1,
-        node="geometry",
-        pid=1,
-        state=NodeState.READY,
         uptime_s=1.0,
         cpu_s=0.1,
         stages=(StageTime(name="fold", count=1, last_ms=1.0, mean_ms=1.0, max_ms=1.0),),

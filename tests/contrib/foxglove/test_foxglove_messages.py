@@ -12,20 +12,15 @@ import pytest
 from contrib.foxglove.foxglove_messages import MAX_NODES, FoxgloveStream, _cores, _plane_index
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevGrid, HiddenObject, Track
+from msgs.values.perception import BevGrid
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import last_beam_ns
+from tests.builders import example_object, example_track
 from tests.fuzz.cases import peaks, ra_map, view
 
-HIDDEN = HiddenObject(
-    id=7, x_m=13.0, y_m=-9.0, length_m=4.0, width_m=2.0, yaw_rad=math.pi / 3, score=0.5,
-    cov_m2=((1.0, 0.0), (0.0, 1.0)), object_class="car",
-)  # fmt: skip
-TRACK = Track(
-    id=3, x_m=1.0, y_m=2.0, velocity_x_mps=-3.0, velocity_y_mps=4.0, age_s=1.5, existence=0.75, time_to_appear_s=2.5,
-    cov_m2=((1.0, 0.0), (0.0, 1.0)),
-)  # fmt: skip
+HIDDEN = example_object(id=7, x_m=13.0, y_m=-9.0, yaw_rad=math.pi / 3, score=0.5, object_class="car")
+TRACK = example_track(id=3, velocity_x_mps=-3.0, velocity_y_mps=4.0, age_s=1.5, existence=0.75, time_to_appear_s=2.5)
 
 
 def bodies(*messages: Any, at_ns: int = 0) -> dict[str, Any]:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from lab.compare import sweeps as compare_run
 from lab.compare.comparison_figures import draw_comparison
 from lab.compare.comparison_report import Reach, Report, Row, make_report, markdown, roughness_loss_db
 from lab.compare.comparison_scenes import WALLS, Corner, WallKind, corner_scene, shown_points
@@ -133,21 +132,6 @@ def test_a_wall_unknown_to_a_sensor_keeps_its_row(made: tuple[Path, list[SceneRe
     assert "| plywood | 77ghz | failed |" in markdown(made[2])
 
 
-def test_a_run_goes_on_and_gives_the_same(
-    made: tuple[Path, list[SceneResult], Report], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, results, _ = made
-    (out / "scenes" / "range-000-000.msgpack").unlink()
-    looked = []
-    monkeypatch.setattr(compare_run, "run_job", lambda job, run=compare_run.run_job: looked.append(job) or run(job))
-    again = run_plan(PLAN, out)
-    assert [(job.sweep, job.index, job.viewpoint) for job in looked] == [("range", 0, 0)]
-    scores = [{name: one.score for name, one in result.seen.items()} for result in (*results, *again)]
-    assert scores[: len(results)] == scores[len(results) :]
-    with pytest.raises(ValueError, match=r"plan\.json: out must be a new folder or hold the same run"):
-        run_plan(msgspec.structs.replace(PLAN, seed=4), out)
-
-
 def test_an_empty_map_counts_its_misses() -> None:
     scene = corner_scene(Corner(), 1)
     truth = shown_points(scene)
@@ -204,15 +188,6 @@ def test_a_lucky_point_is_no_reach() -> None:
     assert reach_of(report, "77ghz").ratio is None
 
 
-def test_a_damaged_result_is_named(tmp_path: Path) -> None:
-    plan = msgspec.structs.replace(PLAN, sensors=["xband"], values={"range": [8.0]})
-    run_plan(plan, tmp_path)
-    path = tmp_path / "scenes" / "range-000-000.msgpack"
-    path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(ValueError, match=r"range-000-000\.msgpack: .*without this file its job is done again"):
-        run_plan(plan, tmp_path)
-
-
 def test_a_scene_with_a_lidar_is_seen_by_its_own() -> None:
     scene = load_scene(Path("launch/scenes/hidden_car_spad.yaml"))
     own = sensors_of(scene)[-1]
@@ -265,22 +240,6 @@ def test_wrong_options_are_one_line(
     words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["compare", "--quick", "--out", str(tmp_path / "run"), *words]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["no-such.yaml"], "no-such.yaml: no such scene file"),
-        (["launch/scenes/corner.yaml", "--sensor", "ears"], "--sensor must be one of xband, 77ghz, "),
-    ],
-)
-def test_wrong_scenes_are_one_line(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["compare", "--out", str(tmp_path / "run"), "--scene", *words]) == 2
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1

@@ -79,27 +79,6 @@ def test_two_workers_and_a_stopped_run_give_the_same_bytes(made: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_what_stops_a_run_leaves_the_places_that_were_done(tmp_path: Path) -> None:
-    """Progress counts those, too."""
-    plan = ObjectPlan(set=ObjectSet(seed=SEED, places=2, effects="basic"), profiles=[profile_setting("cfar")])
-
-    def stop() -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_objects(plan, tmp_path, on_place=stop)
-    assert [path.name for path in (tmp_path / "places").iterdir()] == ["place-00000.json"]
-    again: list[None] = []
-    assert [one.place for one in run_objects(plan, tmp_path, on_place=lambda: again.append(None))] == [0, 1]
-    assert len(again) == 2
-
-
-def test_a_folder_of_another_run_is_refused(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*WORDS, "--effects", "auto", "--out", str(made)]) == 2
-    assert "out must be a new folder or hold the same run" in capsys.readouterr().err
-
-
-@pytest.mark.slow
 def test_places_that_are_not_those_of_the_set_are_refused(tmp_path: Path) -> None:
     wrong = ObjectSet(seed=SEED, places=1, effects="basic", scenes_sha256="0" * 64)
     with pytest.raises(ValueError, match=r"scenes_sha256 of the places must be 0000.* as the set says, got"):

@@ -105,27 +105,14 @@ def test_extrapolation_leaves_json_alone_and_is_said_beside_it(capsys: pytest.Ca
     assert output.err == "mirrorwave: asphalt at 77 GHz: extrapolated beyond 7..30 GHz, R within 1.07 dB\n"
 
 
-def test_foliage_takes_power_and_mirrors_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    """A hedge of 2 m at 10 GHz: 1.69 dB straight through, 3.31 dB at 60 deg (4 m of way)."""
-    found = answer_of("hedge --thickness-mm 2000 --angles-deg 0:60:60", capsys)
-    assert found["te"] == found["tm"]
-    assert found["te"]["specular_gain"] == [0.0, 0.0]
-    level = 20.0 * np.log10(np.abs(as_complex(found["te"]["t"])))
-    np.testing.assert_allclose(level, [-1.69, -3.31], atol=0.01)
-
-
 @pytest.mark.parametrize(
     ("line", "text"),
     [
         ("cheese", "unknown material 'cheese', known are vacuum, concrete"),
         ("brick --frequency-ghz 400", "brick is known for 1..40 and 110..330 GHz, got 400 GHz"),
-        ("marble --frequency-ghz 77", "marble is known for 1..60 GHz, got 77 GHz"),
-        ("floorboard --json", "floorboard is known for 50..100 GHz, got 10 GHz"),
         ("concrete --frequency-ghz nan", "frequency_hz must be finite and positive, got nan"),
         ("concrete --json --frequency-ghz 10 --frequency-ghz 77", "--json answers one --frequency-ghz, got 2"),
         ("concrete --angles-deg 0:95:5", "--angles-deg must rise within 0..90 by a positive step, got '0:95:5'"),
-        ("concrete --angles-deg 60:30:5", "--angles-deg must rise within 0..90"),
-        ("concrete --angles-deg 0:60:0", "--angles-deg must rise within 0..90"),
         ("concrete --angles-deg 0:60:nan", "--angles-deg must rise within 0..90"),
         ("concrete --angles-deg 0:60", "--angles-deg must be FIRST:LAST:STEP, got '0:60'"),
         ("concrete --angles-deg 0:90:1e-6", "--angles-deg must be at most 10000 angles, got 90000001"),

@@ -124,16 +124,6 @@ def test_memory_of_a_row_is_its_own_and_not_that_of_who_asks() -> None:
 
 
 @pytest.mark.slow
-def test_a_stopped_run_goes_on_to_the_same_accuracy(made: tuple[Path, Report]) -> None:
-    """The frame that lacks is measured again, with all rows."""
-    out, report = made
-    (out / "frames" / "frame-00001.msgpack").unlink()
-    again = run(out, *MADE)
-    for one, two in zip(report.rows, again.rows, strict=True):
-        assert (one.accuracy, one.failed) == (two.accuracy, two.failed)
-
-
-@pytest.mark.slow
 def test_objects_are_those_of_the_evaluation(made: tuple[Path, Report], tmp_path: Path) -> None:
     """The rows of `mirrorwave eval --objects` on the same places, beam by beam through whole chains.
 
@@ -146,11 +136,6 @@ def test_objects_are_those_of_the_evaluation(made: tuple[Path, Report], tmp_path
     wanted = {name: value[0] for name, value in object_measures(scores).items()}
     default = made[1].rows[0]
     assert {name: default.accuracy[name].value for name in wanted} == wanted
-
-
-def test_a_folder_of_another_run_is_refused(made: tuple[Path, Report]) -> None:
-    with pytest.raises(ValueError, match="out must be a new folder or hold the same run, holds another one"):
-        run(made[0], "--row", "chirps")
 
 
 def test_wrong_rows_are_refused(tmp_path: Path) -> None:

@@ -1,16 +1,8 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
-import pytest
 import torch
 
 from lab.networks.unet import FULL, UNet, UNetConfig
-from lab.training.objectives.losses import heatmap_focal_loss
-
-TINY = UNetConfig(range_bins=16, columns=8, widths=(4, 6, 8))
-#: Squares of 2 x 2 cells as channels.
-FOLDED = replace(TINY, patch=2)
 
 
 def network(config: UNetConfig) -> UNet:
@@ -38,23 +30,3 @@ def test_folded_cells_keep_their_place() -> None:
     expected = torch.zeros(32, 32, dtype=torch.bool)
     expected[4:14, 12:22] = True
     assert torch.equal(seen, expected)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("config", [TINY, FOLDED])
-def test_learns_one_map(config: UNetConfig) -> None:
-    """One map with one peak a class: the loss falls below a fifth, and the strongest cells are the peaks."""
-    net = network(config)
-    x = torch.randn(1, 3, 16, 8)
-    heatmap = torch.zeros(1, 2, 16, 8)
-    heatmap[0, 0, 5, 3] = heatmap[0, 1, 11, 6] = 1.0
-    optimizer = torch.optim.Adam(net.parameters(), 2e-2)
-    losses = []
-    for _ in range(120):
-        optimizer.zero_grad()
-        loss = heatmap_focal_loss(net(x), heatmap)
-        loss.backward()
-        optimizer.step()
-        losses.append(loss.item())
-    assert losses[-1] < 0.2 * losses[0]
-    assert net(x)[0].flatten(1).argmax(dim=1).tolist() == [5 * 8 + 3, 11 * 8 + 6]

@@ -145,34 +145,6 @@ def test_times_of_a_busy_machine_do_not_count(load_before: float, cpu_ms: float,
     assert ("The times do not count" in simulator_markdown(report)) == bool(busy)
 
 
-def test_a_stopped_run_goes_on(made: tuple[Path, SimulatorReport], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only the case that is missing is measured; what was there keeps its bytes."""
-    out = made[0] / "simulator"
-    lost = out / "fdtd-00001.msgpack"
-    kept = {path: path.read_bytes() for path in out.iterdir() if path != lost}
-    assert len(kept) == len(PLAN.jobs)  # all but one, and the plan
-    lost.unlink()
-    asked, ticks, measure = [], [], tradeoff_simulator.measure
-
-    def counted(plan: SimulatorPlan, group: str, index: int) -> tradeoff_simulator.CaseResult:
-        asked.append((group, index))
-        return measure(plan, group, index)
-
-    monkeypatch.setattr(tradeoff_simulator, "measure", counted)
-    results = run_simulator_plan(PLAN, made[0], lambda: ticks.append(1))
-    assert asked == [("fdtd", 1)]
-    assert len(ticks) == len(results) == len(PLAN.jobs)
-    assert {path: path.read_bytes() for path in kept} == kept
-    again = make_simulator_report(PLAN, results, "here")
-    assert [row.errors for row in again.rows] == [row.errors for row in made[1].rows]
-
-
-def test_a_folder_of_another_run_is_refused(made: tuple[Path, SimulatorReport]) -> None:
-    other = msgspec.structs.replace(PLAN, seed=4)
-    with pytest.raises(ValueError, match=r"plan\.json: out must be a new folder or hold the same run"):
-        run_simulator_plan(other, made[0])
-
-
 def test_quick_and_full_run_every_group() -> None:
     quick, full = simulator_plan(False, 11), simulator_plan(True, 11)
     assert list(quick.cases) == list(full.cases) == list(GROUPS)

@@ -16,7 +16,7 @@ from lab.training.export import onnx as export_onnx
 from lab.training.export.onnx import PARITY, ExportConfig, export_run
 from lab.training.families import NetworkChoice
 from lab.training.run_folder import BEST, CONFIG, SUMMARY
-from lab.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig, load_best
+from lab.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DensePredictor, load_card
 from models.perception.find.pursuit import PursuitParams, pursued_peaks
@@ -170,12 +170,6 @@ def test_export_needs_to_know_how_the_data_was_made(run_dir: Path, data_dir: Pat
     with pytest.raises(ValueError, match=r"data must hold a whole data set: .*manifest\.jsonl"):
         export_run(run_dir, tmp_path / "net.onnx", ExportConfig())
     assert not (tmp_path / "net.onnx").exists()
-
-
-def test_run_without_a_network_is_named(run_dir: Path) -> None:
-    (run_dir / BEST).unlink()
-    with pytest.raises(ValueError, match=r"best\.pt must exist"):
-        load_best(run_dir)
 
 
 def test_a_card_names_the_command_of_drives(tmp_path: Path) -> None:

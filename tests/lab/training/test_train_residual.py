@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +12,11 @@ import torch
 
 from lab.training.data.residual_samples import FoldedImages, SampleConfig
 from lab.training.export.residual import export_residual_onnx, export_residual_run
-from lab.training.run_folder import BEST, CURVES, LAST
+from lab.training.run_folder import BEST
 from lab.training.train_residual import (
-    ResidualEpoch,
     ResidualRunConfig,
     ResidualTraining,
     TrainResidualConfig,
-    load_best_residual,
     residual_loss,
 )
 from models.perception.find.onnx_model import card_path
@@ -60,10 +57,6 @@ def config(**changes: object) -> ResidualRunConfig:
     )
 
 
-class KilledError(Exception):
-    pass
-
-
 @pytest.mark.slow
 def test_learns_what_the_mirror_law_leaves_over(tmp_path: Path) -> None:
     """l1 is 0.8 + 0.6 m in wall coordinates without, F1 at 1 m near 0 for the places are 1 m off; found to 0.4 m."""
@@ -73,39 +66,11 @@ def test_learns_what_the_mirror_law_leaves_over(tmp_path: Path) -> None:
     assert best.recovered_f1 > 0.95
 
 
-def test_killed_run_ends_as_one_that_was_not(tmp_path: Path) -> None:
-    data = images(96), images(32, 1)
-    whole = ResidualTraining(config(), *data, tmp_path / "whole")
-    whole.run(lambda report: None)
-
-    def kill(report: ResidualEpoch) -> None:
-        raise KilledError
-
-    with pytest.raises(KilledError):
-        ResidualTraining(config(), *data, tmp_path / "killed").run(kill)
-    resumed = ResidualTraining(config(), *data, tmp_path / "killed")
-    assert len(resumed.reports) == 1
-    resumed.run(lambda report: None)
-    assert resumed.reports == whole.reports
-    for name, wanted in whole.network.state_dict().items():
-        assert resumed.network.state_dict()[name].numpy().tobytes() == wanted.numpy().tobytes(), name
-
-
 def test_seed_decides(tmp_path: Path) -> None:
     data = images(64), images(32, 1)
     runs = [ResidualTraining(config(epochs=1, seed=seed), *data, tmp_path / str(i)) for i, seed in enumerate((0, 0, 1))]
     one, same, other = (run.run(lambda report: None).train_loss for run in runs)
     assert one == same != other
-
-
-def test_run_folder_holds_configuration_curves_and_networks(tmp_path: Path) -> None:
-    training = ResidualTraining(config(), images(64), images(32, 1), tmp_path)
-    best = training.run(lambda report: None)
-    assert [row["epoch"] for row in json.loads((tmp_path / CURVES).read_text())] == [0, 1, 2]
-    assert (tmp_path / LAST).exists()
-    network, found, epoch = load_best_residual(tmp_path)
-    assert (found, epoch) == (config(), best.epoch)
-    assert not network.training
 
 
 def test_a_run_may_start_from_the_weights_of_another(tmp_path: Path) -> None:
@@ -148,13 +113,6 @@ def test_loss_by_hand() -> None:
     assert residual_loss(answer, torch.zeros(3, 2), torch.zeros(3)).item() == 0.0
 
 
-def test_other_configuration_needs_another_folder(tmp_path: Path) -> None:
-    data = images(64), images(32, 1)
-    ResidualTraining(config(), *data, tmp_path)
-    with pytest.raises(ValueError, match=r"config\.json must hold the configuration of this run"):
-        ResidualTraining(config(seed=5), *data, tmp_path)
-
-
 def test_data_that_teaches_nothing_is_refused(tmp_path: Path) -> None:
     nothing = images(8)
     nothing.target_m[:] = np.nan
@@ -162,11 +120,6 @@ def test_data_that_teaches_nothing_is_refused(tmp_path: Path) -> None:
         ResidualTraining(config(), nothing, images(8), tmp_path)
     with pytest.raises(ValueError, match=r"validation scenes must give images"):
         ResidualTraining(config(), images(8), nothing, tmp_path)
-
-
-def test_folder_without_a_network_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"config\.json must exist: the run folder holds no trained network"):
-        load_best_residual(tmp_path)
 
 
 @pytest.mark.parametrize("reach_m", [-1.0, float("nan")])

@@ -23,14 +23,13 @@ from mirrorwave.console import progress_bar
 from mirrorwave.convert.formats import Format, convert, format_of
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.recording.sigmf import SigmfCapture
-from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.diagnostics import LogRecord
 from msgs.values.perception import (
     BevFrame,
     BevGrid,
     HiddenObject,
     HiddenPoint,
     SceneTruth,
-    Track,
     TruthObject,
     TruthSurface,
     Wall,
@@ -38,6 +37,7 @@ from msgs.values.perception import (
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.recording.shapes import Odometry, wall_line_m
+from tests.builders import beam_of, example_status, example_track, example_truth
 
 GRID = BevGrid(x_min_m=0.0, y_min_m=-2.0, cell_m=1.0, rows=4, columns=6)
 SETUP = RadarSetup(
@@ -56,15 +56,7 @@ needs_rosbags = pytest.mark.skipif(
 
 def beam(scan: int, index: int) -> RadarBeam:
     samples = np.random.default_rng([scan, index]).integers(-999, 999, (2, 64, 2), dtype=np.int16)
-    return RadarBeam(
-        stamp_ns=scan * SCAN_NS + index,
-        scan_id=scan,
-        beam_index=index,
-        beam_count=3,
-        azimuth_rad=math.radians(SETUP.beams.azimuth_deg[index]),
-        samples=samples,
-        full_scale_dbm=SETUP.full_scale_dbm,
-    )
+    return beam_of(SETUP, index, samples, stamp_ns=scan * SCAN_NS + index, scan_id=scan, beam_count=3)
 
 
 def frame(scan: int) -> BevFrame:
@@ -86,9 +78,7 @@ def frame(scan: int) -> BevFrame:
         HiddenPoint(x_m=10.0 + at, y_m=8.0, score=0.5 + 0.25 * at, image_x_m=30.0, image_y_m=8.0, wall=0)
         for at in range(2)
     )
-    track = Track(
-        id=7, x_m=11.0, y_m=9.0, velocity_x_mps=3.0, velocity_y_mps=4.0, age_s=1.0, cov_m2=((1.0, 0.0), (0.0, 1.0))
-    )
+    track = example_track(id=7, x_m=11.0, y_m=9.0, velocity_x_mps=3.0, velocity_y_mps=4.0)
     return BevFrame(
         stamp_ns=scan * SCAN_NS,
         scan_id=scan,
@@ -106,13 +96,12 @@ def frame(scan: int) -> BevFrame:
 def truth(scan: int) -> SceneTruth:
     none = np.zeros((0, 3), np.float32)
     car = TruthObject(id=0, object_class="car", x_m=11.0, y_m=9.0, length_m=4.5, width_m=1.8, yaw_rad=0.0)
-    return SceneTruth(
+    return example_truth(
         stamp_ns=scan * SCAN_NS,
         scan_id=scan,
         los_points_m=none,
         mirrored_points_m=none,
         hidden_points_m=none,
-        hidden_object=np.zeros(0, np.int32),
         objects=(car,),
         surfaces=(TruthSurface(role="relay", material="concrete", polyline_m=WALL.ends_m),),
     )
@@ -129,7 +118,7 @@ def record(path: Path, *, setup: bool = True) -> Path:
         stamp_ns = at * 100_000_000
         rows.append((stamp_ns, "vehicle/state", VehicleState(stamp_ns=stamp_ns, speed_mps=10.0, valid=at != 10)))
     rows.append((5, "log", LogRecord(stamp_ns=5, node="geometry", level="warning", text="few inliers")))
-    rows.append((6, "diagnostics/node", NodeStatus(stamp_ns=6, node="geometry", pid=1, state=NodeState.READY)))
+    rows.append((6, "diagnostics/node", example_status(stamp_ns=6)))
     with RecordingWriter(path, {"scene": "corner"}) as writer:
         for sequence, (sent_ns, topic, message) in enumerate(sorted(rows, key=lambda row: row[0])):
             writer.write(topic, message, publisher="test", sequence=sequence, sent_ns=sent_ns)

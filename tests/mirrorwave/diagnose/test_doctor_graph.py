@@ -34,9 +34,10 @@ from mirrorwave.diagnose.doctor_machine import check_weights
 from mirrorwave.diagnose.findings import Finding, Status
 from msgs.bus.topics import DETECTIONS_TOPIC, SENSOR_TOPICS
 from msgs.bus.zmq import socket_path
-from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.values.diagnostics import NodeStatus, TopicCount
 from nodes.inputs.view_latency import ViewWatch
 from nodes.process.supervisor import read_lock
+from tests.builders import example_status
 
 PATIENCE_S = 120.0
 #: Holds two heartbeats, and so a rate.
@@ -195,11 +196,8 @@ def test_a_node_that_has_done_its_work_has_not_failed() -> None:
 def _beats(node: str, sent: dict[str, int], read: tuple[str, ...] = ()) -> list[NodeStatus]:
     """Two heartbeats 3 s apart, with so many messages sent between them."""
     return [
-        NodeStatus(
-            stamp_ns=0,
+        example_status(
             node=node,
-            pid=1,
-            state=NodeState.READY,
             uptime_s=3.0 * beat,
             published=tuple(TopicCount(topic=topic, messages=beat * count, bytes=0) for topic, count in sent.items()),
             received=tuple(TopicCount(topic=topic, messages=0, bytes=0) for topic in read),

@@ -14,7 +14,6 @@ from mirrorwave.plots.style import DIRECT_AREA, MIRROR_IMAGE, RECOVERED, SEEN_DI
 from msgs.values.perception import (
     BevFrame,
     BevGrid,
-    HiddenObject,
     HiddenPoint,
     SceneTruth,
     Track,
@@ -24,7 +23,7 @@ from msgs.values.perception import (
     Wall,
 )
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
-from tests.builders import example_map, example_truth
+from tests.builders import example_map, example_object, example_truth
 from tests.figures import assert_readable_at_page_width, legends_of
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -32,9 +31,7 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 def frame(filled: bool = True) -> BevFrame:
     grid = BevGrid(rows=40, columns=30, cell_m=1.0, y_min_m=-20.0)
-    one = HiddenObject(
-        id=0, x_m=12.0, y_m=8.0, length_m=4.0, width_m=1.8, yaw_rad=0.5, score=0.9, cov_m2=((0.2, 0.05), (0.05, 0.1))
-    )
+    one = example_object(x_m=12.0, y_m=8.0, width_m=1.8, yaw_rad=0.5, cov_m2=((0.2, 0.05), (0.05, 0.1)))
     moving = Track(
         id=3, x_m=12.0, y_m=8.0, velocity_x_mps=0.5, velocity_y_mps=-3.0, age_s=1.2,
         cov_m2=((0.1, 0.0), (0.0, 0.1)), time_to_appear_s=2.5,

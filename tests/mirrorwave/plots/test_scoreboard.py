@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 from mirrorwave.plots.scoreboard import KEPT_SCANS, Scoreboard
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
-from tests.builders import example_truth, example_view
+from msgs.values.perception import BevFrame, BevGrid, SceneTruth, TruthObject
+from tests.builders import example_object, example_truth, example_view
 
 GRID = BevGrid(rows=1, columns=1)
 
 
 def frame(scan_id: int, *places: tuple[float, float]) -> BevFrame:
     objects = tuple(
-        HiddenObject(
-            id=index, x_m=x, y_m=y, length_m=2.0, width_m=1.0, yaw_rad=0.0, score=0.9, cov_m2=((0.1, 0.0), (0.0, 0.1))
-        )
+        example_object(id=index, x_m=x, y_m=y, length_m=2.0, width_m=1.0, cov_m2=((0.1, 0.0), (0.0, 0.1)))
         for index, (x, y) in enumerate(places)
     )
     return example_view(scan_id=scan_id, objects=objects)

@@ -9,7 +9,8 @@ import pytest
 from matplotlib.path import Path as Outline
 
 from mirrorwave.plots.visibility import direct_sight, mirror_sight, true_segments
-from msgs.values.perception import SceneTruth, TruthSurface, Wall
+from msgs.values.perception import TruthSurface, Wall
+from tests.builders import example_truth
 
 #: A wall across the way, 10 m ahead, 5 m to either side: its ends stand at atan(1/2) = 26.57 degrees.
 ACROSS = (np.array([[10.0, -5.0]]), np.array([[10.0, 5.0]]))
@@ -93,10 +94,7 @@ def test_segments_of_polylines() -> None:
         TruthSurface(role="occluder", material="glass", polyline_m=((7.0, 8.0), (9.0, 10.0))),
     )
     empty = np.zeros((0, 3), np.float32)
-    truth = SceneTruth(
-        stamp_ns=0, scan_id=0, los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty,
-        hidden_object=np.zeros(0, np.int32), surfaces=surfaces,
-    )  # fmt: skip
+    truth = example_truth(los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty, surfaces=surfaces)
     a, b = true_segments(truth)
     assert a.tolist() == [[1.0, 2.0], [3.0, 4.0], [7.0, 8.0]]
     assert b.tolist() == [[3.0, 4.0], [5.0, 6.0], [9.0, 10.0]]

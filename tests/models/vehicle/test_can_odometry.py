@@ -11,8 +11,9 @@ from benchmarks.perception.yaw_bias import read_states
 from models.perception.track.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.track.tracker import Tracker
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
+from msgs.values.perception import BevFrame, Track
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_object, example_view
 from tests.captures import DATA, needs
 
 REAL = DATA / "can_motec_subaru"
@@ -92,14 +93,8 @@ def test_no_jumps(places: list[tuple[int, Pose2]]) -> None:
 
 
 def _seen(stamp_ns: int, place_m: np.ndarray) -> BevFrame:
-    one = HiddenObject(
-        id=0, x_m=float(place_m[0]), y_m=float(place_m[1]), length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.9,
-        cov_m2=((0.1, 0.0), (0.0, 0.1)),
-    )  # fmt: skip
-    return BevFrame(
-        stamp_ns=stamp_ns, scan_id=0, objects=(one,), los_points_m=np.zeros((0, 2), np.float32),
-        grid=BevGrid(rows=1, columns=1), visibility=np.zeros((1, 1), np.uint8),
-    )  # fmt: skip
+    one = example_object(x_m=float(place_m[0]), y_m=float(place_m[1]), cov_m2=((0.1, 0.0), (0.0, 0.1)))
+    return example_view(rows=1, columns=1, stamp_ns=stamp_ns, objects=(one,))
 
 
 def test_a_parked_car_stands_beside_the_drive(driven: list[VehicleState], places: list[tuple[int, Pose2]]) -> None:

@@ -26,9 +26,10 @@ from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount,
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.node_params import NodeParams, ParamRequest
-from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
-from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.perception import BevFrame, HiddenPoint, Peaks, SceneTruth, TruthObject, Wall
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid
 from msgs.values.vehicle import VehicleState
+from tests.builders import example_map, example_object, example_status, example_track
 from tests.side_sensors import cloud, jpeg
 
 RANDOM = np.random.default_rng(7)
@@ -71,10 +72,8 @@ def bev() -> BevFrame:
         scan_id=1,
         walls=(Wall(normal=(-1.0, 0.0), offset_m=9.0, ends_m=((9.0, -1.0), (9.0, 1.0)), inliers=4),),
         points=(HiddenPoint(x_m=1.0, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0),),
-        objects=(
-            HiddenObject(id=1, x_m=1.0, y_m=2.0, length_m=4.0, width_m=2.0, yaw_rad=0.1, score=0.9, cov_m2=covariance),
-        ),
-        tracks=(Track(id=1, x_m=1.0, y_m=2.0, velocity_x_mps=0.0, velocity_y_mps=1.0, age_s=1.0, cov_m2=covariance),),
+        objects=(example_object(id=1, x_m=1.0, y_m=2.0, yaw_rad=0.1, cov_m2=covariance),),
+        tracks=(example_track(velocity_y_mps=1.0, cov_m2=covariance),),
         los_points_m=np.ones((2, 2), np.float32),
         visibility=np.zeros((160, 120), np.uint8),
     )
@@ -103,11 +102,11 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
         ),
     ],
     "radar/ra_map": [
-        RangeAzimuthMap(
+        example_map(
+            (RANDOM.random(GRID.shape) * 1j).astype(np.complex64),
             stamp_ns=1,
             scan_id=1,
             grid=GRID,
-            values=(RANDOM.random(GRID.shape) * 1j).astype(np.complex64),
             azimuth_stamp_ns=np.arange(4, dtype=np.int64),
             noise_power_mw=1e-9,
             incoherent=np.array([True, False] * 3),
@@ -147,11 +146,10 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
         )
     ],
     "diagnostics/node": [
-        NodeStatus(
+        example_status(
             stamp_ns=1,
             node="a",
             pid=3,
-            state=NodeState.READY,
             stages=(StageTime(name="fold", count=3, last_ms=1.0, mean_ms=1.0, max_ms=2.0),),
             received=(TopicCount(topic="log", messages=1, bytes=2),),
         )

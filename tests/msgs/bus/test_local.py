@@ -185,18 +185,6 @@ def test_an_envelope_that_nobody_wrote_so_is_rejected(
     assert tally.accept("vehicle/state", frames, 9) is not None
 
 
-def test_duplicates_are_delivered_once() -> None:
-    network = LocalNetwork()
-    sender, receiver = network.bus("sender"), network.bus("receiver")
-    receiver.subscribe("vehicle/state")
-    network.inject("vehicle/state", Faults(duplicate=1.0))
-    for stamp_ns in range(3):
-        sender.publish("vehicle/state", state(stamp_ns))
-        network.advance(1)
-    assert stamps(receiver.receive(0.0)) == [0, 1, 2]
-    assert received_counts(receiver).messages == 3
-
-
 def run_with_faults(seed: int) -> tuple[list[int], TopicCount]:
     network = LocalNetwork(seed=seed)
     sender, receiver = network.bus("sender"), network.bus("receiver")
@@ -211,14 +199,6 @@ def run_with_faults(seed: int) -> tuple[list[int], TopicCount]:
     network.advance(30)
     sender.publish("vehicle/state", state(200))
     return got + stamps(receiver.receive(0.0)), received_counts(receiver)
-
-
-def test_every_missing_message_is_counted_and_order_holds() -> None:
-    got, count = run_with_faults(seed=3)
-    assert got == sorted(set(got)), "in order, none twice"
-    # all but those before the first seen: a receiver cannot know that it came late
-    assert count.lost == 201 - got[0] - len(got)
-    assert 20 < count.lost < 140
 
 
 def test_same_seed_same_faults() -> None:

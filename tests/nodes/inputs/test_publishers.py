@@ -8,13 +8,13 @@ import pytest
 
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.local import LocalBus, LocalNetwork
-from msgs.values.diagnostics import NodeState, NodeStatus
+from msgs.values.diagnostics import NodeState
 from msgs.values.environment import WallPriors
 from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.publishers import AWAY_NS, NAMED_NS, SILENT_NS
 from nodes.node import InProcessGraph, Node
-from tests.builders import example_beam
+from tests.builders import example_beam, example_status
 
 MS = 1_000_000
 
@@ -54,9 +54,7 @@ class Stand:
             "radar/beam": example_beam(stamp_ns=now_ns, beam_count=1),
             "radar/setup": RadarSetup(beat_sign=beat_sign),
             "environment/walls": WallPriors(stamp_ns=now_ns, source=name),
-            "diagnostics/node": NodeStatus(
-                stamp_ns=now_ns, node=name, pid=1, state=NodeState.READY, uptime_s=0.0, cpu_s=0.0, resident_bytes=0
-            ),
+            "diagnostics/node": example_status(stamp_ns=now_ns, node=name, uptime_s=0.0, cpu_s=0.0, resident_bytes=0),
         }[topic]  # fmt: skip
         self.bus(name).publish(topic, message)
         self.graph.run()

@@ -6,16 +6,15 @@ import msgspec
 import pytest
 
 from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, StageTime
-from msgs.values.perception import BevFrame, HiddenObject
+from msgs.values.perception import BevFrame
 from msgs.values.radar import BeamGrid, RadarSetup
 from nodes.inputs.view_latency import NewObjects, ViewWatch, last_beam_ns, on_one_clock, stage_figures, views_text
 from nodes.node import StageClock
+from tests.builders import example_object, example_status
 from tests.fuzz.cases import view
 
 MS = 1_000_000
-HIDDEN = HiddenObject(
-    id=1, x_m=3.0, y_m=1.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.5, cov_m2=((1.0, 0.0), (0.0, 1.0))
-)
+HIDDEN = example_object(id=1, x_m=3.0, y_m=1.0, score=0.5)
 PERIOD_NS = 300 * MS
 #: 24 intervals of 12 ms and 128 chirps of 5.461 us.
 LAST_BEAM_NS = 288 * MS + 699_008
@@ -108,7 +107,7 @@ def test_what_was_measured_before_the_graph_ran_is_of_a_capture() -> None:
     joined_ns = 10_000 * 1_000 * MS
     for age_s, is_known in ((0.4, True), (250.0, True), (301.0, False), (9_000.0, False)):
         watch = ViewWatch(joined_ns)
-        watch.hear(NodeStatus(stamp_ns=5, node="player", pid=1, state=NodeState.READY, uptime_s=300.0), joined_ns)
+        watch.hear(example_status(stamp_ns=5, node="player", uptime_s=300.0), joined_ns)
         watch.hear(NodeStatus(stamp_ns=5, node="restarted", pid=2, state=NodeState.READY, uptime_s=1.0), joined_ns)
         watch.add(0, joined_ns - round(1e3 * age_s) * MS, joined_ns)
         assert (watch.figures(joined_ns).age_ms is not None) is is_known, age_s

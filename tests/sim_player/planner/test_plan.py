@@ -28,7 +28,7 @@ from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
-from sim_player.signal.levels import kernel_objections, noise_density_mw, noise_profiles
+from sim_player.signal.levels import noise_density_mw, noise_profiles
 from sim_player.trace.effect_names import PATH_EFFECTS
 from tests.sim_player.planner.plans import plan_effects
 
@@ -227,14 +227,6 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
     np.testing.assert_allclose(rms, np.sqrt(density[0] * 1.5), rtol=0.02)
 
 
-@pytest.mark.slow
-def test_plans_are_reproducible() -> None:
-    asked = random_place(21, 3)
-    one, two = (plan_effects(asked, budget_db=-20.0, seed=5) for _ in range(2))
-    assert one.effects == two.effects
-    np.testing.assert_array_equal(one.paths.amplitude, two.paths.amplitude)
-
-
 def test_moving_scenes_leave_out_only_what_they_have_nothing_of() -> None:
     """One instant says nothing of the next: a weak effect stays, one without a cause goes at any time."""
     moves = plan_effects(scene(WALL, msgspec.structs.replace(CAR, speed_mps=5.0)))
@@ -305,10 +297,3 @@ def test_unknown_effects_are_refused(bad: str) -> None:
 def test_budgets_are_negative(bad: float) -> None:
     with pytest.raises(ValueError, match="budget_db must be finite and negative"):
         plan_effects(scene(CAR), budget_db=bad)
-
-
-def test_motion_is_refused_at_the_kernel_level() -> None:
-    moving = SceneObject(class_="car", x_m=12.0, y_m=0.0, speed_mps=5.0)
-    asked = scene(moving)
-    plan = plan_effects(asked)
-    assert "use the beat level" in kernel_objections(asked.setup, plan.paths, plan.signal)[0]

@@ -28,13 +28,13 @@ from msgs.bus.interface import Envelope, Received
 from msgs.bus.sequencing import Tally
 from msgs.bus.zmq import ZmqBus
 from msgs.recording.mcap import Recorded, RecordingReader, RecordingWriter
-from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
+from msgs.values.diagnostics import NodeStatus, ShedCount, TopicCount
 from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.beam_queue import MAX_SCANS_WAITING, BeamQueue
 from nodes.node import Stop
-from tests.builders import example_beam, example_view
+from tests.builders import example_beam, example_status, example_view
 
 ANSWER = "perception/hidden_objects"
 BEAMS = 4
@@ -61,11 +61,10 @@ def received(topic: str, message: msgspec.Struct, paced: bool = False, sequence:
 
 
 def status(node: str, took: int, pid: int = 1, shed: int = 0, outdated: int = 0, stamp_ns: int = 0) -> NodeStatus:
-    return NodeStatus(
+    return example_status(
         stamp_ns=stamp_ns,
         node=node,
         pid=pid,
-        state=NodeState.READY,
         received=(
             TopicCount(topic="radar/beam", messages=took, bytes=0),
             TopicCount(topic="radar/ra_map", messages=0, bytes=0, outdated=outdated),

@@ -18,14 +18,12 @@ from mirrorwave.replay.view_log import _Marks, overview_json, read_log
 from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.camera import CameraImage
-from msgs.values.diagnostics import NodeState, NodeStatus
-from msgs.values.perception import BevFrame, BevGrid, Track
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.viewer.driver_warnings import DriverWarning, Level
 from nodes.viewer.newest import SERIES, Board
 from nodes.viewer.server import Play, Seek, Step
-from tests.builders import example_map, example_truth, example_view
+from tests.builders import example_map, example_status, example_track, example_truth, example_view
 from tests.side_sensors import cloud, jpeg
 
 SCANS = 20
@@ -44,7 +42,7 @@ def write_recording(path: Path, views: bool = True, set_ns: int = 0) -> Path:
             at_ns = START_NS + scan * PERIOD_NS + set_ns * (scan >= 8)
             messages: list[tuple[str, Any, int]] = [
                 ("vehicle/state", VehicleState(stamp_ns=at_ns, speed_mps=float(scan)), 0),
-                ("diagnostics/node", NodeStatus(stamp_ns=at_ns, node="geometry", pid=1, state=NodeState.READY), 1),
+                ("diagnostics/node", example_status(stamp_ns=at_ns), 1),
                 (
                     "radar/ra_map",
                     example_map(np.ones((8, 4), np.complex64), stamp_ns=at_ns, scan_id=100 + scan, grid=grid),
@@ -237,11 +235,16 @@ def write_drive(path: Path, tracks: bool = True) -> Path:
                 state = VehicleState(stamp_ns=stamp_ns, speed_mps=speed_mps, yaw_rate_rps=BIAS_RPS)
                 writer.write("vehicle/state", state, publisher="car", sequence=6 * scan + part, sent_ns=stamp_ns)
             x_m, y_m = CAR_AT + 0.3 * scan * CAR_VELOCITY - np.array([SPEED_MPS * driven_s, 0.0])
-            one = Track(
-                id=1, x_m=x_m, y_m=y_m, velocity_x_mps=CAR_VELOCITY[0], velocity_y_mps=CAR_VELOCITY[1],
-                age_s=0.3 * scan, cov_m2=covariance, velocity_cov_m2ps2=covariance,
+            one = example_track(
+                x_m=x_m,
+                y_m=y_m,
+                velocity_x_mps=CAR_VELOCITY[0],
+                velocity_y_mps=CAR_VELOCITY[1],
+                age_s=0.3 * scan,
+                cov_m2=covariance,
+                velocity_cov_m2ps2=covariance,
                 time_to_appear_s=max(2.0 - 0.1 * (scan - 40), 0.0) if scan >= 40 else None,
-            )  # fmt: skip
+            )
             flags = ("saturated",) if 10 <= scan < 20 else ()
             view = example_view(stamp_ns=at_ns, scan_id=scan, tracks=(one,) if tracks else (), flags=flags)
             sent_ns = at_ns + PERIOD_NS + 50_000_000
@@ -332,10 +335,7 @@ def test_a_warning_that_becomes_urgent_is_marked_urgent_from_then_only() -> None
 def test_what_was_over_before_the_first_scan_is_not_marked(tmp_path: Path) -> None:
     """Five seconds without a view, then scans: "No view yet" is no mark on the first scan."""
     path = tmp_path / "late.mcap"
-    view = BevFrame(
-        stamp_ns=0, scan_id=0, grid=BevGrid(rows=2, columns=2), visibility=np.zeros((2, 2), np.uint8),
-        los_points_m=np.zeros((0, 2), np.float32),
-    )  # fmt: skip
+    view = example_view()
     with RecordingWriter(path, {}) as writer:
         state = VehicleState(stamp_ns=0)
         writer.write("vehicle/state", state, publisher="c", sequence=0, sent_ns=0)
@@ -361,10 +361,7 @@ def test_a_recording_without_tracks_is_shown_without(tmp_path: Path) -> None:
 def test_a_hole_of_years_in_the_stamps_is_passed(tmp_path: Path) -> None:
     """A clock set anew in the middle of a recording: the silence is told, and not looked into for ever."""
     path = tmp_path / "hole.mcap"
-    view = BevFrame(
-        stamp_ns=0, scan_id=0, grid=BevGrid(rows=2, columns=2), visibility=np.zeros((2, 2), np.uint8),
-        los_points_m=np.zeros((0, 2), np.float32),
-    )  # fmt: skip
+    view = example_view()
     with RecordingWriter(path, {}) as writer:
         for sequence, sent_ns in enumerate([0, 10**17, 10**17 + PERIOD_NS]):
             writer.write("perception/hidden_objects", view, publisher="g", sequence=sequence, sent_ns=sent_ns)

@@ -11,7 +11,8 @@ from mirrorwave.cli import main
 from mirrorwave.commands.graph.nodes import node_row
 from mirrorwave.reference import node_modules
 from msgs.files.plugins import NODES
-from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.values.diagnostics import NodeStatus, TopicCount
+from tests.builders import example_status
 from tests.plugins import NODE, write_package
 
 
@@ -20,9 +21,7 @@ def _beat(uptime_s: float, cpu_s: float, messages: int) -> NodeStatus:
         TopicCount(topic="radar/beam", messages=messages, bytes=0, lost=2),
         TopicCount(topic="log", messages=99 * messages, bytes=0),
     )
-    return NodeStatus(
-        stamp_ns=0, node="a", pid=1, state=NodeState.READY, uptime_s=uptime_s, cpu_s=cpu_s, received=counts
-    )
+    return example_status(node="a", uptime_s=uptime_s, cpu_s=cpu_s, received=counts)
 
 
 def test_rates_come_from_two_heartbeats_of_one_process() -> None:

@@ -22,11 +22,11 @@ from mirrorwave.diagnose.topic_delay import DelayWatch
 from mirrorwave.diagnose.topic_echo import CsvLines, field_of, parse_condition, text_lines
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.zmq import ZmqBus, run_dir
-from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.values.diagnostics import TopicCount
 from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import last_beam_ns
-from tests.builders import example_beam
+from tests.builders import example_beam, example_status
 from tests.nodes.test_bev_viewer import frame
 
 S = 1_000_000_000
@@ -295,9 +295,7 @@ def test_losses_are_those_of_the_publisher_that_lost_them(monkeypatch: pytest.Mo
 def test_delay_info_and_rates_of_a_living_topic(speaker: Callable, capsys: pytest.CaptureFixture[str]) -> None:
     def messages(count: int, now_ns: int) -> dict[str, msgspec.Struct]:
         counts = (TopicCount(topic="vehicle/state", messages=count, bytes=9 * count, lost=1),)
-        beat = NodeStatus(
-            stamp_ns=now_ns, node="speaker", pid=1, state=NodeState.READY, uptime_s=0.02 * count, received=counts
-        )
+        beat = example_status(stamp_ns=now_ns, node="speaker", uptime_s=0.02 * count, received=counts)
         return {**moving(count, now_ns), "diagnostics/node": beat}
 
     speaker(messages)

@@ -19,19 +19,18 @@ from models.perception.find.ridges import RidgeParams, side_lobes
 from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from tests.builders import peaks_at
+from tests.builders import example_map, peaks_at
 
 GRID = RangeAzimuthGrid()
 
 
 def ra_map(values: np.ndarray, noise_mw: float = 1.0) -> RangeAzimuthMap:
-    return RangeAzimuthMap(
+    return example_map(
+        values.astype(np.complex64),
         stamp_ns=7,
         scan_id=3,
-        values=values.astype(np.complex64),
         azimuth_stamp_ns=np.arange(256, dtype=np.int64),
         noise_power_mw=noise_mw,
-        incoherent=np.zeros(512, bool),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +13,7 @@ from models.perception.form.beams_to_maps import LONGEST_SCAN_NS, FormingStage
 from models.perception.form.sweep import LOBE_BEAMS, Sweep, _indices, _shifted
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.builders import beam_of
 
 START_NS = 10**10
 SETUP = RadarSetup(
@@ -22,15 +22,7 @@ SETUP = RadarSetup(
 
 
 def beam(scan: int, index: int, stamp_ns: int) -> RadarBeam:
-    return RadarBeam(
-        stamp_ns=stamp_ns,
-        scan_id=scan,
-        beam_index=index,
-        beam_count=3,
-        azimuth_rad=math.radians(SETUP.beams.azimuth_deg[index]),
-        samples=np.ones((8, 1024, 2), np.int16),
-        full_scale_dbm=SETUP.full_scale_dbm,
-    )
+    return beam_of(SETUP, index, np.ones((8, 1024, 2), np.int16), stamp_ns=stamp_ns, scan_id=scan, beam_count=3)
 
 
 def test_a_beam_without_a_set_up_and_one_of_another_clock_are_refused() -> None:

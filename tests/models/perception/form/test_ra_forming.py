@@ -21,6 +21,7 @@ from msgs.values.frames import Pose2
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState, ego_motion
+from tests.builders import beam_of
 
 RADAR = RadarParams(sample_rate_hz=375e6, samples_per_chirp=2048, chirps_per_beam=16)
 SETUP = RadarSetup(radar=RADAR)
@@ -43,14 +44,12 @@ def _codes(setup: RadarSetup, beat: np.ndarray, noise_power_mw: float, seed: int
 
 
 def _beam(setup: RadarSetup, index: int, samples: np.ndarray, scan_id: int = 0) -> RadarBeam:
-    return RadarBeam(
+    return beam_of(
+        setup,
+        index,
+        samples,
         stamp_ns=STAMP_NS + scan_id * 300_000_000 + index * setup.beam_interval_ns,
         scan_id=scan_id,
-        beam_index=index,
-        beam_count=len(setup.beams),
-        azimuth_rad=float(setup.beams.azimuth_rad[index]),
-        samples=samples,
-        full_scale_dbm=setup.full_scale_dbm,
     )
 
 

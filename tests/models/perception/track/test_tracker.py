@@ -16,6 +16,7 @@ from msgs.values.arrays import Covariance
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track, Visibility, Wall
 from msgs.values.vehicle import VehicleState, ego_motion
+from tests.builders import example_object, example_view
 
 PERIOD_NS = 300_000_000
 EYE: Covariance = ((0.09, 0.0), (0.0, 0.09))
@@ -24,17 +25,13 @@ HOUSE = Wall(normal=(0.0, -1.0), offset_m=4.0, ends_m=((0.0, 4.0), (10.0, 4.0)),
 
 
 def seen(x_m: float, y_m: float, stamp_ns: int = 0, cov_m2: Covariance = EYE) -> HiddenObject:
-    return HiddenObject(
-        id=0, x_m=x_m, y_m=y_m, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.9, cov_m2=cov_m2, stamp_ns=stamp_ns
-    )
+    return example_object(x_m=x_m, y_m=y_m, cov_m2=cov_m2, stamp_ns=stamp_ns)
 
 
 def frame(scan: int, *objects: HiddenObject, walls: Sequence[Wall] = (HOUSE,)) -> BevFrame:
-    return BevFrame(
-        stamp_ns=1_000_000_000 + scan * PERIOD_NS, scan_id=scan, objects=objects, walls=tuple(walls),
-        los_points_m=np.zeros((0, 2), np.float32), grid=BevGrid(rows=1, columns=1),
-        visibility=np.zeros((1, 1), np.uint8),
-    )  # fmt: skip
+    return example_view(
+        rows=1, columns=1, stamp_ns=1_000_000_000 + scan * PERIOD_NS, scan_id=scan, objects=objects, walls=tuple(walls)
+    )
 
 
 def drive(tracker: Tracker, places: Sequence[Sequence[tuple[float, float]]], start: int = 0) -> list[tuple[Track, ...]]:
