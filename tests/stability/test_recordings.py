@@ -82,7 +82,9 @@ def check_cut(cut: Path, size: int, whole: Path, out: Path) -> None:
 
 @pytest.mark.slow
 def test_a_small_recording_cut_at_every_byte(tmp_path: Path) -> None:
-    """Every byte about the end of a chunk, of others every fourth. No cut raises; each costs the chunk it goes through and those behind it; the rest is copied, exactly."""
+    """About the ends of chunks, of other bytes at every fourth. No cut raises; each costs the chunk it goes through and
+    those behind it; the rest is copied, exactly.
+    """
     whole = write(tmp_path / "whole.mcap", 4, 2, topics=2)
     size = whole.stat().st_size
     sizes, ends = chunk_sizes(whole), chunk_ends(whole)
