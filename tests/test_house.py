@@ -59,11 +59,16 @@ def parsed(source: str) -> ast.Module:
     return ast.parse(source)
 
 
+@functools.lru_cache(maxsize=1)
+def nodes_of(source: str) -> list[ast.AST]:
+    return list(ast.walk(parsed(source)))
+
+
 @functools.cache
 def imported_modules(source: str) -> tuple[str, ...]:
     """Every module that a source imports, anywhere in it (lazy imports included)."""
     found: list[str] = []
-    for node in ast.walk(parsed(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -128,7 +133,7 @@ def test_each_module_keeps_the_laws() -> None:
         module, source = module_name(path), source_of(path)
         found += violations(module, imported_modules(source))
         broken = forbidden_words(module, source) + open_doors(module, source)
-        broken += retired_names(parsed(source)) + ["a retired word"] * retired(path.stem)
+        broken += retired_names(nodes_of(source)) + ["a retired word"] * retired(path.stem)
         broken += algorithms(source) if is_verb(module) else []
         broken += early_plug_ins(source) if module.startswith("mirrorwave.commands.") else []
         found += [f"{module}: {breach}" for breach in broken]
@@ -296,7 +301,7 @@ def forbidden_words(module: str, source: str) -> list[str]:
     )
     return [
         f"{node.lineno}: {node.func.id}"
-        for node in ast.walk(parsed(source))
+        for node in nodes_of(source)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in forbidden
     ]
 
@@ -321,7 +326,7 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 def open_doors(module: str, source: str) -> list[str]:
     """Breaches of the laws of security in a source: `line: what`."""
     tree = parsed(source)
-    nodes = list(ast.walk(tree))
+    nodes = nodes_of(source)
     names = _imported_names(nodes)
     constants = {
         target.id: node.value.value

@@ -19,7 +19,7 @@ from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
 from msgs.values.perception import BevFrame
 
 #: Nothing is measured against this: it ends a test that would wait for ever. A fresh checkout's first graph compiles.
-PATIENCE_S = 600.0
+PATIENCE_S = 240.0
 HEARD = ("perception/hidden_objects", "diagnostics/node", "log")
 ROOT = CHECKOUT
 

@@ -82,14 +82,19 @@ def check_cut(cut: Path, size: int, whole: Path, out: Path) -> None:
 
 @pytest.mark.slow
 def test_a_small_recording_cut_at_every_byte(tmp_path: Path) -> None:
-    """No cut raises; each costs the chunk it goes through and those behind it; the rest is copied, exactly."""
+    """About the ends of chunks, of other bytes at every fourth. No cut raises; each costs the chunk it goes through and
+    those behind it; the rest is copied, exactly.
+    """
     whole = write(tmp_path / "whole.mcap", 4, 2, topics=2)
     size = whole.stat().st_size
     sizes, ends = chunk_sizes(whole), chunk_ends(whole)
     assert len(ends) >= 4
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     cut.write_bytes(whole.read_bytes())
+    near = {byte for end in (*ends, size) for byte in range(end - 40, end + 40)}
     for at in reversed(range(8, size)):
+        if at % 4 and at not in near:
+            continue
         os.truncate(cut, at)
         count, loss = copy_recording(cut, NOWHERE, overwrite=True)
         assert count == sum(n for n, end in zip(sizes, ends, strict=True) if end <= at), at

@@ -42,8 +42,9 @@ def test_a_constant_is_said_and_the_verb_goes_on(tmp_path: Path, capsys: pytest.
 
 def test_no_former_option_is_one_of_today() -> None:
     """Every verb of the tables exists, has what renamed options became, and has no option of a former name."""
+    line = typer.main.get_command(command_line())
     for verb in {*_RENAMED, *_CONSTANTS, *_VERBS.values()}:
-        command = typer.main.get_command(command_line())
+        command = line
         for word in verb.split():
             command = command.commands[word]  # type: ignore[attr-defined]
         options = {name for param in command.params for name in param.opts}

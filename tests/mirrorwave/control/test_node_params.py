@@ -140,6 +140,9 @@ def test_changes_of_one_mapping_are_merged() -> None:
     assert parse_changes("a", ["x.y=1", "x.z=[1, 2]", "w=null"]) == {"x": {"y": 1, "z": [1, 2]}, "w": None}
 
 
-def test_without_a_graph_one_line_says_so(quiet_domain: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_graph_one_line_says_so(
+    quiet_domain: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mirrorwave.diagnose.running_graph.FIND_S", 0.2)
     assert main(["param", "set", "ra_former", "mode=welch"]) == 1
     assert "no graph runs" in capsys.readouterr().err

@@ -9,18 +9,21 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.commands.graph.nodes import collect_heartbeats
 from mirrorwave.control.node_params import current_params, restart_node
+from mirrorwave.diagnose.running_graph import is_running
 from msgs.values.node_params import NodeParams, ParamRequest
 from nodes.process.launch_file import NodeEntry
 from nodes.process.restarts import RestartServer
+from nodes.process.supervisor import read_lock
 
 pytestmark = pytest.mark.graph
 
@@ -41,6 +44,9 @@ def graph() -> Iterator[Path]:
         command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--runs-dir", f"{root}/runs"]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
+            while not is_running("default"):
+                assert process.poll() is None
+                time.sleep(0.02)
             yield Path(root) / "default"
         finally:
             process.send_signal(signal.SIGINT)
@@ -48,7 +54,10 @@ def graph() -> Iterator[Path]:
 
 
 def pid(graph: Path, node: str) -> int:
-    return collect_heartbeats(graph, 1.2)[node][-1].pid
+    """From the process table: no heartbeat has to be waited for."""
+    children = psutil.Process(read_lock(graph)["pid"]).children()
+    (found,) = [child.pid for child in children if node in child.cmdline()]
+    return found
 
 
 def params(node: str) -> dict[str, Any]:

@@ -52,7 +52,8 @@ def nouns(tree: ast.AST) -> Iterator[str]:
 def test_what_is_counted_is_named_in_the_singular() -> None:
     """A plural noun becomes "270 objectss"."""
     roots = ("mirrorwave", "msgs", "models", "sim_player", "nodes", "lab", "contrib")
-    sources = [path for root in roots for path in (CHECKOUT / root).rglob("*.py")]
-    found = {noun for path in sources for noun in nouns(ast.parse(path.read_text()))}
+    sources = [path.read_text() for root in roots for path in (CHECKOUT / root).rglob("*.py")]
+    counting = [source for source in sources if any(f"{name}(" in source for name in _NOUN_AT)]
+    found = {noun for source in counting for noun in nouns(ast.parse(source))}
     assert {"scan", "beam", "{topic} message"} <= found
     assert {noun for noun in found if re.search(r"[a-rt-z]s$", noun)} == set()

@@ -427,10 +427,11 @@ def test_tables_of_the_contract_stand_without_a_graph(capsys: pytest.CaptureFixt
 
 @pytest.mark.graph
 def test_silence_on_a_running_graph_says_whose_it_is(
-    speaker: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
+    speaker: Callable[[Any], None], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     speaker(lambda count, now_ns: {"vehicle/state": VehicleState(stamp_ns=now_ns)})
     assert main(["topic", "echo", "vehicle/state", "--once"]) == 0
+    monkeypatch.setattr("mirrorwave.diagnose.running_graph.FIND_S", 0.2)
     capsys.readouterr()
     nobody = "nothing came on radar/beam in 0.2 s; nobody publishes radar/beam"
     for words in (["hz", "radar/beam", "--duration", "0.2"], ["echo", "radar/beam", "--timeout", "0.2"]):
@@ -438,8 +439,8 @@ def test_silence_on_a_running_graph_says_whose_it_is(
         assert capsys.readouterr().err == f"mirrorwave: {nobody}\n"
     assert main(["topic", "hz", "vehicle/state", "--duration", "0.2", "--domain", "nobody_is_here"]) == 1
     assert "one runs in --domain " in capsys.readouterr().err
-    assert main(["topic", "echo", "vehicle/state", "--where", "speed_mps<-1", "--timeout", "2"]) == 1
-    assert "vehicle/state: 0 messages in 2 s, " in (error := capsys.readouterr().err)
+    assert main(["topic", "echo", "vehicle/state", "--where", "speed_mps<-1", "--timeout", "1"]) == 1
+    assert "vehicle/state: 0 messages in 1 s, " in (error := capsys.readouterr().err)
     assert error.endswith(" did not pass --where\n")
 
 
