@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -26,8 +25,6 @@ from msgs.files.shipped import LAUNCH, WEIGHTS
 from msgs.values.perception import HiddenObject
 from msgs.values.radar import RadarBeam, RadarSetup
 from nodes.geometry import Params, parts_of
-from nodes.player import Params as PlayerParams
-from nodes.player import scene_player
 from nodes.process.launch_file import LaunchFile, read_launch_file
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import load_scene
