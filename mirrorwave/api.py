@@ -26,7 +26,7 @@ from mirrorwave.raw_data import require_raw, sensors_in
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
-from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.radar import PRESETS, RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
@@ -81,7 +81,7 @@ class Perception:
     ) -> None:
         self._pipeline = _pipeline(profile, overrides)
         self._scans = 0
-        self.setup = setup or RadarSetup()
+        self.setup = setup or PRESETS["xband"]
         self.feed(self.setup)
         if self._pipeline.refusal:
             raise ValueError(self._pipeline.refusal)

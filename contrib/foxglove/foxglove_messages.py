@@ -178,9 +178,7 @@ class FoxgloveStream:
 
 def _scene(frame: BevFrame) -> Body:
     """Entities replace those of the scan before by their id, so empty ones are written too."""
-    objects, tracks = list(filter(_is_box, frame.objects)), list(filter(_is_track, frame.tracks))
-    points = [point for point in frame.points if _finite(point.x_m, point.y_m, point.score)]
-    direct = [(x_m, y_m) for x_m, y_m in frame.los_points_m.tolist() if _finite(x_m, y_m)]
+    objects = frame.objects
     entity = partial(_entity, frame.stamp_ns)
     return _update(
         entity("walls", lines=[_line(wall_line_m(wall), WALL_COLOUR) for wall in frame.walls]),
@@ -192,21 +190,26 @@ def _scene(frame: BevFrame) -> Body:
         ),
         entity(
             "points",
-            spheres=[_sphere(at.x_m, at.y_m, (*POINT_COLOUR[:3], min(max(at.score, 0.2), 1.0))) for at in points],
+            spheres=[_sphere(at.x_m, at.y_m, (*POINT_COLOUR[:3], min(max(at.score, 0.2), 1.0))) for at in frame.points],
         ),
-        entity("direct", spheres=[_sphere(x_m, y_m, DIRECT_COLOUR) for x_m, y_m in direct]),
-        entity("tracks", arrows=list(map(_arrow, tracks)), texts=[_label(at, f"track {at.id}") for at in tracks]),
+        entity("direct", spheres=[_sphere(x_m, y_m, DIRECT_COLOUR) for x_m, y_m in frame.los_points_m.tolist()]),
+        entity(
+            "tracks",
+            arrows=list(map(_arrow, frame.tracks)),
+            texts=[_label(at, f"track {at.id}") for at in frame.tracks],
+        ),
     )
 
 
 def _truth_scene(truth: SceneTruth) -> Body:
-    surfaces = [[at for at in surface.polyline_m if _finite(*at)] for surface in truth.surfaces]
-    points = [(x_m, y_m) for x_m, y_m, _ in truth.hidden_points_m.tolist() if _finite(x_m, y_m)]
     entity = partial(_entity, truth.stamp_ns)
     return _update(
-        entity("surfaces", lines=[_line(line, TRUTH_COLOUR) for line in surfaces if len(line) > 1]),
-        entity("objects", cubes=[_cube(each, TRUTH_COLOUR) for each in filter(_is_box, truth.objects)]),
-        entity("points", spheres=[_sphere(x_m, y_m, TRUTH_COLOUR) for x_m, y_m in points]),
+        entity(
+            "surfaces",
+            lines=[_line(each.polyline_m, TRUTH_COLOUR) for each in truth.surfaces if len(each.polyline_m) > 1],
+        ),
+        entity("objects", cubes=[_cube(each, TRUTH_COLOUR) for each in truth.objects]),
+        entity("points", spheres=[_sphere(x_m, y_m, TRUTH_COLOUR) for x_m, y_m, _ in truth.hidden_points_m.tolist()]),
     )
 
 
@@ -420,7 +423,7 @@ def _log(record: LogRecord) -> Body:
 
 
 def _view(frame: BevFrame, latency_ms: float | None) -> Body:
-    objects, tracks = list(filter(_is_box, frame.objects)), list(filter(_is_track, frame.tracks))
+    objects, tracks = frame.objects, frame.tracks
     return _known(
         timestamp=_time(frame.stamp_ns),
         scan_id=frame.scan_id,
@@ -516,24 +519,7 @@ def _without_none(value: Any) -> Any:
 
 def _known(**fields: Any) -> Body:
     """Return the fields that have a value: a missing number is left out, because viewers plot no null."""
-    return {
-        name: value
-        for name, value in fields.items()
-        if value is not None and not (isinstance(value, float) and not math.isfinite(value))
-    }
-
-
-def _finite(*numbers: float) -> bool:
-    return all(map(math.isfinite, numbers))
-
-
-def _is_box(item: HiddenObject | TruthObject) -> bool:
-    score = item.score if isinstance(item, HiddenObject) else 0.0
-    return _finite(item.x_m, item.y_m, item.length_m, item.width_m, item.yaw_rad, score)
-
-
-def _is_track(track: Track) -> bool:
-    return _finite(track.x_m, track.y_m, _speed_mps(track))
+    return {name: value for name, value in fields.items() if value is not None}
 
 
 def _speed_mps(track: Track) -> float:

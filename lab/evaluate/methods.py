@@ -38,7 +38,7 @@ from models.perception.mirrors.peaks_to_view import BackEnd, GeometryParams, fol
 from models.perception.mirrors.recovery import Residual
 from models.perception.mirrors.residual_model import LearnedResidual
 from msgs.values.perception import Peaks
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid
 from nodes.process.launch_file import parse_yaml
 
 GEOMETRIES = ("ours", "specification")
@@ -162,7 +162,7 @@ def build_method(spec: MethodSpec, threads: int = 1, setup: RadarSetup | None = 
     Raises `ValueError` naming the method.
     """
     try:
-        return _built(spec, threads, setup or RadarSetup())
+        return _built(spec, threads, setup or PRESETS["xband"])
     except (ValueError, msgspec.MsgspecError) as error:
         raise ValueError(f"--method {spec.name}: {error}") from None
 

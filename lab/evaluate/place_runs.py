@@ -21,7 +21,7 @@ from models.perception.chain import Chain
 from models.perception.mirrors.observability import visibility_at
 from msgs.files.shipped import LAUNCH
 from msgs.values.perception import BevFrame, SceneTruth, Visibility
-from msgs.values.radar import RadarSetup
+from msgs.values.radar import PRESETS
 from msgs.values.units import s_from_ns
 from nodes.process.launch_file import read_yaml_mapping
 from nodes.process.validation import convert_at
@@ -170,7 +170,7 @@ def _views(place: LabelledPlace, settings: Sequence[Setting]) -> dict[str, dict[
 @lru_cache(maxsize=64)
 def _parts(setting: bytes) -> SharedParts:
     """Parts of a profile, loaded once a process; they know the nominal power, not how far off this radar's is."""
-    return SharedParts.of(msgspec.json.decode(setting, type=Setting).params, RadarSetup())
+    return SharedParts.of(msgspec.json.decode(setting, type=Setting).params, PRESETS["xband"])
 
 
 def image_truth(player: ScenePlayer, scan: int = 0, stamp_ns: int | None = None) -> list[ImageTruth]:

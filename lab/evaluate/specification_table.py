@@ -36,7 +36,7 @@ from models.perception.mirrors.peaks_to_view import fold_scan
 from models.perception.track.views_over_scans import judged_params
 from msgs.files.shipped import WEIGHTS
 from msgs.values.perception import BevFrame, Peaks
-from msgs.values.radar import RadarSetup, RangeAzimuthMap
+from msgs.values.radar import PRESETS, RangeAzimuthMap
 from msgs.values.wording import counted
 from nodes.process.validation import merged
 from sim_player.dataset.executors import map_jobs
@@ -213,7 +213,7 @@ def measure_place(job: tuple[bytes, int]) -> FrameResult:
 
 def formed_map(place: LabelledPlace) -> RangeAzimuthMap:
     """The map of a place, from its raw beams, as the default profile forms it."""
-    former = RaFormer(RadarSetup())
+    former = RaFormer(PRESETS["xband"])
     return next(ra_map for beam in place.beams() for ra_map in former.add(beam))
 
 
@@ -244,7 +244,7 @@ def looks_at(
 @lru_cache(maxsize=32)
 def _parts(params: bytes) -> SharedParts:
     """Parts of a system, loaded once a process."""
-    return SharedParts.of(msgspec.json.decode(params), RadarSetup())
+    return SharedParts.of(msgspec.json.decode(params), PRESETS["xband"])
 
 
 def _privileged_peaks(place: LabelledPlace, ra_map: RangeAzimuthMap) -> Peaks:

@@ -40,7 +40,7 @@ from models.perception.track.views_over_scans import ViewStage, judged_params
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
-from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.radar import PRESETS, RadarBeam, RangeAzimuthMap
 from msgs.values.units import ns_from_s
 from nodes import dense_predictor, geometry
 
@@ -179,7 +179,7 @@ class _Stages:
 
     def build(self, row: Setting) -> None:
         """Build what a row needs; raises whatever its parameters raise."""
-        keys, setup = Variant.of(row), RadarSetup()
+        keys, setup = Variant.of(row), PRESETS["xband"]
         if keys.former not in self.former:
             self.former[keys.former] = RaFormer(setup, stage_params("ra_former", row.of("ra_former")))
         if keys.detector[1] not in self.detector:
@@ -378,7 +378,7 @@ def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda
 
 def _row_memory_mib(row: Setting) -> float:
     """Run one empty scan through a row's chain in the calling process."""
-    setup = RadarSetup()
+    setup = PRESETS["xband"]
     chain = SharedParts.of(row.params, setup).chain()
     beam = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
     for scan_beam in scan_beams(np.broadcast_to(beam, (len(setup.beams), *beam.shape)), setup):

@@ -23,15 +23,20 @@ def element_field(element: ElementPattern, azimuth_rad: np.ndarray, elevation_ra
 
 
 def steering_weights(array: ArrayParams, wavelength_m: float, steer_azimuth_rad: np.ndarray) -> np.ndarray:
-    """Return column weights of unit modulus, phases rounded to `phase_bits`; complex128 [beams, columns]."""
+    """Return column weights of unit modulus, phases rounded to `phase_bits`; complex128 [beams, columns].
+
+    A phase common to all columns of a beam is free, so the specification leaves open where rounding counts from.
+    """
     step = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
-    phase_rad = step * np.multiply.outer(np.sin(steer_azimuth_rad), np.arange(array.columns))
+    centre = (array.columns - 1) / 2.0
+    first = -centre if array.phases_from_centre else 0.0
+    phase_rad = step * np.multiply.outer(np.sin(steer_azimuth_rad), first + np.arange(array.columns))
     if array.phase_bits:
         least_rad = 2.0 * np.pi / 2**array.phase_bits
         phase_rad = least_rad * np.round(phase_rad / least_rad)
     # the common phase puts the reference at the array's centre
-    centre_rad = step * np.sin(steer_azimuth_rad)[..., None] * (array.columns - 1) / 2.0
-    return np.exp(-1j * (phase_rad - centre_rad))
+    common_rad = step * np.sin(steer_azimuth_rad)[..., None] * (first + centre)
+    return np.exp(-1j * (phase_rad - common_rad))
 
 
 def column_response(

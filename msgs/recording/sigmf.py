@@ -84,6 +84,7 @@ _OPTIONAL: dict[str, tuple[str, str, _Number | _Flag]] = {
     "column_spacing_m": ("array", "column_spacing_m", _POSITIVE),
     "row_spacing_m": ("array", "row_spacing_m", _POSITIVE),
     "phase_bits": ("array", "phase_bits", _Number(0, 16, whole=True)),
+    "phases_from_centre": ("array", "phases_from_centre", _Flag()),
     "steered_ways": ("array", "steered_ways", _Number(1, 2, whole=True)),
     "array_digital": ("array", "digital", _Flag()),
     "element_azimuth_hpbw_deg": ("element", "azimuth_hpbw_deg", _POSITIVE),

@@ -130,6 +130,9 @@ class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
     row_spacing_m: float | None = None
     #: 0: ideal, unquantised phases.
     phase_bits: int = 6
+    #: Phases are rounded as counted from the middle of the array, so that beams to left and right are mirrored; False:
+    #: from the first column on.
+    phases_from_centre: bool = False
     #: 2: transmit and receive are steered alike; 1: receive alone, the transmitter is one fixed element.
     steered_ways: int = 2
     #: The receiver samples all columns at once, and beams are formed digitally from those samples: all beams of a scan
@@ -316,7 +319,7 @@ def orthogonal_beams(columns: int) -> BeamGrid:
 
 #: Radars by name. The 77 GHz one has the aperture of section 2.1.1, a single row of 57, received digitally.
 PRESETS: dict[str, RadarSetup] = {
-    "xband": RadarSetup(),
+    "xband": RadarSetup(array=ArrayParams(phases_from_centre=True)),
     "77ghz": RadarSetup(
         radar=RadarParams(carrier_hz=77e9),
         array=ArrayParams(columns=57, rows=1, phase_bits=0, steered_ways=1, digital=True),

@@ -259,13 +259,8 @@ def hidden_objects(facts: Facts) -> Iterable[Finding]:
     frame = facts.frame
     if frame is None or not _is_fresh(facts):
         return
-    tracks = [
-        track
-        for track in frame.tracks
-        if all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps)))
-    ]
-    count = Counter(side_of_track(track) for track in tracks)
-    tracks = sorted(tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
+    count = Counter(side_of_track(track) for track in frame.tracks)
+    tracks = sorted(frame.tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
     crossings = _crossings(facts, tracks)
     # tracks refer to the scan's stamp, warnings to now
     has_age = on_one_clock(frame.stamp_ns, facts.now_ns, facts.graph_since_ns)
@@ -347,11 +342,10 @@ def _meeting(about: Finding, crossing: Crossing, late_s: float) -> Finding:
 def _untracked(frame: BevFrame) -> Iterable[Finding]:
     """Return objects of a view without tracks: present, but with unknown motion."""
     for item in frame.objects:
-        if math.isfinite(item.x_m) and math.isfinite(item.y_m):
-            side = side_of(item.x_m, item.y_m)
-            title = f"Hidden object {side_words(side)}"
-            detail = f"{place_words(item.x_m, item.y_m)}; not followed, motion unknown"
-            yield Finding(f"hidden/{side}", Level.NOTICE, title, detail, after_s=SETTLE_S)
+        side = side_of(item.x_m, item.y_m)
+        title = f"Hidden object {side_words(side)}"
+        detail = f"{place_words(item.x_m, item.y_m)}; not followed, motion unknown"
+        yield Finding(f"hidden/{side}", Level.NOTICE, title, detail, after_s=SETTLE_S)
 
 
 def is_moving(track: Track) -> bool:
@@ -367,9 +361,7 @@ def is_moving(track: Track) -> bool:
 
 
 def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
-    """Return the standard deviation in a direction [2]; infinite if the covariance [2, 2] is not finite."""
-    if not np.isfinite(covariance).all():
-        return math.inf
+    """Return the standard deviation in a direction [2] by a covariance [2, 2]."""
     return math.sqrt(max(float(direction @ covariance @ direction), 0.0))
 
 
@@ -397,10 +389,10 @@ def radar_ahead_m(state: VehicleState, vehicle_from_radar: Pose2, times_s: np.nd
 def crossing_of(track: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: float) -> Crossing | None:
     """Return the nearest approach of a track to the radar's path [N, 2] at `times_s` [N], and when it reaches `near_m`.
 
-    None if it never does, if they move apart from the start, or if the velocity's covariance is unknown, a
-    covariance is not finite, or they leave the distance less certain than `near_m`.
+    None if it never does, if they move apart from the start, or if the velocity's covariance is unknown or leaves the
+    distance less certain than `near_m`.
     """
-    if track.velocity_cov_m2ps2 is None or not np.isfinite((track.cov_m2, track.velocity_cov_m2ps2)).all():
+    if track.velocity_cov_m2ps2 is None:
         return None
     start = np.array([track.x_m, track.y_m])
     offsets = start + times_s[:, None] * np.array([track.velocity_x_mps, track.velocity_y_mps]) - radar_m

@@ -40,8 +40,6 @@ _NOISE_UNITS = {"photons": "dB over ambient σ"}
 OLD_S = 1.0
 #: Maximum number of tracks on a page.
 MAX_TRACKS = 100
-#: Fields of a true object that are no measures.
-_NO_NUMBERS = ("id", "object_class", "hidden")
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
 ELLIPSE_SIGMAS = 2.0
 #: The colour scale "cividis" at 33 even places: even in lightness, the same to colour-blind readers.
@@ -77,7 +75,7 @@ def view_json(
             [*_metres((item.x_m, item.y_m, item.image_x_m, item.image_y_m)), round(item.score, 2), item.wall]
             for item in frame.points
         ],
-        "objects": [_object_json(item, truth) for item in _positioned(frame)],
+        "objects": [_object_json(item, truth) for item in frame.objects],
         "tracks": [_track_json(item, past) for item in _by_urgency(frame.tracks)],
         "tracks_total": len(frame.tracks),
         "mask": {
@@ -143,7 +141,7 @@ def sensor_text(setup: Setup) -> str:
 
 def summary_text(frame: BevFrame) -> str:
     """Return one line for people and screen readers: "2 hidden objects at 11.6, 8.5 m and 16.3, 13.7 m"."""
-    positions = [f"{item.x_m:.1f}, {item.y_m:.1f} m" for item in _positioned(frame)]
+    positions = [f"{item.x_m:.1f}, {item.y_m:.1f} m" for item in frame.objects]
     if not positions:
         return "no hidden object"
     count = "1 hidden object" if len(positions) == 1 else f"{len(positions)} hidden objects"
@@ -152,12 +150,7 @@ def summary_text(frame: BevFrame) -> str:
 
 
 def ellipse(covariance: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """Return semi-axes [m] of `ELLIPSE_SIGMAS`, larger first, and the larger's direction [rad] in (-pi/2, pi/2].
-
-    Zeros if the covariance is not finite.
-    """
-    if not np.isfinite(covariance).all():
-        return 0.0, 0.0, 0.0
+    """Return semi-axes [m] of `ELLIPSE_SIGMAS`, larger first, and the larger's direction [rad] in (-pi/2, pi/2]."""
     variances, vectors = np.linalg.eigh(np.array(covariance, np.float64))
     minor_m, major_m = ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     angle_rad = math.atan2(vectors[1, 1], vectors[0, 1])
@@ -252,43 +245,18 @@ def _metres(values: Any) -> list[float]:
     return [round(float(value), 2) for value in values]
 
 
-def _positioned(frame: BevFrame) -> list[HiddenObject]:
-    """Return objects with a finite position: the bus accepts any number."""
-    return [
-        item
-        for item in frame.objects
-        if all(map(math.isfinite, (item.x_m, item.y_m, item.length_m, item.width_m, item.yaw_rad, item.score)))
-    ]
-
-
 def _by_urgency(tracks: Sequence[Track]) -> list[Track]:
     """Return the tracks worth showing, in order of urgency: those that enter sight first, then the nearest."""
-    finite = [
-        track
-        for track in tracks
-        if all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps, track.age_s)))
-    ]
-    return sorted(finite, key=_urgency)[:MAX_TRACKS]
+    return sorted(tracks, key=_urgency)[:MAX_TRACKS]
 
 
 def _urgency(track: Track) -> tuple[float, float]:
-    appears_s = _appears_s(track)
+    appears_s = track.time_to_appear_s
     return math.inf if appears_s is None else appears_s, math.hypot(track.x_m, track.y_m)
 
 
-def _appears_s(track: Track) -> float | None:
-    appears_s = track.time_to_appear_s
-    return None if appears_s is None or not math.isfinite(appears_s) else appears_s
-
-
-def _existence(track: Track) -> float | None:
-    """Return the existence of a track, None where the view does not give it."""
-    existence = track.existence
-    return None if existence is None or not math.isfinite(existence) else round(existence, 3)
-
-
 def _track_json(track: Track, past: Sequence[Past]) -> dict[str, Any]:
-    appears_s, covariance = _appears_s(track), track.velocity_cov_m2ps2
+    appears_s, covariance = track.time_to_appear_s, track.velocity_cov_m2ps2
     return {
         "id": track.id,
         "at": _metres((track.x_m, track.y_m)),
@@ -298,7 +266,7 @@ def _track_json(track: Track, past: Sequence[Past]) -> dict[str, Any]:
         "age_s": round(track.age_s, 1),
         "appears_s": None if appears_s is None else round(appears_s, 1),
         "misses": track.misses,
-        "existence": _existence(track),
+        "existence": None if track.existence is None else round(track.existence, 3),
         "class": track.object_class,
         "trail": _metres(trail_m(track.id, past).ravel()),
     }
@@ -321,16 +289,11 @@ def _object_json(item: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]
 
 
 def _nearest_json(item: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
-    """Return the hidden true object of the least face error; None if none is hidden, or none has a position."""
-    hidden = [
-        other
-        for other in truth.objects
-        if other.hidden
-        and all(math.isfinite(getattr(other, name)) for name in other.__struct_fields__ if name not in _NO_NUMBERS)
-    ]
-    distances = object_distances([item], truth, hidden)
-    if not hidden or not np.isfinite(distances.error_m).all():
+    """Return the hidden true object of the least face error; None if none is hidden."""
+    hidden = [other for other in truth.objects if other.hidden]
+    if not hidden:
         return None
+    distances = object_distances([item], truth, hidden)
     nearest = int(distances.error_m[0].argmin())
     errors = {"face_error": distances.error_m[0, nearest], "centre_error": distances.centre_m[0, nearest]}
     return {"class": hidden[nearest].object_class, **{name: round(float(value), 2) for name, value in errors.items()}}

@@ -114,6 +114,7 @@ class SceneArray(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     column_spacing_m: float | None = None
     row_spacing_m: float | None = None
     phase_bits: int | None = None
+    phases_from_centre: bool | None = None
     steered_ways: int | None = None
     digital: bool | None = None
 

@@ -15,7 +15,7 @@ import numpy as np
 from lab.training.data.frames import DataSet, FrameLabels, Scan, Splits, fixed_splits, scan_map, speed_unit_std_mps
 from models.perception.find.encoding import Encoding, encode_columns, sample_columns
 from models.perception.form.coarray import AzimuthInterpolator, beam_matrix
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ class SampleFormer:
     """Forms the maps of scans of a radar (None: the default) and keeps the columns of the network's input."""
 
     def __init__(self, config: DataConfig, setup: RadarSetup | None = None) -> None:
-        self.config, self.setup = config, setup or RadarSetup()
+        self.config, self.setup = config, setup or PRESETS["xband"]
         self._interpolator = AzimuthInterpolator(self.setup, config.grid)
 
     def sample(self, scan: Scan, rng: np.random.Generator | None = None) -> DenseSample:

@@ -98,7 +98,9 @@ def test_objects_stand_on_the_ground_and_tracks_point_along_their_velocity() -> 
 
 def test_figures_of_a_view_are_its_own() -> None:
     """200 ms after its last beam; of another clock no latency is known."""
-    frame = msgspec.structs.replace(view(4, 10), objects=(HIDDEN, HIDDEN), tracks=(TRACK,))
+    frame = msgspec.structs.replace(
+        view(4, 10), objects=(HIDDEN, msgspec.structs.replace(HIDDEN, score=0.25)), tracks=(TRACK,)
+    )
     body = bodies(frame, at_ns=10 + last_beam_ns() + 200_000_000)["/views"]
     assert body["latency_ms"] == pytest.approx(200.0)
     assert "latency_ms" not in bodies(frame, at_ns=0)["/views"]

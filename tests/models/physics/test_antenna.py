@@ -50,11 +50,15 @@ def test_one_way_beam_width() -> None:
     assert np.degrees(np.ptp(inside)) == pytest.approx(12.7, rel=0.015)
 
 
-def test_six_bit_phases() -> None:
-    """Phases on multiples of 5.625 deg relative to column 0, never more than 2.8 deg from the ideal ones."""
+@pytest.mark.parametrize("centred", [False, True])
+def test_six_bit_phases(centred: bool) -> None:
+    """Phases on multiples of 5.625 deg relative to column 0, never more than 2.8 deg from the ideal ones; counted from
+    the middle, beams to left and right are mirrored.
+    """
     steer_rad = np.radians(np.arange(-60, 61, 5.0))
     ideal = steering_weights(ArrayParams(phase_bits=0), WAVELENGTH_M, steer_rad)
-    quantised = steering_weights(ArrayParams(phase_bits=6), WAVELENGTH_M, steer_rad)
+    quantised = steering_weights(ArrayParams(phase_bits=6, phases_from_centre=centred), WAVELENGTH_M, steer_rad)
+    assert np.array_equal(quantised[::-1], quantised[:, ::-1]) == centred
     relative_deg = np.degrees(np.angle(quantised / quantised[:, :1]))
     np.testing.assert_allclose(relative_deg / 5.625, np.round(relative_deg / 5.625), atol=1e-6)
     assert np.degrees(np.abs(np.angle(quantised / ideal))).max() <= 5.625 / 2 + 1e-9

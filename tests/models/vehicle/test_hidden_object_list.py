@@ -118,7 +118,8 @@ def test_any_number_of_objects(count: int) -> None:
 def test_what_does_not_fit_stands_at_the_end_and_is_marked(
     field: str, message: str, signal: str, low: float, high: float
 ) -> None:
-    values = ((10**6, high), (-(10**6), low), (2**62, high), (high, high), (low, low))
+    step = {"id": 1, "x_m": 0.02, "y_m": 0.02}.get(field, 0.05)
+    values = ((10**6, high), (-(10**6), low), (2**62, high), (high, high), (high + step, high), (low, low))
     allowed = {"id": (0, 2**62), "x_m": (-1e6, 1e6), "y_m": (-1e6, 1e6)}.get(field, (0, 1e6))
     for value, end in (pair for pair in values if allowed[0] <= pair[0] <= allowed[1]):
         said = changed(**{field: value})

@@ -54,8 +54,9 @@ def test_a_sighting_is_turned_into_the_odometry_frame_with_its_error():
     np.testing.assert_allclose(there.covariance_m2, [[3.25 + 0.16, slant], [slant, 1.75 + 0.16]], rtol=1e-12)
 
 
-def test_objects_of_another_time_are_left_out():
-    assert sightings(frame(seen(1.0, 1.0, stamp_ns=1 << 60)), Pose2(), 0.4) == []
+def test_objects_have_the_time_of_their_beams_and_those_of_another_are_left_out():
+    objects = [seen(1.0, 1.0, stamp_ns=stamp_ns) for stamp_ns in (1_050_000_000, 0, 1 << 60)]
+    assert [item.stamp_ns for item in sightings(frame(*objects), Pose2(), 0.4)] == [1_050_000_000, 1_000_000_000]
 
 
 @pytest.mark.parametrize(("score", "expected"), [(0.7, 0.7), (1.0, GREATEST_SCORE), (0.0, LEAST_SCORE)])

@@ -129,6 +129,12 @@ def test_two_reports_of_one_object_are_one_track():
     assert [len(tracks) for tracks in told] == [0, 1, 1, 1, 1, 1]
 
 
+def test_of_too_many_tracks_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("models.perception.track.tracker.MAX_TRACKS", 2)
+    old = [(8.0, 9.0), (8.0, -9.0)]
+    assert [track.id for track in drive(Tracker(), [old, old, [*old, (20.0, 0.0)]])[-1]] == [1, 2]
+
+
 def test_the_class_of_a_track_is_that_of_its_objects():
     tracker, told = Tracker(), ()
     for scan, name in enumerate(("car", "van", "van")):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -153,11 +154,16 @@ def test_directions_are_turned_into_the_vehicle() -> None:
 
 @pytest.mark.parametrize("apart_s", [0.0, 0.2])
 def test_objects_are_paired_within_their_errors(apart_s: float) -> None:
-    """Sure objects 3 m apart are two, unsure ones are one, and so are those of other times: it may have moved."""
+    """Sure objects 3 m apart are two, with an unsure one they are one, and so are those of other times: it may have
+    moved.
+    """
     sure, unsure = ((0.01, 0.0), (0.0, 0.01)), ((4.0, 0.0), (0.0, 4.0))
     late_ns = round(1e9 * apart_s) + 1
-    for covariance, count in ((sure, 2 if apart_s == 0.0 else 1), (unsure, 1)):
-        pair = [hidden(20.0, y_m, cov_m2=covariance, stamp_ns=at) for y_m, at in ((5.0, 1), (8.0, late_ns))]
+    for first, second in itertools.product((sure, unsure), repeat=2):
+        count = 2 if first == second == sure and apart_s == 0.0 else 1
+        pair = [
+            hidden(20.0, 5.0, cov_m2=first, stamp_ns=1), hidden(20.0, 8.0, cov_m2=second, stamp_ns=late_ns)
+        ]  # fmt: skip
         assert len(joined_objects(pair[:1], pair[1:])) == count
 
 
