@@ -119,6 +119,9 @@ reference: setup  ## commands, parameters and messages as pages in docs/referenc
 bench: setup-dev  ## the live graph, measured for a minute
 	$(BIN)/python -m benchmarks.live.live_graph --duration 60
 
+soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/README.md
+	$(BIN)/python -m benchmarks.live.soak --figure runs/soak.png
+
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000
 FUZZ_SECONDS ?= 3600

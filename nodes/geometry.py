@@ -93,7 +93,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: network; `none`: all places are kept, with the scores of their peaks.
     confidence: str = "none"
     #: An exported evidence network with its card beside it, or the name of a committed one, which sees objects in the
-    #: map; `none`, and maps of other sensors: objects are clusters of folded places.
+    #: map, or in one made of a list of detections; `none`, and maps of other sensors: objects are clusters of folded
+    #: places.
     object_network: str = "none"
     #: Least probability of an object that is reported; None: the card's. Its mean answer to scan and mirror image.
     object_threshold: float | None = None
@@ -205,7 +206,7 @@ class GeometryNode(Node):
         return [Outgoing("perception/hidden_objects", view)]
 
     def _needs_map(self, peaks: Peaks) -> bool:
-        """Return whether objects are judged in the map; a radar that gives detections has none."""
+        """Return whether objects are judged in a map that comes; of a radar that gives detections none does."""
         return self._stage.predictor is not None and peaks.sensor is None
 
     def _map_of(self, peaks: Peaks) -> RangeAzimuthMap | None:

@@ -30,7 +30,8 @@ def test_detections_become_peaks_and_these_a_hidden_car() -> None:
     (view,) = after.step([received("perception/peaks", out.message)], 0)
     (car,) = view.message.objects
     assert np.hypot(car.x_m - CAR_M[0], car.y_m - CAR_M[1]) < 1.5
-    # no map is missed: an object network has nothing to look at here
+    assert car.object_class
+    # no map is missed: the network looks at the list
     assert list(after.shed.counts()) == []
 
 

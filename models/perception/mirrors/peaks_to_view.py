@@ -27,6 +27,7 @@ from models.perception.mirrors.recovery import (
 )
 from models.perception.mirrors.rejection import hidden_mask
 from models.perception.mirrors.walls import WallParams, find_walls
+from models.perception.target_lists.two_witnesses import agreed
 from models.perception.target_lists.wall_points import wall_like
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy, xy_from_polar
@@ -140,13 +141,16 @@ def recover_bev(
     objects = judge(walls) if judge else None
     scan = _folded(peaks, params, returns, walls, residual, confidence)
     hidden = scan.recovered.take(scan.hidden)
+    found = form_objects(hidden, scan.walls, params.objects) if objects is None or peaks.sensor else ()
+    if objects is not None:
+        found = agreed(objects(), found) if peaks.sensor else objects()
     visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
         walls=tuple(scan.walls),
         points=hidden.as_hidden_points(),
-        objects=form_objects(hidden, scan.walls, params.objects) if objects is None else objects(),
+        objects=found,
         los_points_m=scan.returns.points_m.astype(np.float32),
         grid=params.grid,
         visibility=visibility,

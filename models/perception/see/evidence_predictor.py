@@ -142,19 +142,22 @@ class EvidencePredictor:
         walls: list[Wall],
         moving: bool = False,
         memory: WallMemory | None = None,
+        threshold: float | None = None,
     ) -> Callable[[], tuple[HiddenObject, ...]]:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
         Walls of earlier scans count where a memory is given. Scores are probabilities of a vehicle that is `moving` or
-        not. `ValueError` for a map that does not suit, and for answers that are not finite.
+        not; `threshold`: in place of its own. `ValueError` for a map that does not suit, and for answers
+        that are not finite.
         """
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
             raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
-        return begun(partial(self._objects, ra_map, walls, moving, memory))
+        threshold = self.threshold if threshold is None else threshold
+        return begun(partial(self._objects, ra_map, walls, moving, memory, threshold))
 
     def _objects(
-        self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None
+        self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None, threshold: float
     ) -> tuple[HiddenObject, ...]:
         earlier = memory.earlier() if memory else ()
         expected, fields = self._expected or (None, None)
@@ -164,7 +167,7 @@ class EvidencePredictor:
             memory.add(scan.elements)
         table = self.card.calibration_of(moving)
         answer = self.answer(scan.evidence.channels)
-        least = score_of(table, self.threshold)
+        least = score_of(table, threshold)
         reports = evidence_detections(answer, scan.evidence.mirror, self.card.encoding.grid, scan.arrays, least)
         reports = replace(reports, score=calibrated(table, reports.score))
         return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))

@@ -12,6 +12,8 @@ from models.perception.mirrors.confidence import Confidence
 from models.perception.mirrors.peaks_to_view import GeometryParams, ObjectJudge, recover_bev, warm
 from models.perception.mirrors.recovery import Residual
 from models.perception.state_history import StateHistory
+from models.perception.target_lists.list_map import list_map
+from models.perception.target_lists.two_witnesses import WITNESS_THRESHOLD
 from models.perception.timing import Timed
 from models.perception.track.scan_state import MemoryParams, ScanMemory
 from models.perception.track.yaw_rate_bias import BiasEstimate
@@ -86,11 +88,14 @@ class ViewStage:
     def view(self, peaks: Peaks, ra_map: RangeAzimuthMap | None = None) -> BevFrame:
         """Return the view of one scan, with tracks and the vehicle's motion; `ValueError` for too many peaks.
 
-        Objects are the network's, or clusters of places without one, a map, or peaks that a network has detected.
+        Objects are those that the network sees in the scan's map, which of a list of detections is made here; without
+        either, or with peaks that no network has detected, they are clusters of places.
         """
         ego = self._states.at(peaks.stamp_ns)
         with self._timed("geometry"):
             earlier_walls = self._memory.walls_at(peaks)
+            if peaks.sensor and self.predictor is not None:
+                ra_map = list_map(peaks)
             judge = self._judge(peaks, ra_map, ego)
             params = self._detections if peaks.sensor else self._judged if judge else self._params
             # a residual corrects the walls that it was trained on
@@ -106,11 +111,14 @@ class ViewStage:
 
     def _judge(self, peaks: Peaks, ra_map: RangeAzimuthMap | None, ego: VehicleState | None) -> ObjectJudge | None:
         """Return what sees the objects of a scan; None: no network does, as of peaks that CFAR has detected."""
-        if self.predictor is None or ra_map is None or not peaks.detector or not self.predictor.suits(ra_map):
+        if self.predictor is None or ra_map is None or not self.predictor.suits(ra_map):
+            return None
+        if not peaks.detector and not peaks.sensor:
             return None
         moving = ego is not None and ego.valid and abs(ego.speed_mps) >= MOVING_MPS
         memory = self._memory.wall_elements_at(peaks)
-        return partial(self.predictor.judge, ra_map, moving=moving, memory=memory)
+        threshold = WITNESS_THRESHOLD if peaks.sensor else None
+        return partial(self.predictor.judge, ra_map, moving=moving, memory=memory, threshold=threshold)
 
 
 def judged_params(params: GeometryParams, predictor: EvidencePredictor | None) -> GeometryParams:

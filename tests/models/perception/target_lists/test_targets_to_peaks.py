@@ -12,11 +12,14 @@ from models.perception.mirrors.peaks_to_view import fold_scan, recover_bev
 from models.perception.mirrors.recovery import Recovered
 from models.perception.mirrors.rejection import hidden_mask
 from models.perception.target_lists.defaults import DETECTION_GEOMETRY
+from models.perception.target_lists.list_map import list_map
 from models.perception.target_lists.sensor import DetectionSensor
 from models.perception.target_lists.targets_to_peaks import DetectionsStage
+from models.perception.target_lists.two_witnesses import agreed
 from models.physics.mirror import wall_from_ends
 from msgs.values.detections import RadarDetections
-from msgs.values.perception import BevFrame, PathClass, Visibility, Wall
+from msgs.values.perception import BevFrame, HiddenObject, PathClass, Visibility, Wall
+from msgs.values.radar import NO_RADIAL_SPEED
 from tests.models.perception.target_lists.street import (
     CAR_M,
     FACADE_Y_M,
@@ -134,6 +137,32 @@ def test_limits_of_the_sensor_reach_the_view() -> None:
     assert np.hypot(*direct.T).max() <= 30.0
     assert np.degrees(np.abs(np.arctan2(direct[:, 1], direct[:, 0]))).max() <= 20.0
     assert (viewed(detections(street_points())).visibility == Visibility.UNKNOWN).all()
+
+
+def test_a_list_is_a_map_with_its_returns_as_loud_as_listed() -> None:
+    """One at 30 m and 20 deg, one beyond the map; the speed stands in the cell of the first."""
+    points_m = np.array([[30.0 * np.cos(0.35), 30.0 * np.sin(0.35)], [200.0, 0.0]])
+    peaks = DetectionsStage(SENSOR).peaks(detections(points_m, radial_speed_mps=np.array([2.0, 3.0]), over_ground=True))
+    ra_map = list_map(peaks)
+    level_db = 20.0 * np.log10(np.abs(ra_map.values))
+    row, column = np.unravel_index(level_db.argmax(), level_db.shape)
+    assert ra_map.grid.range_at(row) == pytest.approx(30.0, abs=0.3)
+    assert ra_map.grid.azimuth_at(column) == pytest.approx(0.35, abs=0.02)
+    assert level_db.max() == pytest.approx(25.0, abs=1.5)
+    assert np.unique(ra_map.radial_speed_cmps).tolist() == [NO_RADIAL_SPEED, 200]
+
+
+def test_an_unlikely_object_counts_where_returns_fold_to_it() -> None:
+    """Of three that the network sees, 10 m apart: the sure one, and an unlikely one at a cluster."""
+
+    def seen(x_m: float, score: float) -> HiddenObject:
+        cov_m2 = ((0.1, 0.0), (0.0, 0.1))
+        return HiddenObject(id=0, x_m=x_m, y_m=0.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=score, cov_m2=cov_m2)
+
+    judged = seen(10.0, 0.8), seen(20.0, 0.3), seen(30.0, 0.2)
+    assert [item.x_m for item in agreed(judged, ())] == [10.0]
+    both = agreed(judged, (seen(28.5, 0.9), seen(50.0, 0.9)))
+    assert [(item.id, item.x_m, item.score) for item in both] == [(0, 30.0, 0.9), (1, 10.0, 0.8)]
 
 
 def test_detections_of_another_sensor_are_refused() -> None:
