@@ -18,6 +18,7 @@ from lab.training.data.samples import Perturbation, perturb_scan
 from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding
 from models.perception.mirrors.mirror_table import WallArrays
+from models.perception.mirrors.observability import observability
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
 from models.perception.see.field_predictor import FieldPredictor
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
@@ -71,6 +72,8 @@ class ScanTruth:
     azimuth_stamp_ns: np.ndarray
     #: The vehicle's motion was taken out of the map.
     ego_compensated: bool
+    #: The view's observability mask; None: the file is of training scans, which need none.
+    visibility: np.ndarray | None = None
 
 
 def make_files(
@@ -137,13 +140,15 @@ def _field_arrays(frames: Iterator[Frame], task: FieldTask) -> dict[str, np.ndar
 
 def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Path) -> dict[str, np.ndarray]:
     detector, fields = _networks(task, directory)
-    channels, objects, truths = [], [], []
+    channels, objects, truths, masks = [], [], [], []
     memory, drive = WallMemory(), ""
     for frame in frames:
         if frame.sequence != drive:
             memory, drive = WallMemory(), frame.sequence
         memory.move(RadarPose(0, frame.pose) if frame.sequence and frame.pose else None)
-        _, fitted = direct_structure(detector.detect(frame.ra_map), task.geometry)
+        peaks, geometry = detector.detect(frame.ra_map), task.geometry
+        _, fitted = direct_structure(peaks, geometry)
+        masks.append(observability(fitted, peaks.sensitivity_db, geometry.grid, geometry.visibility))
         answer = fields.answer(frame.ra_map)
         scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier())
         memory.add(scan.elements)
@@ -151,6 +156,7 @@ def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Pat
         objects.append(evidence_objects(frame, scan))
         truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))
     arrays: dict[str, np.ndarray] = {"channels": np.stack(channels)}
+    arrays["visibility"] = np.stack(masks)
     arrays["mirror"] = np.stack([truth.mirror for truth in truths]).astype(np.int8)
     arrays |= stored_columns("objects", objects)
     arrays |= stored_columns("walls", [truth.walls for truth in truths])
@@ -184,5 +190,6 @@ def load_truths(path: Path) -> list[ScanTruth]:
         arrays["noise_power_mw"].tolist(),
         arrays["azimuth_stamp_ns"],
         arrays["ego_compensated"].tolist(),
+        arrays["visibility"] if "visibility" in arrays else [None] * len(arrays["mirror"]),
     ]
     return [ScanTruth(*row) for row in zip(*rows, strict=True)]

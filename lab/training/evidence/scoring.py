@@ -10,13 +10,17 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import expit, logit
 
 from lab.measures.object_rows import ScanRow, is_false, single_reaches
 from lab.training.calibration import fit_table
 from lab.training.data.evidence_samples import SCALE
 from lab.training.data.evidence_store import ScanTruth, load_truths
 from lab.training.evidence.scan_rows import add_rows
-from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
+from models.perception.find.score_calibration import ScoreTable, calibrated, score_of, shifted
+from models.perception.mirrors.observability import visibility_at
+from models.perception.mirrors.peaks_to_view import GeometryParams
 from models.perception.see.evidence_answers import evidence_detections
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.scan_evidence import EvidenceEncoding
@@ -28,6 +32,10 @@ SHOWN_FALSE = (0.10, 0.15, 0.24)
 WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
 #: Probabilities that may be thresholds; answers above the first one fit the tables, in so many groups.
 THRESHOLDS, GROUPS = tuple(round(0.05 * step, 2) for step in range(1, 16)), 60
+#: Reports that fit what the mask adds.
+LIKELY = 0.2
+#: What the mask adds: nothing.
+NO_LOGITS = (0.0, 0.0, 0.0)
 
 
 def as_answered(moving: bool) -> ScoreTable:
@@ -36,7 +44,9 @@ def as_answered(moving: bool) -> ScoreTable:
 
 
 class EvidenceTally:
-    """Rows of all scans at some thresholds; `calibration` gives the table of a vehicle that moves or does not."""
+    """Rows of all scans at some thresholds; `calibration` gives the table of a vehicle that moves or does not, `logits`
+    are added by what the mask says.
+    """
 
     def __init__(
         self,
@@ -44,16 +54,24 @@ class EvidenceTally:
         azimuth_rad: np.ndarray,
         thresholds: Sequence[float] = WATCHED_THRESHOLDS,
         calibration: Callable[[bool], ScoreTable] = as_answered,
+        logits: tuple[float, float, float] = NO_LOGITS,
     ) -> None:
         self._grid, self._azimuth_rad, self._calibration = encoding.grid, azimuth_rad, calibration
+        self._logits = np.array(logits)
         self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
+        #: What the mask says of the reports of each scan that reach the lowest threshold.
+        self.states: list[np.ndarray] = []
 
     def add(self, stored: ScanTruth, answer: np.ndarray) -> None:
         """Score the answer to one scan."""
         table = self._calibration(stored.ego_compensated)
-        least = score_of(table, min(self.rows))
+        least = score_of(table, float(shifted(np.array([min(self.rows)]), -self._logits.max(keepdims=True))[0]))
         likely = evidence_detections(answer, stored.mirror, self._grid, stored.walls, least)
-        likely = replace(likely, score=calibrated(table, likely.score))
+        states = np.zeros(len(likely.score), int)
+        if stored.visibility is not None:
+            states = visibility_at(stored.visibility, GeometryParams().grid, likely.place_m)
+        likely = replace(likely, score=shifted(calibrated(table, likely.score), self._logits[states]))
+        self.states.append(states[likely.score >= min(self.rows)])
         stamp_ns = np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)
         add_rows(self.rows, likely, stamp_ns, stored)
 
@@ -90,7 +108,11 @@ def with_probabilities(card: EvidenceCard, predictor: EvidencePredictor, files: 
         tallies[stored.ego_compensated].add(stored, answer)
     at_rest, moving = (probability_table(tally.rows) for tally in tallies)
     card = msgspec.structs.replace(card, calibration=at_rest, calibration_moving=moving)
-    tally = EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS, card.calibration_of)
+    tally = EvidenceTally(card.encoding, azimuth_rad, (LIKELY,), card.calibration_of)
+    for stored, answer in answered:
+        tally.add(stored, answer)
+    card = msgspec.structs.replace(card, visibility_logits=visibility_logits(tally))
+    tally = EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS, card.calibration_of, card.visibility_logits)
     for stored, answer in answered:
         tally.add(stored, answer)
     points = tally.points()
@@ -116,6 +138,22 @@ def probability_table(rows: Mapping[float, Sequence[ScanRow]]) -> ScoreTable:
     ]
     score, is_true = np.array(outcomes, np.float64).reshape(-1, 2).T
     return fit_table(score, is_true.astype(bool), GROUPS)
+
+
+def visibility_logits(tally: EvidenceTally) -> tuple[float, float, float]:
+    """Return what best explains, added to the logits of likely reports in each state of the mask, which were found."""
+    (rows,) = tally.rows.values()
+    reports = [report for row in rows for report in row.reports]
+    score, found = (np.array([getattr(report, name) for report in reports], np.float64) for name in ("score", "found"))
+    state = np.concatenate([np.zeros(0, int), *tally.states])
+    return tuple(_shift(score[state == each], found[state == each]) for each in range(3))  # type: ignore[return-value]
+
+
+def _shift(score: np.ndarray, found: np.ndarray) -> float:
+    """Return the logit after which the mean probability is the share found; one report more is half found."""
+    logits = logit(np.append(score, 0.5))
+    wanted = float(found.sum() + 0.5)
+    return round(float(brentq(lambda by: expit(logits + by).sum() - wanted, -5.0, 5.0)), 2)
 
 
 def _point(threshold: float, rows: Sequence[ScanRow]) -> CurvePoint:

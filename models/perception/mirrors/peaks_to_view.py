@@ -36,8 +36,9 @@ from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, P
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by walls from elsewhere.
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
-#: Walls of a scan -> what waits for its hidden objects, in place of clusters of folded positions.
-ObjectJudge = Callable[[list[Wall]], Callable[[], tuple[HiddenObject, ...]]]
+#: Walls of a scan -> what waits for its hidden objects, in place of clusters of folded positions; it takes the view's
+#: mask and its grid, or neither.
+ObjectJudge = Callable[[list[Wall]], Callable[..., tuple[HiddenObject, ...]]]
 #: Walls, association and rejection: ours, or those of the specification (section 3.1.2).
 BackEnd = Literal["ours", "specification"]
 
@@ -141,10 +142,10 @@ def recover_bev(
     objects = judge(walls) if judge else None
     scan = _folded(peaks, params, returns, walls, residual, confidence)
     hidden = scan.recovered.take(scan.hidden)
+    visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
     found = form_objects(hidden, scan.walls, params.objects) if objects is None or peaks.sensor else ()
     if objects is not None:
-        found = agreed(objects(), found) if peaks.sensor else objects()
-    visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
+        found = agreed(objects(), found) if peaks.sensor else objects(visibility, params.grid)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,

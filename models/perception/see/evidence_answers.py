@@ -24,7 +24,7 @@ from models.physics.mirror import reflect
 #: Reports nearer than this, or than a share of the longer one, are one object.
 SAME_OBJECT_M, SAME_OBJECT_SHARE = 1.2, 0.4
 #: Share of a threshold that no rounding of a probability reaches.
-_ROUNDING = 1.0 - 1e-9
+ROUNDING = 1.0 - 1e-9
 
 
 def evidence_detections(
@@ -56,7 +56,7 @@ def evidence_detections(
 def _peaks(object_logit: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of the places that are the likeliest among their neighbours."""
     padded = np.pad(object_logit, 1, constant_values=-np.inf)
-    likely = np.argwhere(object_logit >= logit(_ROUNDING * threshold))
+    likely = np.argwhere(object_logit >= logit(ROUNDING * threshold))
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     about = windows[tuple(likely.T)]
     kept = likely[about[:, 1, 1] >= about.max(axis=(1, 2), initial=-np.inf)]

@@ -13,19 +13,20 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import card_path, learned_path, read_card
-from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of
+from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of, shifted
+from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, made_up_peaks
 from models.perception.mirrors.walls import WallParams
 from models.perception.onnx_session import ArraySession
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
-from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.evidence_answers import ROUNDING, evidence_detections
 from models.perception.see.field_predictor import DEFAULT_FIELDS, FieldPredictor
 from models.perception.see.radial_speed import radial_speeds
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.see.wall_memory import WallMemory
 from models.perception.trained_radar import TrainedRadar, require_grid
-from msgs.values.arrays import require_within
-from msgs.values.perception import HiddenObject, Wall
+from msgs.values.arrays import require_finite, require_within
+from msgs.values.perception import BevGrid, HiddenObject, Wall
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 Answer = TypeVar("Answer")
@@ -58,6 +59,9 @@ class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
     #: vehicle at rest, and of one that moves.
     calibration: ScoreTable = ()
     calibration_moving: ScoreTable = ()
+    #: Added to the logit of a probability by what the view's mask (`Visibility`) says of the place: unknown, in direct
+    #: sight, seen in a mirror. The mask knows fitted walls alone: a second witness beside the network's own.
+    visibility_logits: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: On the validation scans, which chose epoch, threshold and calibration.
     scores: dict[str, float] = {}
     #: Data sets of training and validation; detector and wall network with their SHA-256.
@@ -67,6 +71,7 @@ class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_table("card.calibration", self.calibration)
+        require_finite("card.visibility_logits", *self.visibility_logits)
         check_table("card.calibration_moving", self.calibration_moving)
         require_within("card.threshold", 0.0, 1.0, self.threshold)
         expected = {"input": (1, *self.encoding.shape), "output": (1, ANSWERS, *self.encoding.grid.shape)}
@@ -143,18 +148,39 @@ class EvidencePredictor:
         moving: bool = False,
         memory: WallMemory | None = None,
         threshold: float | None = None,
-    ) -> Callable[[], tuple[HiddenObject, ...]]:
+    ) -> Callable[..., tuple[HiddenObject, ...]]:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
-        Walls of earlier scans count where a memory is given. Scores are probabilities of a vehicle that is `moving` or
-        not; `threshold`: in place of its own. `ValueError` for a map that does not suit, and for answers
-        that are not finite.
+        It takes the view's observability mask and its grid, or neither. Walls of earlier scans count where a memory is
+        given. Scores are probabilities of a vehicle that is `moving` or not; `threshold`: in place of its own.
+        `ValueError` for a map that does not suit, and for answers that are not finite.
         """
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
             raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
         threshold = self.threshold if threshold is None else threshold
-        return begun(partial(self._objects, ra_map, walls, moving, memory, threshold))
+        likely = begun(partial(self._objects, ra_map, walls, moving, memory, threshold))
+        return partial(self._reported, likely, threshold)
+
+    def _reported(
+        self,
+        likely: Callable[[], tuple[HiddenObject, ...]],
+        threshold: float,
+        mask: np.ndarray | None = None,
+        grid: BevGrid | None = None,
+    ) -> tuple[HiddenObject, ...]:
+        """Wait for what is likely, and return what still is once the view's mask is known."""
+        objects = likely()
+        if objects and mask is not None and grid is not None:
+            states = visibility_at(mask, grid, np.array([(each.x_m, each.y_m) for each in objects]))
+            logits = np.array(self.card.visibility_logits)[states]
+            scores = shifted(np.array([each.score for each in objects]), logits).tolist()
+            objects = tuple(
+                msgspec.structs.replace(each, score=score) for each, score in zip(objects, scores, strict=True)
+            )
+        reached = [each for each in objects if each.score >= ROUNDING * threshold]
+        reached.sort(key=lambda each: -each.score)
+        return tuple(msgspec.structs.replace(each, id=index) for index, each in enumerate(reached))
 
     def _objects(
         self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None, threshold: float
@@ -167,7 +193,8 @@ class EvidencePredictor:
             memory.add(scan.elements)
         table = self.card.calibration_of(moving)
         answer = self.answer(scan.evidence.channels)
-        least = score_of(table, threshold)
+        most = np.array([max(0.0, *self.card.visibility_logits)])
+        least = score_of(table, float(shifted(np.array([threshold]), -most)[0]))
         reports = evidence_detections(answer, scan.evidence.mirror, self.card.encoding.grid, scan.arrays, least)
         reports = replace(reports, score=calibrated(table, reports.score))
         return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
