@@ -34,7 +34,7 @@ _SLOW = 0.7
 #: Topics that a graph does without: their absence is said, and is no failure.
 _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
-_OPTIONAL_TOPICS = frozenset({"environment/walls", *SIDE_TOPICS})
+_OPTIONAL_TOPICS = frozenset({"environment/walls", "vehicle/gnss", *SIDE_TOPICS})
 #: Modules of nodes that read every topic.
 _TAKES_ALL = frozenset({"nodes.recorder", "contrib.foxglove.foxglove_bridge"})
 _LOG_BYTES = 1 << 18
