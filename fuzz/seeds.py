@@ -22,7 +22,7 @@ from msgs.recording.sigmf import write_capture
 from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.values.environment import PriorWall, WallPriors
+from msgs.values.environment import GnssPose, PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import (
@@ -126,6 +126,12 @@ def _detections(scan_id: int) -> RadarDetections:
     )  # fmt: skip
 
 
+#: On the shipped map of an invented street.
+GNSS = GnssPose(
+    stamp_ns=3, latitude_deg=10.0, longitude_deg=-30.0, heading_deg=5.0, position_std_m=1.0, heading_std_deg=0.5
+)
+
+
 def _walls() -> WallPriors:
     wall = PriorWall(ends_m=((20.0, -5.0), (20.0, 5.0)), offset_std_m=0.1, angle_std_rad=0.01, end_std_m=0.5)
     return WallPriors(stamp_ns=1000, source="map", walls=(wall, wall))
@@ -169,6 +175,7 @@ def messages(scan_id: int = 0) -> list[tuple[str, msgspec.Struct]]:
         ("radar/ra_map", _map(scan_id)),
         ("perception/peaks", _peaks(scan_id)),
         ("perception/hidden_objects", _view(scan_id)),
+        ("vehicle/gnss", GNSS),
         ("environment/walls", _walls()),
         ("sim/truth", _truth(scan_id)),
         ("diagnostics/node", status),

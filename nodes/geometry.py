@@ -96,7 +96,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: map, or in one made of a list of detections; `none`, and maps of other sensors: objects are clusters of folded
     #: places.
     object_network: str = "none"
-    #: Least probability of an object that is reported; None: the card's. Its mean answer to scan and mirror image.
+    #: Least probability of a reported object, but of lists; None: the card's. Its mean answer to scan and mirror image.
     object_threshold: float | None = None
     object_flip_test: bool = False
     #: What is kept from scan to scan: odometry, tracks, walls.

@@ -52,7 +52,14 @@ _LOG = logging.getLogger(__name__)
 WALLS_TOPIC = "environment/walls"
 #: What the sensors say, walls known from elsewhere, and the truth. All else in a recording is the graph's own work and
 #: is done again.
-SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), DETECTIONS_TOPIC, "vehicle/state", WALLS_TOPIC, "sim/truth")
+SENSED_TOPICS = (
+    *itertools.chain(*SENSOR_TOPICS),
+    DETECTIONS_TOPIC,
+    "vehicle/state",
+    "vehicle/gnss",
+    WALLS_TOPIC,
+    "sim/truth",
+)
 #: What is played of a recording: a scene has no sensors beside the radar.
 PLAYED_TOPICS = (*SENSED_TOPICS, *SIDE_TOPICS)
 #: What is said once, before all else.

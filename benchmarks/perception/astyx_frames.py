@@ -61,11 +61,11 @@ class AstyxFrame:
     boxes: tuple[Box, ...]
 
 
-def read_frame(folder: Path, frame: str, scan_id: int = 0) -> AstyxFrame:
-    """Return a frame of a folder of the data set; its speeds, positive when closing, change their sign."""
+def read_detections(folder: Path, frame: str, scan_id: int = 0) -> RadarDetections:
+    """Return the detections of a frame; its speeds, positive when closing, change their sign."""
     rows = np.loadtxt(folder / "radar_6455" / f"{frame}.txt", skiprows=2)
     range_m = np.linalg.norm(rows[:, :3], axis=1)
-    detections = RadarDetections(
+    return RadarDetections(
         stamp_ns=scan_id * 100_000_000,
         scan_id=scan_id,
         sensor=SENSOR.name,
@@ -76,13 +76,19 @@ def read_frame(folder: Path, frame: str, scan_id: int = 0) -> AstyxFrame:
         radial_speed_mps=-rows[:, 3],
         snr_db=rows[:, 4] - FLOOR_DB + SENSOR.threshold_db,
     )
+
+
+def read_frame(folder: Path, frame: str, scan_id: int = 0) -> AstyxFrame:
+    """Return a frame of a folder of the data set."""
     calibration = json.loads((folder / "calibration" / f"{frame}.json").read_text())["sensors"]
     to_radar = np.array(
         next(item["calib_data"]["T_to_ref_COS"] for item in calibration if item["sensor_uid"].startswith("lidar"))
     )
     lidar_m = np.loadtxt(folder / "lidar_vlp16" / f"{frame}.txt", skiprows=1)[:, :3]
     boxes = json.loads((folder / "groundtruth_obj3d" / f"{frame}.json").read_text())["objects"]
-    return AstyxFrame(detections, lidar_m @ to_radar[:3, :3].T + to_radar[:3, 3], tuple(map(_box, boxes)))
+    return AstyxFrame(
+        read_detections(folder, frame, scan_id), lidar_m @ to_radar[:3, :3].T + to_radar[:3, 3], tuple(map(_box, boxes))
+    )
 
 
 def _box(row: dict) -> Box:  # type: ignore[type-arg]

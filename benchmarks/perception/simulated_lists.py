@@ -11,13 +11,15 @@ falsely a scan, by clusters of folded returns and as judged.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from lab.evaluate.labelled_beams import LabelledPlace
 from lab.evaluate.place_runs import image_truth
-from lab.measures.object_rows import ScanRow, is_false, scan_row
-from models.perception.mirrors.mirror_table import wall_arrays
+from lab.measures.object_rows import ImageTruth, ScanRow, is_false, scan_row
+from models.perception.mirrors.mirror_table import WallArrays, wall_arrays
 from models.perception.see.evidence_predictor import EvidencePredictor
 from models.perception.target_lists.defaults import DETECTION_GEOMETRY
 from models.perception.target_lists.sensor import DetectionSensor
@@ -25,9 +27,10 @@ from models.perception.target_lists.targets_to_peaks import DetectionsStage
 from models.perception.track.views_over_scans import ViewStage
 from models.physics.mirror import reflect
 from msgs.values.detections import RadarDetections
-from msgs.values.perception import PathClass
+from msgs.values.perception import PathClass, Peaks, SceneTruth
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
+from msgs.values.vehicle import VehicleState
 from sim_player.paths.truth import best_power_mw, labelled
 from sim_player.trace.path_table import Paths
 
@@ -61,43 +64,42 @@ def detections_of(setup: RadarSetup, paths: Paths, stamp_ns: int, scan_id: int, 
     )
 
 
-class Funnel:
-    """Counts over all scans."""
+class ListedScan(NamedTuple):
+    """A scan of a place: the paths that are detected, the peaks of their list, what is true."""
 
-    def __init__(self, predictor: EvidencePredictor) -> None:
-        self.predictor = predictor
-        self.rows: dict[str, list[ScanRow]] = {"clusters": [], "judged": []}
-        self.detected = self.led = 0
+    paths: Paths
+    peaks: Peaks
+    truth: SceneTruth
+    images: list[ImageTruth]
+    state: VehicleState
 
-    def add(self, place: LabelledPlace) -> None:
-        """See the scans of a place or drive."""
-        player, stage = place.player, DetectionsStage(SENSOR, DETECTION_GEOMETRY)
-        views = {
-            "clusters": ViewStage(detections=DETECTION_GEOMETRY),
-            "judged": ViewStage(predictor=self.predictor, detections=DETECTION_GEOMETRY),
-        }
-        for scan in range(place.scans):
-            stamp_ns = player.stamp_ns(scan)
-            paths = player.paths(s_from_ns(stamp_ns - player.setup.stamp_ns))
-            paths = paths.take(listed(player.setup, paths))
-            seed = [place.seed, place.index, scan, 7]
-            for taker in (stage, *views.values()):
-                taker.add_state(player.vehicle_state(stamp_ns))
-            peaks = stage.peaks(detections_of(player.setup, paths, stamp_ns, scan, seed))
-            truth, images = player.truth(scan), image_truth(player, scan)
-            for name, view in views.items():
-                frame = view.view(peaks)
-                self.rows[name].append(scan_row(place.index, frame.objects, truth, images))
-            walls = wall_arrays(list(frame.walls))
-            for number, image in enumerate(images):
-                if image.mirrored and not image.direct:
-                    self._count(paths.take(np.flatnonzero(labelled(paths) & (paths.object_index == number))), walls)
 
-    def _count(self, own: Paths, walls) -> None:  # type: ignore[no-untyped-def]
-        own = own.take(np.flatnonzero((own.kind == PathClass.MIRRORED) & (own.order == 1)))
-        self.detected += len(own.length_m) > 0
-        folded = (reflect(own.virtual_m[:, :2], walls.normal[at], walls.offset_m[at]) for at in range(len(walls)))
-        self.led += any((np.hypot(*(at_m - own.point_m[:, :2]).T) < LED_M).any() for at_m in folded)
+def listed_scans(place: LabelledPlace) -> Iterator[ListedScan]:
+    """Yield the scans of a place or a drive."""
+    player, stage = place.player, DetectionsStage(SENSOR, DETECTION_GEOMETRY)
+    for scan in range(place.scans):
+        stamp_ns = player.stamp_ns(scan)
+        paths = player.paths(s_from_ns(stamp_ns - player.setup.stamp_ns))
+        paths = paths.take(listed(player.setup, paths))
+        state = player.vehicle_state(stamp_ns)
+        stage.add_state(state)
+        seed = [place.seed, place.index, scan, 7]
+        peaks = stage.peaks(detections_of(player.setup, paths, stamp_ns, scan, seed))
+        yield ListedScan(paths, peaks, player.truth(scan), image_truth(player, scan), state)
+
+
+def print_found(name: str, rows: list[ScanRow]) -> None:
+    """Print recall and false reports."""
+    hidden = [item for row in rows for item in row.hidden if item.image.mirrored]
+    found = sum(item.error_m is not None for item in hidden)
+    false = sum(is_false(item) for row in rows for item in row.reports) / len(rows)
+    print(f"{name}: {found} of {len(hidden)} ({found / max(len(hidden), 1):.2f}), {false:.2f} false a scan", flush=True)
+
+
+def led(own: Paths, walls: WallArrays) -> bool:
+    """Return whether a wall folds some mirrored path to where it came from."""
+    folded = (reflect(own.virtual_m[:, :2], walls.normal[at], walls.offset_m[at]) for at in range(len(walls)))
+    return any(bool((np.hypot(*(at_m - own.point_m[:, :2]).T) < LED_M).any()) for at_m in folded)
 
 
 def main() -> None:
@@ -107,15 +109,27 @@ def main() -> None:
     parser.add_argument("--places", type=int, default=100)
     parser.add_argument("--scans", type=int, default=1)
     options = parser.parse_args()
-    funnel = Funnel(EvidencePredictor())
+    predictor, counts = EvidencePredictor(), [0, 0]
+    rows: dict[str, list[ScanRow]] = {"clusters": [], "judged": []}
     for index in range(options.places):
-        funnel.add(LabelledPlace(options.seed, index, "all", scans=options.scans))
-    for name, rows in funnel.rows.items():
-        hidden = [item for row in rows for item in row.hidden if item.image.mirrored]
-        found = sum(item.error_m is not None for item in hidden)
-        false = sum(is_false(item) for row in rows for item in row.reports) / len(rows)
-        print(f"{name}: {found} of {len(hidden)} ({found / max(len(hidden), 1):.2f}), {false:.2f} false a scan")
-    print(f"with a mirrored detection of one bounce {funnel.detected}, led to by a fitted wall {funnel.led}")
+        views = {
+            name: ViewStage(predictor=predictor if name == "judged" else None, detections=DETECTION_GEOMETRY)
+            for name in rows
+        }
+        for scan in listed_scans(LabelledPlace(options.seed, index, "all", scans=options.scans)):
+            for name, view in views.items():
+                view.add_state(scan.state)
+                frame = view.view(scan.peaks)
+                rows[name].append(scan_row(index, frame.objects, scan.truth, scan.images))
+            single = labelled(scan.paths) & (scan.paths.kind == PathClass.MIRRORED) & (scan.paths.order == 1)
+            for number, image in enumerate(scan.images):
+                own = scan.paths.take(np.flatnonzero(single & (scan.paths.object_index == number)))
+                if image.mirrored and not image.direct and len(own.length_m):
+                    counts[0] += 1
+                    counts[1] += led(own, wall_arrays(list(frame.walls)))
+    for name in rows:
+        print_found(name, rows[name])
+    print(f"with a mirrored detection of one bounce {counts[0]}, led to by a fitted wall {counts[1]}")
 
 
 if __name__ == "__main__":

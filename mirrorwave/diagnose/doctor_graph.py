@@ -17,9 +17,19 @@ from typing import Any, NamedTuple
 import msgspec
 
 from mirrorwave.commands.graph.nodes import Heartbeats, node_row, shed_text, topic_rows
-from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
+from mirrorwave.commands.graph.top import GraphWatch, watched_topics
 from mirrorwave.diagnose.findings import Finding, Status
-from msgs.bus.topics import ABOUT_NODES, DETECTIONS_TOPIC, SENSOR_TOPICS, SHIPPED, SIDE_TOPICS, TOPICS
+from msgs.bus.topics import (
+    ABOUT_NODES,
+    DETECTIONS_TOPIC,
+    SENSOR_TOPICS,
+    SHIPPED,
+    SIDE_TOPICS,
+    TOPICS,
+    plain_topic,
+    sensor_of,
+    sensor_topic,
+)
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
@@ -34,7 +44,7 @@ _SLOW = 0.7
 #: Topics that a graph does without: their absence is said, and is no failure.
 _SPARE_TOPICS = frozenset({"vehicle/state", "sim/truth"})
 #: Topics that most graphs do without: their absence is not said.
-_OPTIONAL_TOPICS = frozenset({"environment/walls", *SIDE_TOPICS})
+_OPTIONAL_TOPICS = frozenset({"environment/walls", "vehicle/gnss", *SIDE_TOPICS})
 #: Modules of nodes that read every topic.
 _TAKES_ALL = frozenset({"nodes.recorder", "contrib.foxglove.foxglove_bridge"})
 _LOG_BYTES = 1 << 18
@@ -100,7 +110,7 @@ def _look(run_dir: Path, window_s: float) -> _Graph:
     heard: Heartbeats = {}
     longest_s = 0.0
     try:
-        for topic in TOPICS_WATCHED:
+        for topic in watched_topics(run_dir):
             bus.subscribe(topic)
         watch = GraphWatch(bus.now_ns(), window_s)
         end_s = time.monotonic() + window_s
@@ -206,16 +216,20 @@ def _restarts(graph: _Graph, name: str) -> list[str]:
 
 
 def _check_topics(graph: _Graph) -> Iterator[Finding]:
-    for topic, facts in TOPICS.items():
+    used = (row["topic"] for beats in graph.heard.values() for row in topic_rows(beats))
+    for topic in dict.fromkeys((*TOPICS, *used)):
+        if topic not in TOPICS:
+            continue
+        facts, plain = TOPICS[topic], plain_topic(topic)
         readers, publishers = graph.rows(topic, "in"), graph.publishers.get(topic, [])
         readers.pop("supervisor", None)
         if topic in ABOUT_NODES or not (readers or publishers) or _is_spare_sensor(graph, topic):
             continue
-        spare = Status.WARNING if topic in _SPARE_TOPICS else Status.FAILED
-        is_own = topic not in SHIPPED
+        spare = Status.WARNING if plain in _SPARE_TOPICS else Status.FAILED
+        is_own = plain not in SHIPPED
         # a recorder and a bridge take whatever there is
         is_needed = any(graph.entries.get(name, {}).get("module") not in _TAKES_ALL for name in readers)
-        if not publishers and (topic in _OPTIONAL_TOPICS or (is_own and not is_needed)):
+        if not publishers and (plain in _OPTIONAL_TOPICS or (is_own and not is_needed)):
             continue
         if not publishers:
             yield Finding(f"topic {topic}", spare, f"no publisher; {', '.join(readers)} reads it")
@@ -225,7 +239,7 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
 
 def _is_spare_sensor(graph: _Graph, topic: str) -> bool:
     """Return whether a sensor is silent because nobody reads it, or because one of the other kind is in use."""
-    kinds = (*SENSOR_TOPICS, (DETECTIONS_TOPIC,))
+    kinds = [[sensor_topic(name, sensor_of(topic)) for name in kind] for kind in (*SENSOR_TOPICS, (DETECTIONS_TOPIC,))]
     for kind in kinds:
         raw, rivals = kind[-1], [rival[-1] for rival in kinds if rival is not kind]
         if topic in kind and _is_silent(graph, raw):

@@ -21,7 +21,7 @@ from msgs.values.arrays import is_sensor_name, require_sensor_name
 from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeStatus
-from msgs.values.environment import WallPriors
+from msgs.values.environment import GnssPose, WallPriors
 from msgs.values.lidar import LidarPoints, LidarSetup, PhotonHistograms
 from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
@@ -134,6 +134,7 @@ _SHIPPED = (
     Topic(name="perception/peaks", type=Peaks, **_NEWEST),
     Topic(name="perception/hidden_objects", type=BevFrame, **_NEWEST),
     Topic(name="vehicle/state", type=VehicleState, rate_hz=50.0, max_bytes=4096, history_bytes=1 * MIB),
+    Topic(name="vehicle/gnss", type=GnssPose, rate_hz=5.0, max_bytes=4096, history_bytes=1 * MIB),
     # neither latched nor newest only: a wall without its time is none, and one source must not displace another
     Topic(name="environment/walls", type=WallPriors, max_bytes=MIB // 8, history_bytes=4 * MIB, shared=True),
     Topic(name="sim/truth", type=SceneTruth, rate_hz=1 / 0.3, max_bytes=4 * MIB, history_bytes=32 * MIB),

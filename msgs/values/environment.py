@@ -1,11 +1,12 @@
-"""Walls known from another source than the radar's own scans: a map, a LiDAR, another radar."""
+"""Walls known from another source than the radar's own scans: a map, a LiDAR, another radar; a place on the map."""
 
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
+from msgspec import Meta
 
 from msgs.values.arrays import Checked, StampNs, require_finite, require_within
 
@@ -20,6 +21,8 @@ WALL_STD_LIMITS: dict[str, tuple[float, float]] = {
     "end_std_m": (1e-4, 1000.0),
 }
 MAX_SOURCE_LENGTH = 64
+#: Where the east is undefined.
+MAX_LATITUDE_DEG = 89.9
 
 
 class PriorWall(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,3 +63,19 @@ class WallPriors(Checked, frozen=True, kw_only=True):
             raise ValueError(f"wall_priors.source must have 1..{MAX_SOURCE_LENGTH} characters, got {len(self.source)}")
         if len(self.walls) > MAX_PRIOR_WALLS:
             raise ValueError(f"wall_priors.walls must be at most {MAX_PRIOR_WALLS}, got {len(self.walls)}")
+
+
+class GnssPose(Checked, frozen=True, kw_only=True):
+    """Place and heading of the vehicle's origin on a map, and their standard deviations (topic `vehicle/gnss`).
+
+    WGS 84; the heading is from north, clockwise.
+    """
+
+    label: ClassVar[str] = "gnss"
+
+    stamp_ns: StampNs
+    latitude_deg: Annotated[float, Meta(ge=-MAX_LATITUDE_DEG, le=MAX_LATITUDE_DEG)]
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
+    position_std_m: Annotated[float, Meta(ge=0.0, le=100.0)]
+    heading_std_deg: Annotated[float, Meta(ge=0.0, le=180.0)]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from msgs.values.environment import MAX_LATITUDE_DEG
+
 #: Half the greatest axis of the WGS 84 ellipsoid, and the square of its eccentricity.
 WGS84_AXIS_M = 6_378_137.0
 WGS84_ECCENTRICITY_SQUARED = 6.694_379_990_141e-3
-#: Where the east is undefined.
-MAX_LATITUDE_DEG = 89.9
 
 
 @dataclass(frozen=True)

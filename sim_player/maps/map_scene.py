@@ -25,7 +25,7 @@ from sim_player.maps.footprints import Footprint, FootprintFile
 from sim_player.maps.geojson import read_geojson
 from sim_player.maps.local_frame import MapPose
 from sim_player.maps.osm_xml import read_osm
-from sim_player.maps.wall_rules import DEFAULT_HEIGHT_M, WallRule, height_of, rule_of
+from sim_player.maps.wall_rules import DEFAULT_HEIGHT_M, WallRule, height_of, read_rules, rule_of
 from sim_player.scene.description import (
     MAX_BYTES,
     RADAR_CLEARANCE_M,
@@ -150,6 +150,16 @@ def map_scene(
     return made
 
 
+def map_surfaces(footprints: FootprintFile, pose: MapPose, radius_m: float) -> tuple[Surface, ...]:
+    """Return the walls of a map's buildings within a radius, in the frame of a pose that may lie in one of them: a
+    measured one errs. What is no footprint is left out.
+    """
+    builder = _Builder(pose, radius_m, read_rules([]), clearance_m=None)
+    for footprint in footprints.footprints:
+        builder.add(footprint)
+    return tuple(builder.surfaces())
+
+
 def _once(outlines: list[tuple[shapely.Polygon, Footprint]]) -> list[tuple[shapely.Polygon, Footprint]]:
     """Return buildings of different outlines, with the courtyards and tags that any of the same outline has."""
     rings = np.array([shape.exterior for shape, _ in outlines], object)
@@ -184,8 +194,12 @@ class _Building:
 class _Builder:
     """Places footprints around a radar."""
 
-    def __init__(self, pose: MapPose, radius_m: float, rules: tuple[WallRule, ...]) -> None:
+    def __init__(
+        self, pose: MapPose, radius_m: float, rules: tuple[WallRule, ...], clearance_m: float | None = RADAR_CLEARANCE_M
+    ) -> None:
         self.pose, self.radius_m, self.rules = pose, radius_m, rules
+        #: Of the radar from every building; None: it may stand anywhere.
+        self.clearance_m = clearance_m
         self.outlines: list[tuple[shapely.Polygon, Footprint]] = []
         self.placed: list[_Building] = []
         self.broken: list[str] = []
@@ -210,14 +224,14 @@ class _Builder:
             self.broken.append(str(error))
             return
         radar = shapely.Point(0.0, 0.0)
-        if shape.contains(radar):
+        if self.clearance_m is not None and shape.contains(radar):
             raise ValueError(f"--position: must stand outside all buildings, got a place in {footprint.field}")
         if (distance_m := shape.distance(radar)) > self.radius_m:
             self._beyond(distance_m)
             return
-        if distance_m < RADAR_CLEARANCE_M:
+        if self.clearance_m is not None and distance_m < self.clearance_m:
             raise ValueError(
-                f"--position: must stand {RADAR_CLEARANCE_M} m off every wall, "
+                f"--position: must stand {self.clearance_m} m off every wall, "
                 f"got {distance_m:.3f} m to {footprint.field}"
             )
         self.outlines.append((shape, footprint))

@@ -27,7 +27,7 @@ from contrib.imports import recorded_sensors
 from contrib.ros2 import ros2_bridge as ros2
 from contrib.ros2.ros2_types import type_store
 from contrib.two_machines import link
-from fuzz.seeds import CFG
+from fuzz.seeds import CFG, GNSS
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
 from models.perception.track.scan_state import MemoryParams
@@ -70,6 +70,7 @@ from nodes import (
     detection_peaks,
     geometry,
     lidar_former,
+    map_walls,
     player,
     ra_former,
     recorder,
@@ -86,6 +87,7 @@ from tests.fuzz.strategies import Said, Step
 from tests.side_sensors import cloud, jpeg
 
 PERIOD_NS = 300_000_000
+STREET = "launch/maps/invented_street.geojson"
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
 DBC, MAPPING = shipped_path("launch/can/mirrorwave.dbc"), shipped_path("launch/can/mirrorwave.yaml")
 OUT_DBC = shipped_path("launch/can/mirrorwave_out.dbc")
@@ -247,6 +249,11 @@ def walls(stamp_ns: int) -> WallPriors:
     return WallPriors(stamp_ns=stamp_ns, source="map", walls=tuple(PriorWall(ends_m=two, **stds) for two in ends))
 
 
+def gnss_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
+    poses = (msgspec.structs.replace(GNSS, stamp_ns=stamp_ns + at * PERIOD_NS) for at in range(3))
+    return [Said("vehicle/gnss", pose) for pose in poses]
+
+
 def peaks_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
     out: list[Said] = []
     for scan in range(4):
@@ -328,6 +335,7 @@ def all_talk(scan_id: int = 0, stamp_ns: int = 0) -> list[Said]:
             Said("perception/peaks", peaks(scan, at_ns)),
             Said("perception/hidden_objects", view(scan, at_ns)),
             Said("environment/walls", walls(at_ns)),
+            *gnss_talk(scan, at_ns)[:1],
             Said("sim/truth", truth(scan, at_ns)),
             Said("lidar/points", cloud(stamp_ns=at_ns, scan_id=scan)),
             Said("camera/image", CameraImage.of(jpeg(), stamp_ns=at_ns, image_id=scan)),
@@ -627,6 +635,10 @@ def make_detection_peaks(folder: Path, seed: int, script: Sequence[Step]) -> Nod
     return detection_peaks.create(detection_peaks.Params())
 
 
+def make_map_walls(folder: Path, seed: int, script: Sequence[Step]) -> Node:
+    return map_walls.create(map_walls.Params(map=STREET))
+
+
 def make_geometry(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     grid = geometry.Grid(rows=12, columns=10, cell_m=4.0)
     confidence = "default" if seed % 4 == 3 else "none"
@@ -757,6 +769,7 @@ CASES: dict[str, Case] = {
         make_cfar, map_talk(), "nodes.dense_predictor", lambda folder: {"method": "cfar"}, map_talk
     ),
     "geometry": Case(make_geometry, peaks_talk(), "nodes.geometry", talk=peaks_talk, remembered=("tracks",)),
+    "map_walls": Case(make_map_walls, gnss_talk(), "nodes.map_walls", lambda folder: {"map": STREET}, gnss_talk),
     "view_fusion": Case(
         make_view_fusion, views_talk(), "nodes.view_fusion", lambda folder: {"radars": ["left", "right"]}, views_talk
     ),

@@ -16,12 +16,14 @@ from models.perception.find.detectors import NetworkDetector, detector_name
 from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Envelope, Received
+from msgs.bus.local import LocalNetwork
 from msgs.values.diagnostics import NodeState
-from msgs.values.environment import PriorWall, WallPriors
+from msgs.values.environment import GnssPose, PriorWall, WallPriors
 from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
-from nodes import dense_predictor, geometry
+from nodes import dense_predictor, geometry, map_walls
+from nodes.node import InProcessGraph
 from tests.builders import example_map
 from tests.models.perception.see.networks_by_hand import echoes, empty_map, evidence_network
 from tests.models.perception.track.test_yaw_rate_bias import drive, town, turns
@@ -251,3 +253,37 @@ def test_the_geometry_node_fuses_walls_from_elsewhere() -> None:
     alone, first, last = (view.walls for view in views)
     assert len(first) == len(alone) + 1
     assert first == last
+
+
+def test_walls_of_a_map_stand_about_the_place_of_gnss() -> None:
+    """Turned by 90 deg and 2 m to the north, the street's walls turn and shift as one, with the pose's errors; a place
+    in a building is one too, and far from the map there is no wall.
+    """
+    network = LocalNetwork(lossless=True)
+    node = map_walls.create(map_walls.Params(map="launch/maps/invented_street.geojson"))
+    graph = InProcessGraph(network, {"map_walls": node})
+    bus, listener = network.bus("receiver"), network.bus("listener")
+    listener.subscribe("environment/walls")
+    here = GnssPose(
+        stamp_ns=5, latitude_deg=10.0, longitude_deg=-30.0, heading_deg=0.0, position_std_m=3.0, heading_std_deg=0.5
+    )
+
+    def walls(**changes: float) -> WallPriors:
+        bus.publish("vehicle/gnss", msgspec.structs.replace(here, **changes))
+        graph.run()
+        (item,) = listener.receive(0.0)
+        assert isinstance(item.message, WallPriors)
+        return item.message
+
+    first = walls()
+    assert (first.stamp_ns, first.source, len(first.walls)) == (5, "map", 51)
+    assert first.walls[0].offset_std_m == pytest.approx(np.hypot(0.2, 3.0))
+    turned = walls(heading_deg=90.0, latitude_deg=10.0 + 2.0 / 110_608.0)
+    was, now = (np.array([wall.ends_m for wall in message.walls]) for message in (first, turned))
+    expected = np.stack([-was[..., 1], was[..., 0] - 2.0], axis=-1)
+    away_m = np.abs(now[:, None] - expected).max(axis=(2, 3))
+    assert away_m.min(axis=0).max() < 0.01
+    assert len(walls(latitude_deg=10.0, longitude_deg=-30.0001).walls) == len(first.walls)
+    assert walls(latitude_deg=20.0).walls == ()
+    with pytest.raises(ValueError, match=r"map: nowhere\.osm: no such file"):
+        map_walls.create(map_walls.Params(map="nowhere.osm"))

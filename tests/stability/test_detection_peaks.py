@@ -12,6 +12,7 @@ import pytest
 from models.perception.mirrors.peaks_to_view import recover_bev
 from models.perception.target_lists.defaults import DETECTION_GEOMETRY
 from models.perception.target_lists.ego_doppler import over_ground
+from models.perception.target_lists.list_map import list_map
 from models.perception.target_lists.sensor import DetectionSensor
 from models.perception.target_lists.targets_to_peaks import DetectionsStage
 from msgs.values.detections import MAX_DETECTIONS, RadarDetections
@@ -48,6 +49,7 @@ def test_any_set_of_points_passes(points: Any, peaks: int | None) -> None:
     assert len(found) <= min(MAX_PEAKS, len(points))
     assert np.isfinite(frame.los_points_m).all()
     assert frame.objects == ()
+    assert np.isfinite(list_map(found).values).all()
 
 
 def test_as_many_as_a_message_holds_leave_as_many_as_peaks_may_be() -> None:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import msgspec
@@ -26,6 +27,7 @@ from mirrorwave.console import (
 from mirrorwave.diagnose.running_graph import no_heartbeat, require_graph
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.interface import Bus
+from msgs.bus.topics import plain_topic
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.lidar import LidarSetup
 from msgs.values.perception import BevFrame
@@ -37,7 +39,7 @@ from nodes.viewer.node_table import MAX_NODES, SILENT_NS, is_of_peer
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-TOPICS_WATCHED = ("radar/setup", "lidar/setup", "perception/hidden_objects", "diagnostics/node")
+_SETUPS, _WATCHED = ("radar/setup", "lidar/setup"), ("perception/hidden_objects", "diagnostics/node")
 #: Sixteen scans, ten heartbeats.
 WINDOW_S = 5.0
 _REFRESH_S = 0.5
@@ -59,7 +61,7 @@ class GraphWatch:
         self._heard: dict[str, deque[_Heard]] = {}
 
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
-        """Take in one message of `TOPICS_WATCHED`."""
+        """Take in one message of `watched_topics`."""
         match message:
             case RadarSetup() | LidarSetup():
                 self._views.set_up(message)
@@ -126,13 +128,21 @@ def top(
     print_result(as_json, report, lambda: print_picture(_picture(report)))
 
 
+def watched_topics(run_dir: Path) -> list[str]:
+    """Return the topics that a watch takes in, with the set-ups of sensors that have names."""
+    from msgs.bus.zmq import list_publishers
+
+    published = {topic for topic, _ in list_publishers(run_dir) if plain_topic(topic) in _SETUPS}
+    return list(dict.fromkeys((*_SETUPS, *_WATCHED, *sorted(published))))
+
+
 @contextlib.contextmanager
 def _watching(domain: str, window_s: float) -> Iterator[tuple[Bus, GraphWatch]]:
     from msgs.bus.zmq import ZmqBus, run_dir
 
     bus = ZmqBus(f"top-{os.getpid()}", run_dir(domain))
     try:
-        for topic in TOPICS_WATCHED:
+        for topic in watched_topics(run_dir(domain)):
             bus.subscribe(topic)
         yield bus, GraphWatch(bus.now_ns(), window_s)
     finally:

@@ -139,19 +139,20 @@ def recover_bev(
     params = heeding(params, peaks.sensor)
     returns, walls = direct_structure(peaks, params, wall_prior)
     # a network judges in a thread of its own, while the rest of the view is made
-    objects = judge(walls) if judge else None
+    judged = judge(walls) if judge else None
     scan = _folded(peaks, params, returns, walls, residual, confidence)
     hidden = scan.recovered.take(scan.hidden)
     visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
-    found = form_objects(hidden, scan.walls, params.objects) if objects is None or peaks.sensor else ()
-    if objects is not None:
-        found = agreed(objects(), found) if peaks.sensor else objects(visibility, params.grid)
+    if judged is None or peaks.sensor:
+        objects = form_objects(hidden, scan.walls, params.objects)
+    if judged is not None:
+        objects = agreed(judged(), objects) if peaks.sensor else judged(visibility, params.grid)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
         walls=tuple(scan.walls),
         points=hidden.as_hidden_points(),
-        objects=found,
+        objects=objects,
         los_points_m=scan.returns.points_m.astype(np.float32),
         grid=params.grid,
         visibility=visibility,

@@ -255,6 +255,21 @@ def test_a_slow_scan_is_not_a_slow_topic() -> None:
         assert [one.status for one in _check_topics(graph)] == [status]
 
 
+def test_the_radar_of_several_that_is_silent_is_named() -> None:
+    """The right one has no driver; beats of the left one come, as its name says."""
+    heard = {
+        "left_driver": _beats("left_driver", {"radar/left/beam": 250}),
+        "former_left": _beats("former_left", {}, ("radar/left/beam",)),
+        "former_right": _beats("former_right", {}, ("radar/right/beam", "lidar/right/points", "no/topic")),
+    }
+    graph = _Graph({}, {"radar/left/beam": ["left_driver"]}, heard, ViewWatch(0, 3.0).figures(0), [], {})
+    said = {one.check.removeprefix("topic "): (one.status, one.detail) for one in _check_topics(graph)}
+    assert said == {
+        "radar/left/beam": (Status.OK, "83.3 Hz from left_driver"),
+        "radar/right/beam": (Status.FAILED, "no publisher; former_right reads it"),
+    }
+
+
 def test_what_a_peer_s_nodes_read_and_publish_is_not_this_graph_s() -> None:
     """Their beams stay there, and a map that two heartbeats count, theirs and the link's, comes once."""
     heard = {

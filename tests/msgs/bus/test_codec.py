@@ -23,7 +23,7 @@ from msgs.values.arrays import DTYPES, MAX_SPEED_MPS, MAX_STAMP_NS
 from msgs.values.camera import CameraImage
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.values.environment import PriorWall, WallPriors
+from msgs.values.environment import GnssPose, PriorWall, WallPriors
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, HiddenPoint, Peaks, SceneTruth, TruthObject, Wall
@@ -126,6 +126,11 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
     "perception/peaks": [peaks(0), peaks(5)],
     "perception/hidden_objects": [bev()],
     "vehicle/state": [VehicleState(stamp_ns=3, speed_mps=4.5, valid=False, reason="stale")],
+    "vehicle/gnss": [
+        GnssPose(
+            stamp_ns=3, latitude_deg=48.0, longitude_deg=9.0, heading_deg=-90.0, position_std_m=1.0, heading_std_deg=0.5
+        )
+    ],
     "environment/walls": [
         WallPriors(stamp_ns=4, source="map"),
         WallPriors(

@@ -32,7 +32,7 @@ LEGAL = {
 SIGNED = {
     "BeamGrid.azimuth_deg", "BevFrame.los_points_m", "BevFrame.visibility_rcs_dbsm", "BevGrid.x_min_m",
     "BevGrid.y_min_m", "ElementPattern.peak_gain_dbi", "ElementPattern.sidelobe_floor_db", "HiddenObject.centre_m",
-    "HiddenObject.x_m",
+    "GnssPose.heading_deg", "GnssPose.latitude_deg", "GnssPose.longitude_deg", "HiddenObject.x_m",
     "HiddenObject.y_m", "HiddenObject.yaw_rad", "HiddenPoint.image_x_m", "HiddenPoint.image_y_m", "HiddenPoint.wall",
     "HiddenPoint.x_m",
     "HiddenPoint.y_m", "Peaks.azimuth_rad", "Peaks.radial_speed_mps", "Peaks.sensitivity_db", "Peaks.snr_db",
