@@ -48,7 +48,7 @@ def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
     for name, effect in PATHS.items():
         if name in effects and effect.absent(view.world) is None:
             echoes[name] = effect.apply(tracing)
-        elif name == "curved_wall" and "specular_relay" in effects:
+        elif name == "curved_wall" and "specular_relay" in effects and view.world.is_curved.any():
             echoes[name] = as_chords(tracing)
     if math.isfinite(view.world.reach_m):
         echoes = {name: made.take(is_kept(view, made)) for name, made in echoes.items()}

@@ -118,7 +118,7 @@ def test_tones_stay_between_the_bins_that_they_visit() -> None:
     """From a beam's first chirp to its last, Doppler included."""
     plan = planned(moving_place(0))
     radar, paths = plan.setup.radar, paths_at(plan)
-    low, high = selection(plan)._visited(paths)
+    _, low, high, *_ = selection(plan)._asked(paths, 12)
     doppler = 2.0 * radar.chirp_period_s / radar.wavelength_m * paths.radial_speed_mps
     for share in (-0.5, 0.0, 0.5):
         range_m = 0.5 * paths.length_m + share * radar.beam_duration_s * paths.radial_speed_mps
