@@ -108,9 +108,9 @@ class Weakest:
         """
         angles = paths.azimuth_rad, paths.elevation_rad, paths.departure_azimuth_rad, paths.departure_elevation_rad
         motion = paths.length_m, paths.radial_speed_mps
-        ways = self._setup.array.steered_ways
+        steered = self._setup.array.steered_ways
         asked: _Asked = _asked(
-            self._patterns[:, :, beam], paths.amplitude, angles, ways, motion, self._lobe, self._rates
+            self._patterns[:, :, beam], paths.amplitude, angles, steered, motion, self._lobe, self._rates
         )
         return asked
 
@@ -143,7 +143,7 @@ def _pattern_table(array: ArrayParams, wavelength_m: float, shape: tuple[int, in
 
 
 @compiled(error_model="numpy")
-def _asked(patterns, amplitude, angles, ways, motion, lobe, rates):  # type: ignore[no-untyped-def]
+def _asked(patterns, amplitude, angles, steered, motion, lobe, rates):  # type: ignore[no-untyped-def]
     """Return `Weakest._asked` of paths from the largest patterns of a beam over the sine, [levels, steps].
 
     Doppler and motion within the beam move a tone. The start of a chirp is cut off its echo, and the last chirp's takes
@@ -159,12 +159,12 @@ def _asked(patterns, amplitude, angles, ways, motion, lobe, rates):  # type: ign
     for path in range(count):
         field, tone = abs(amplitude[path]), length[path] * tone_per_m
         total += field + length[path] + speed[path]
-        for way in range(2):
-            azimuth, elevation = angles[2 * way][path], angles[2 * way + 1][path]
+        for turn in range(2):
+            azimuth, elevation = angles[2 * turn][path], angles[2 * turn + 1][path]
             total += azimuth + elevation
             level_db = max(-12.0 * ((azimuth / wide) ** 2 + (elevation / high) ** 2), floor_db)
             field *= peak * 10.0 ** (0.05 * level_db) if abs(azimuth) <= 0.5 * np.pi else 0.0
-            if way >= ways or field == 0.0 or not np.isfinite(total):
+            if turn >= steered or field == 0.0 or not np.isfinite(total):
                 continue
             # the sweep scales what the array sees of a direction (`sweep_ratio`); what comes in is late by the delay
             sine = math.sin(azimuth) * math.cos(elevation)
@@ -179,8 +179,8 @@ def _asked(patterns, amplitude, angles, ways, motion, lobe, rates):  # type: ign
         more = abs(speed[path]) * bins_per_mps
         low[path] = int(min(max(np.rint(tone - more), 0.0), RANGE_BINS + REACH - 1.0))
         up[path] = int(min(max(np.rint(tone + more), 0.0), RANGE_BINS + REACH - 1.0))
-        turn = 2.0 * np.pi * min(length[path] * share_per_m + least_share, 1.0)
-        cut, height = (turn - math.sin(turn)) / (2.0 * np.pi), 1.0 - math.cos(turn)
+        cut_rad = 2.0 * np.pi * min(length[path] * share_per_m + least_share, 1.0)
+        cut, height = (cut_rad - math.sin(cut_rad)) / (2.0 * np.pi), 1.0 - math.cos(cut_rad)
         far[path] = min(cut, height / (2.0 * np.pi * REACH)) + min(cut, height / away)
         if tone > RANGE_BINS + REACH:
             far[path] = 2.0 * cut
