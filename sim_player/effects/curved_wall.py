@@ -110,7 +110,9 @@ def _flashes(view: Snapshot) -> Echoes:
         back_m=half,
         arrive=towards,
         rate_mps=-0.5 * dot(routes.depart[:, :2] + towards[:, :2], view.radar_velocity),
-        kind=np.zeros(len(routes), np.uint8),
+        # as a straight wall's: no mirror of anything else
+        kind=np.uint8(0),
+        order=np.uint8(0),
     )
 
 

@@ -29,6 +29,9 @@ def apply(tracing: TraceContext) -> Echoes:
     view = tracing.view
     direct, mirrored = _behind(*tracing.straight, bit("los_objects")), _behind(*tracing.mirrored, 0)
     through = join_routes([direct, mirrored])
+    if not len(through):
+        tracing.routes["wall_transmission"] = through
+        return object_echoes(view, through, cofocal(through))
     every = join_routes([through, tracing.unbent_routes])
     tracing.routes["wall_transmission"] = through
     left = np.abs(every.other)

@@ -130,6 +130,8 @@ def _all_but(count: int, rows: np.ndarray) -> np.ndarray:
 
 def _faded(paths: Paths, share: float, elapsed_s: float) -> Paths:
     """Return paths carried on at their own rate, with a share of their field."""
+    if not len(paths):
+        return paths
     length_m = paths.length_m + 2.0 * elapsed_s * paths.radial_speed_mps
     return replace(paths, length_m=length_m, amplitude=share * paths.amplitude)
 

@@ -39,20 +39,20 @@ def trace(world: World, time_s: float = 0.0, effects: frozenset[str] = BASIC_EFF
 
 def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
     """Return the echoes of all given path effects, in the order of `PATH_EFFECTS`."""
-    return join_echoes(list(trace_each(view, effects).values()))
+    echoes = join_echoes(list(trace_each(view, effects).values()))
+    if math.isfinite(view.world.reach_m):
+        echoes = echoes.take(is_kept(view, echoes))
+    return _within_a_chirp(view, echoes)
 
 
 def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
-    """Return the echoes of every given path effect, by name."""
+    """Return the echoes of every given path effect, by name: also those that come from beyond a part's reach."""
     tracing, echoes = TraceContext(view), dict[str, Echoes]()
     for name, effect in PATHS.items():
         if name in effects and effect.absent(view.world) is None:
             echoes[name] = effect.apply(tracing)
-        elif name == "curved_wall" and "specular_relay" in effects:
+        elif name == "curved_wall" and "specular_relay" in effects and view.world.is_curved.any():
             echoes[name] = as_chords(tracing)
-    if math.isfinite(view.world.reach_m):
-        echoes = {name: made.take(is_kept(view, made)) for name, made in echoes.items()}
-    echoes = {name: _within_a_chirp(view, made) for name, made in echoes.items()}
     return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}
 
 

@@ -32,6 +32,8 @@ from sim_player.signal.switches import SignalEffects
 PHASE_SHARE, OVERLAP_SHARE, WEIGHT_SHARE = 0.45, 0.1, 0.05
 #: The strongest bin stands so far over the root of the power that is guessed, and so often a guess is made.
 PEAK, GUESSES = 1.4, 3
+#: Fewer paths that would go, whole or their squint, cost less than to evaluate what they change.
+FEWEST = 16
 #: What two steps have of each other beyond their sum: a path of another weight squints and overlaps by that weight.
 INFLATION = 1.02
 
@@ -72,7 +74,7 @@ def choose(setup: RadarSetup, terms: SweepTerms, effects: SignalEffects, limit: 
     cell = np.minimum(terms.tone, RANGE_BINS - 1).astype(np.int64)
     power, turned = np.square(whole).sum(axis=1), np.square(squint).sum(axis=1)
     room = np.square(PHASE_SHARE / PEAK * limit.over_beams)
-    least = float(limit.over_beams.min())
+    least, every = float(limit.over_beams.min()), np.ones(len(terms), bool)
     for _ in range(GUESSES):
         used = np.zeros(RANGE_BINS + 2)
         kept = _over_power(np.argsort(power, kind="stable"), power, cell, 0.5 * room, used)
@@ -81,12 +83,14 @@ def choose(setup: RadarSetup, terms: SweepTerms, effects: SignalEffects, limit: 
             turned_kept = np.where(kept, turned, np.inf)
             squints = kept & _over_power(np.argsort(turned_kept, kind="stable"), turned_kept, cell, room, used)
         part = np.where(kept, np.where(squints | (not effects.squint), NOTHING, SQUINT), WHOLE)
-        spent = limit.spent(evaluate(radar, terms, part, RANGE_BINS), error(radar, terms, part, RANGE_BINS))
+        if np.count_nonzero(part) < FEWEST:
+            kept, squints, spent = every, every & effects.squint, 0.0
+        else:
+            spent = limit.spent(evaluate(radar, terms, part, RANGE_BINS), error(radar, terms, part, RANGE_BINS))
         if spent <= PHASE_SHARE:
             overlaps, more = _overlaps(kept, squints, heads, (whole, squint), OVERLAP_SHARE * least)
             return Choice(kept, squints, overlaps & effects.chirp_overlap, spent + more / least)
         room = room * (0.9 * PHASE_SHARE / spent) ** 2
-    every = np.ones(len(terms), bool)
     return Choice(every, every & effects.squint, every & effects.chirp_overlap, 0.0)
 
 

@@ -4,7 +4,7 @@ The law (`sim_player.planner.purposes`): |RA(planned) - RA(all)| <= budget x ref
 for the same noise. Questions go from cheap to dear, and asking ends with the first answer:
 
 1. what the scene has nothing of is absent, whatever its strength;
-2. all other paths are traced: rays are cheap, what costs time is their signal, most of all its sweep;
+2. all other paths are traced: hardly an effect stays under the law in whole, and what costs most is the signal;
 3. the weakest paths go, the squint and the overlap of others, and weights that change too little
    (`sim_player.planner.choice`); an effect whose paths all go is skipped;
 4. where the map is all that is wanted, what is left is evaluated with a bound of its error

@@ -15,12 +15,10 @@ from functools import lru_cache
 import numpy as np
 
 from models.compiled import compiled
-from models.physics.antenna import element_field
-from models.physics.waveform import beat_frequency_hz
 from msgs.values.radar import ArrayParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.planner.choice import Limit
-from sim_player.planner.evaluation import hann_skirt, head_area, head_height
+from sim_player.planner.evaluation import hann_skirt
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.levels import RANGE_BINS
@@ -39,6 +37,8 @@ SQUINTED = 1.6
 FEWEST = 256
 #: Steps of the table of patterns in the sine of an angle, for each column of the array; sine of the table's ends.
 STEPS_PER_COLUMN, WIDEST_SINE = 64, 1.2
+#: What `Weakest._asked` returns.
+_Asked = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
 
 
 class Weakest:
@@ -47,32 +47,44 @@ class Weakest:
     def __init__(
         self, setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, purpose: Purpose, budget: float
     ) -> None:
-        self._setup, self._radar, self._effects = setup, setup.radar, effects
-        self._element = (setup if effects.element_pattern else isotropic(setup)).element
+        self._setup, self._effects = setup, effects
+        element = (setup if effects.element_pattern else isotropic(setup)).element
+        widths = math.radians(element.azimuth_hpbw_deg), math.radians(element.elevation_hpbw_deg)
+        #: Field of an element ahead, its beamwidths, and its least level in dB.
+        self._lobe = 10.0 ** (0.05 * element.peak_gain_dbi), *widths, element.sidelobe_floor_db
         weights = column_weights(setup, effects, front_end)
         self._patterns = _pattern_table(setup.array, setup.radar.wavelength_m, weights.shape, weights.tobytes())
         self._limit = Limit(setup, effects, front_end, purpose, budget).each_beam
         self._skirt = np.minimum(SQUINTED * hann_skirt(setup.radar, REACH), 1.0).astype(np.float32)
-        self._band = 0.5 * setup.radar.bandwidth_hz / setup.radar.carrier_hz
+        radar = setup.radar
         off = np.arange(-RANGE_BINS, RANGE_BINS + REACH + 1) - setup.radar.bandwidth_hz * setup.radar.chirp_period_s
         count = setup.radar.samples_per_chirp
-        #: Least |2 N sin(pi off / N)| between a range bin and what the last chirp leaves, a band away.
-        self._away = max(2.0 * count * float(np.abs(np.sin(np.pi * off / count)).min()), 1.0)
+        # least |2 N sin(pi off / N)| between a range bin and what the last chirp leaves, a band away.
+        away = max(2.0 * count * float(np.abs(np.sin(np.pi * off / count)).min()), 1.0)
+        #: Half the band over the carrier, delay over it for each metre, range bins for each metre and for each m/s,
+        #: chirps for each metre, two samples, and `away`.
+        self._rates = (
+            0.5 * radar.bandwidth_hz / radar.carrier_hz,
+            radar.chirp_slope_hz_per_s / SPEED_OF_LIGHT_MPS / radar.carrier_hz,
+            radar.bandwidth_hz / SPEED_OF_LIGHT_MPS,
+            radar.beam_duration_s / radar.range_bin_m + 2.0 * radar.chirp_period_s / radar.wavelength_m,
+            1.0 / (SPEED_OF_LIGHT_MPS * radar.chirp_period_s),
+            2.0 / count,
+            away,
+        )
 
     def selected(self, paths: Paths, beam: int) -> tuple[np.ndarray, np.ndarray]:
         """Return which paths a beam keeps, and which of them overlap, bool [P] each.
 
         Raises ValueError for paths that are not finite.
         """
-        parts = np.abs(paths.amplitude), paths.length_m, paths.radial_speed_mps, *_angles(paths)
+        strength, low, high, area, far, total = self._asked(paths, beam)
         # a sum of all is finite where each is
-        if not math.isfinite(total := float(sum(part.sum() for part in parts))):
+        if not math.isfinite(total):
             raise ValueError(f"paths of a beam must be finite, got {total!r}")
         kept, overlaps = np.ones(len(paths), bool), np.full(len(paths), self._effects.chirp_overlap)
         if len(paths) < FEWEST:
             return kept, overlaps
-        strength, visited = self.bounds(paths, beam), self._visited(paths)
-        area, far = self._heads(paths.length_m)
         near, everywhere, limit = np.zeros(RANGE_BINS), np.zeros(1), self._limit
         whole = kept, PATHS_SHARE * limit, self._skirt, far + self._skirt[-1]
         heads = overlaps, limit, np.zeros_like(self._skirt), far
@@ -80,53 +92,27 @@ class Weakest:
             # most are asked no further: alone they are too strong where they stand
             weak = np.flatnonzero(stays & (strength * (skirt[0] + area) <= most.max()))
             order = weak[np.argsort(strength[weak], kind="stable")]
-            _leave(stays, order, strength, visited, most, skirt, area, away, near, everywhere)
+            _leave(stays, order, strength, (low, high), most, skirt, area, away, near, everywhere)
             overlaps &= kept
         return kept, overlaps
 
     def bounds(self, paths: Paths, beam: int) -> np.ndarray:
         """Return a bound of each path's field in a beam at any instant of the sweep, sqrt(mW); float32 [P]."""
-        arrive, arrive_up, depart, depart_up = _angles(paths)
-        directions, amplitude = ((arrive, arrive_up), (depart, depart_up)), np.abs(paths.amplitude)
-        for direction in directions:
-            amplitude = amplitude * element_field(self._element, *direction)
-        steered = directions if self._setup.array.steered_ways != 1 else directions[:1]
-        sines = np.stack([np.sin(azimuth) * np.cos(up) for azimuth, up in steered])
-        # the sweep scales what the array sees of a direction (`sweep_ratio`); what comes in is late by the delay
-        late = self._radar.chirp_slope_hz_per_s * paths.length_m / SPEED_OF_LIGHT_MPS / self._radar.carrier_hz
-        least, most = 1.0 - self._band - late, 1.0 + self._band
-        return np.asarray(_bounds(self._patterns[:, :, beam], amplitude, sines, least, most))
+        return np.asarray(self._asked(paths, beam)[0])
 
-    def _visited(self, paths: Paths) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first and the last range bin that a path's tone comes near in a beam, int64 [P] each."""
-        radar = self._radar
-        # within a beam it moves on, and Doppler shifts the beat
-        more = np.abs(paths.radial_speed_mps) * (
-            radar.beam_duration_s / radar.range_bin_m + 2.0 * radar.chirp_period_s / radar.wavelength_m
-        )
-        tone = beat_frequency_hz(radar, paths.length_m) * radar.chirp_period_s
-        ends = np.clip(np.rint(np.stack([tone - more, tone + more])), 0, RANGE_BINS + REACH - 1).astype(np.int64)
-        return ends[0], ends[1]
+    def _asked(self, paths: Paths, beam: int) -> _Asked:
+        """Return what is asked of each path in a beam, and a sum that is finite where all of it is.
 
-    def _heads(self, length_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the overlapped start of unit echoes changes nearby, and farther off; float32 [P] each.
-
-        The start of the chirp is cut off the echo, and the last chirp's takes its place a band away: neither is more
-        than the window there. Summed by parts, what is cut falls as 1 / off.
+        The bound of its field; the first and the last range bin that its tone comes near; what the overlapped start of
+        a unit echo changes nearby, and farther off.
         """
-        radar = self._radar
-        share = np.minimum(length_m / SPEED_OF_LIGHT_MPS / radar.chirp_period_s + 2.0 / radar.samples_per_chirp, 1.0)
-        area, height = head_area(share), head_height(share)
-        far = np.minimum(area, height / (2.0 * math.pi * REACH)) + np.minimum(area, height / self._away)
-        beyond = length_m > 2.0 * (RANGE_BINS + REACH) * radar.range_bin_m
-        far = np.where(beyond, 2.0 * area, far)
-        # nearby is what is cut off, and what takes its place from afar
-        return (area + far).astype(np.float32), far.astype(np.float32)
-
-
-def _angles(paths: Paths) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return azimuth and elevation of arrival, and of departure, [P] each."""
-    return paths.azimuth_rad, paths.elevation_rad, paths.departure_azimuth_rad, paths.departure_elevation_rad
+        angles = paths.azimuth_rad, paths.elevation_rad, paths.departure_azimuth_rad, paths.departure_elevation_rad
+        motion = paths.length_m, paths.radial_speed_mps
+        steered = self._setup.array.steered_ways
+        asked: _Asked = _asked(
+            self._patterns[:, :, beam], paths.amplitude, angles, steered, motion, self._lobe, self._rates
+        )
+        return asked
 
 
 @lru_cache(maxsize=8)
@@ -156,27 +142,50 @@ def _pattern_table(array: ArrayParams, wavelength_m: float, shape: tuple[int, in
     return np.array(table, np.float32)
 
 
-@compiled
-def _bounds(patterns, amplitude, sines, least, most):  # type: ignore[no-untyped-def]
-    """Products of amplitudes [P] and the largest patterns over the sines [1 or 2, P] scaled by `least` [P] to `most`;
-    float32 [P].
+@compiled(error_model="numpy")
+def _asked(patterns, amplitude, angles, steered, motion, lobe, rates):  # type: ignore[no-untyped-def]
+    """Return `Weakest._asked` of paths from the largest patterns of a beam over the sine, [levels, steps].
+
+    Doppler and motion within the beam move a tone. The start of a chirp is cut off its echo, and the last chirp's takes
+    its place a band away: neither is more than the window there. Summed by parts, what is cut falls as 1 / off; nearby
+    is what is cut off, and what takes its place from afar.
     """
-    steps = patterns.shape[1]
+    (length, speed), (peak, wide, high, floor_db) = motion, lobe
+    band, late, tone_per_m, bins_per_mps, share_per_m, least_share, away = rates
+    steps, count = patterns.shape[1], len(amplitude)
     scale = (steps - 1) / (2.0 * WIDEST_SINE)
-    out = np.empty(len(amplitude), np.float32)
-    for path in range(len(amplitude)):
-        out[path] = amplitude[path]
-        if amplitude[path] == 0.0:
-            continue
-        for turn in range(len(sines)):
-            ends = sines[turn, path] * least[path], sines[turn, path] * most
+    strength, area, far = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    low, up, total = np.empty(count, np.int64), np.empty(count, np.int64), 0.0
+    for path in range(count):
+        field, tone = abs(amplitude[path]), length[path] * tone_per_m
+        total += field + length[path] + speed[path]
+        for turn in range(2):
+            azimuth, elevation = angles[2 * turn][path], angles[2 * turn + 1][path]
+            total += azimuth + elevation
+            level_db = max(-12.0 * ((azimuth / wide) ** 2 + (elevation / high) ** 2), floor_db)
+            field *= peak * 10.0 ** (0.05 * level_db) if abs(azimuth) <= 0.5 * np.pi else 0.0
+            if turn >= steered or field == 0.0 or not np.isfinite(total):
+                continue
+            # the sweep scales what the array sees of a direction (`sweep_ratio`); what comes in is late by the delay
+            sine = math.sin(azimuth) * math.cos(elevation)
+            ends = sine * (1.0 - band - late * length[path]), sine * (1.0 + band)
             begin = max(int(np.floor((min(ends) + WIDEST_SINE) * scale)), 0)
             end = min(int(np.ceil((max(ends) + WIDEST_SINE) * scale)), steps - 1)
             level = 0
             while 2 ** (level + 1) <= end - begin + 1:
                 level += 1
-            out[path] *= max(patterns[level, begin], patterns[level, end - 2**level + 1])
-    return out
+            field *= max(patterns[level, begin], patterns[level, end - 2**level + 1])
+        strength[path] = field
+        more = abs(speed[path]) * bins_per_mps
+        low[path] = int(min(max(np.rint(tone - more), 0.0), RANGE_BINS + REACH - 1.0))
+        up[path] = int(min(max(np.rint(tone + more), 0.0), RANGE_BINS + REACH - 1.0))
+        cut_rad = 2.0 * np.pi * min(length[path] * share_per_m + least_share, 1.0)
+        cut, height = (cut_rad - math.sin(cut_rad)) / (2.0 * np.pi), 1.0 - math.cos(cut_rad)
+        far[path] = min(cut, height / (2.0 * np.pi * REACH)) + min(cut, height / away)
+        if tone > RANGE_BINS + REACH:
+            far[path] = 2.0 * cut
+        area[path] = cut + far[path]
+    return strength, low, up, area, far, total
 
 
 @compiled(fastmath=True)

@@ -113,11 +113,17 @@ def with_clutter(setup: RadarSetup, terms: Terms, clutter: Clutter, cells: np.nd
     own = fft.ifft(cells.astype(np.complex64), CELLS_PER_BIN * count, axis=1, norm="forward")[:, :count]
     turned = _carrier(setup.radar, _speeds(setup, clutter)[beam : beam + 1])[0] * np.conj(carrier)
     slow = slow_time_basis(setup.radar) * turned
-    share = slow @ np.linalg.pinv(basis)
+    share = slow @ _inverse(basis.tobytes(), len(basis), basis.dtype)
     if np.sum(np.abs(slow - share @ basis) ** 2) <= NOT_HELD * len(carrier):
         return beats + share.T.astype(np.complex64) @ own, carrier, basis
     own = own.astype(beats.dtype)
     return np.concatenate([beats, own, 1j * own]), carrier, np.concatenate([basis, slow.real, slow.imag])
+
+
+@lru_cache(maxsize=32)
+def _inverse(basis: bytes, terms: int, kind: np.dtype) -> np.ndarray:
+    """Return the pseudo-inverse of terms of slow time, which many beams share, [chirps, terms]."""
+    return np.linalg.pinv(np.frombuffer(basis, kind).reshape(terms, -1))
 
 
 def drawn_cells(

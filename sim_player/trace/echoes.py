@@ -67,6 +67,8 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
     """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; different routes in both orders."""
+    if not len(pairs[0]):
+        return Echoes(np.empty(0, ECHO))
     (out, back), times = both_orders(view.world, pairs)
     world = view.world
     centres, bodies = (
@@ -105,6 +107,8 @@ def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
 
 def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return all index pairs (i, j) with first[i] == second[j]; targets are integers and not negative."""
+    if not len(first) or not len(second):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     return _same_target(np.asarray(first, np.int64), np.asarray(second, np.int64))
 
 
@@ -115,6 +119,8 @@ def surface_echoes(
 
     The routes' targets are the points' numbers in the whole world.
     """
+    if not len(routes):
+        return Echoes(np.empty(0, ECHO))
     weight, wall = np.asarray(weight, np.complex128), np.asarray(wall, np.int64)
     return Echoes(_of_walls(routes.rows, weight, point, wall, needs, view.radar_velocity, view.world.numbers[0]))
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from msgs.values.perception import PathClass
 from sim_player.effects.curved_wall import absent, as_chords
 from sim_player.scene.description import SceneRadar
 from sim_player.scene.world import snapshot
@@ -110,7 +111,7 @@ def test_the_radars_own_image_in_an_arc() -> None:
     arc = wall((10.0 + sagitta, -6.0), (10.0 + sagitta, 6.0), curvature_per_m=-1.0 / radius)
     echoes = traced(points_world([(-5.0, -300.0, 1.0)], arc), NAME).echoes[NAME]
     flash = echoes.take(echoes.object_index < 0)
-    assert len(flash) == 1
+    assert (len(flash), flash.kind[0], flash.order[0]) == (1, PathClass.LOS, 0)
     assert flash.out_m[0] == pytest.approx(10.0, rel=1e-9)
     flat = math.sqrt(1e3 * RADAR.transmit_power_w) * RADAR.wavelength_m / (4.0 * math.pi * 20.0)
     assert abs(flash.weight[0] * flash.whole[0]) == pytest.approx(flat * math.sqrt(radius / (radius + 10.0)), rel=3e-3)
