@@ -170,35 +170,11 @@ def test_a_module_that_ends_early_is_an_error_and_no_interrupt(
     assert "mirrorwave: marshal data too short" in capsys.readouterr().err
 
 
-def test_a_cut_recording_is_done_with_loss_and_recovered(recording: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(recording.read_bytes()[:-40])
-    assert main(["bag", "info", str(cut)]) == 3
-    assert main(["bag", "recover", str(cut), str(tmp_path / "whole.mcap")]) == 3
-    assert info(tmp_path / "whole.mcap").complete
-    assert main(["bag", "recover", str(cut), str(tmp_path / "whole.mcap")]) == 2
-
-
 def test_trim_keeps_the_span(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "b.mcap"
     assert main(["bag", "trim", str(recording), str(out), "--start", "0.002", "--end", "0.005"]) == 0
     assert sum(topic.messages for topic in info(out).topics) == 3
     assert main(["bag", "trim", str(recording), str(tmp_path / "c.mcap"), "--start", "2", "--end", "1"]) == 2
-
-
-@pytest.mark.graph
-def test_play_publishes_unless_somebody_does(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from msgs.bus.zmq import ZmqBus, run_dir
-
-    assert main(["bag", "play", str(recording), "--rate", "10"]) == 0
-    assert "10 messages played" in capsys.readouterr().out
-    bus = ZmqBus("can", run_dir("default"))
-    try:
-        bus.advertise("vehicle/state")
-        assert main(["bag", "play", str(recording)]) == 2
-        assert "living publishers of vehicle/state (can)" in capsys.readouterr().err
-    finally:
-        bus.close()
 
 
 def test_topic_list_covers_the_table(capsys: pytest.CaptureFixture[str]) -> None:

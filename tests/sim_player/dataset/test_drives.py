@@ -240,18 +240,6 @@ def test_drives_with_all_effects_of_both_radars() -> None:
         assert {"motion", "squint", "chirp_overlap"} <= set(plan["used"])
 
 
-def test_other_series_in_the_folder_are_refused(tmp_path: Path, drives: Path) -> None:
-    for name, content in files(drives).items():
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match="holds another data set: scans 2, wanted 3"):
-        write_dataset(tmp_path, 4, 3, msgspec.structs.replace(DRIVES, scans=3))
-    with pytest.raises(ValueError, match=r"holds another data set: .*motion True, wanted None"):
-        write_dataset(tmp_path, 4, 3, msgspec.structs.replace(DRIVES, scans=None))
-    with pytest.raises(ValueError, match=r"count must not be below what .* holds \(shard-00003\.npz\), got 3"):
-        write_dataset(tmp_path, 3, 3, DRIVES)
-    assert files(tmp_path) == files(drives)
-
-
 @pytest.mark.parametrize(
     ("values", "rule"),
     [

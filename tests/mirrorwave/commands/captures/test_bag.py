@@ -187,6 +187,8 @@ def test_recover_has_the_exit_codes_of_mcap(tmp_path: Path, capsys: pytest.Captu
         (tmp_path / f"{name}.mcap").write_bytes(content)
         assert main(["bag", "recover", str(tmp_path / f"{name}.mcap"), str(tmp_path / f"{name}-out.mcap")]) == code
     assert info(tmp_path / "some-out.mcap").loss is None
+    assert main(["bag", "info", str(tmp_path / "some.mcap")]) == 3
+    assert main(["bag", "recover", str(whole), str(tmp_path / "a.mcap")]) == 2, "nothing is written over"
     assert not (tmp_path / "none-out.mcap").exists()
 
 

@@ -552,5 +552,7 @@ def test_what_a_node_makes_itself_is_left_out(
         bus.advertise(ANSWER)
         assert main(["bag", "play", str(path), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["messages"] == {"vehicle/state": 1}
+        assert main(["bag", "play", str(path)]) == 0
+        assert "1 message played" in capsys.readouterr().out
         assert main(["bag", "play", str(path), "--topics", ANSWER]) == 2
         assert f"living publishers of {ANSWER} (geometry)" in capsys.readouterr().err

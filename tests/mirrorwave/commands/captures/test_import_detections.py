@@ -101,8 +101,7 @@ table: {delimiter: " "}
         ("x", None), ("\u22121,5", None), ("\u0661", None), ("--", None),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("decimal", [".", ","])
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(("decimal", "encoding"), [(".", "utf-8-sig"), (",", "utf-16")])
 def test_a_cell_is_a_number_or_empty_or_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], cell: str, value: float | None, decimal: str, encoding: str
 ) -> None:

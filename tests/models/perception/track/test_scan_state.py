@@ -13,7 +13,6 @@ import pytest
 from models.perception.find.detectors import CfarDetector
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
-from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
 from models.perception.track.odometry import MAX_WAITING_STATES, Odometry, ScanOdometry, stationary_pose
 from models.perception.track.scan_state import MemoryParams, ScanMemory
 from models.perception.track.views_over_scans import ViewStage
@@ -215,11 +214,3 @@ def test_the_side_street_can_be_launched() -> None:
     launch = read_launch_file(Path("launch/side_street.yaml"))
     params = msgspec.convert(launch.nodes["player"].params, Params)
     assert scene_player(msgspec.structs.replace(params, chirps_per_beam=2)).scene.moves
-
-
-def test_tracking_can_be_left_out() -> None:
-    memory = ScanMemory(MemoryParams(tracking=False))
-    for number in range(SCANS):
-        view = recover_bev(scan(number), GeometryParams(), wall_prior=memory.walls_at(scan(number)))
-        assert view.objects
-        assert memory.tracked(view, Pose2()).tracks == ()
