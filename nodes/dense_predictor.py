@@ -12,7 +12,7 @@ import msgspec
 
 from models.perception.cards import learned_path
 from models.perception.find.cfar import CfarParams
-from models.perception.find.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
+from models.perception.find.detectors import CfarDetector, Detector, NetworkDetector, Refine
 from models.perception.find.maps_to_peaks import DetectionStage
 from models.perception.find.onnx_model import DEFAULT_MODEL
 from models.perception.find.ridges import RidgeParams
@@ -127,7 +127,7 @@ class DensePredictorNode(Node):
 
 def detection_stage(params: Params, timed: Timed = nullcontext) -> DetectionStage:
     """Return the stage that parameters name; errors as `detector_for`."""
-    return DetectionStage(partial(detector_for, params), photons=PhotonDetector(), timed=timed)
+    return DetectionStage(partial(detector_for, params), timed)
 
 
 def model_path(model: str | None) -> Path:

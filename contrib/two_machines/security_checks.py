@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import itertools
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from msgs.files.private_files import open_files
+from msgs.files.shipped import CHECKOUT
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -32,6 +33,10 @@ _HARMLESS = frozenset({"PYTHONUNBUFFERED", "PYTHONHASHSEED", "PYTHONFAULTHANDLER
 _MOVES_GRAPH = frozenset({"MIRRORWAVE_RUN_DIR", "XDG_RUNTIME_DIR"})
 #: CAN interfaces that carry frames over the network, open to whoever is on it.
 _CAN_OVER_NETWORK = frozenset({"udp_multicast", "socketcand"})
+#: Endings of files that show what the sensors saw, or hold a log.
+_KINDS = (".mcap", ".sigmf-meta", ".sigmf-data", ".jsonl", ".npz")
+#: Levels below the working directory that are looked at, and entries in all.
+_LEVELS, _MAX_ENTRIES = 4, 20_000
 
 
 class Grade(StrEnum):
@@ -123,14 +128,37 @@ def check_keys(folder: Path) -> Iterator[Risk]:
 
 
 def check_files(folder: Path) -> Iterator[Risk]:
-    """Recordings, results and run folders can be read by nobody else."""
-    opened = open_files(folder)
-    for files in opened:
-        count = counted(files.number, "file")
-        detail = f"others may read {count} where they get to, e.g. {files.example}, mode {files.mode:04o}"
-        yield Risk("files", Grade.WARNING, detail, files.mend)
+    """Recordings, results and run folders can be read by nobody else; a checkout's own files are no user's."""
+    opened: dict[str, list[Path]] = {}
+    for path in itertools.islice(_open_below(folder, 0), _MAX_ENTRIES):
+        top, *inside = path.relative_to(folder).parts
+        mend = f"chmod -R go-rwx {folder / top}" if inside else f"chmod go-rwx {folder / f'*{path.suffix}'}"
+        opened.setdefault(mend, []).append(path)
+    for mend, (example, *more) in opened.items():
+        count, mode = counted(1 + len(more), "file"), stat.S_IMODE(example.lstat().st_mode)
+        detail = f"others may read {count} where they get to, e.g. {example}, mode {mode:04o}"
+        yield Risk("files", Grade.WARNING, detail, mend)
     if not opened:
         yield Risk("files", Grade.OK, f"recordings, results and runs of {folder} are ours alone")
+
+
+def _open_below(folder: Path, level: int) -> Iterator[Path]:
+    try:
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+    except OSError:
+        return
+    for entry in entries:
+        try:
+            mode = entry.stat(follow_symlinks=False).st_mode
+        except OSError:
+            continue
+        if stat.S_ISDIR(mode):
+            is_shipped = folder.resolve() == CHECKOUT and entry.name not in ("runs", "data")
+            can_enter = mode & (stat.S_IXGRP | stat.S_IXOTH)
+            if level < _LEVELS and can_enter and not entry.name.startswith(".") and not is_shipped:
+                yield from _open_below(Path(entry.path), level + 1)
+        elif stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) and entry.name.endswith(_KINDS):
+            yield Path(entry.path)
 
 
 def check_node(name: str, entry: NodeEntry) -> Iterator[Risk]:

@@ -104,9 +104,8 @@ def overview(extrapolate: bool = False) -> list[dict[str, str]]:
 
 
 def _exact_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polarisation: Any) -> Curves:
-    from models.physics.fresnel import stack_reflection, stack_transmission
+    from models.physics.fresnel import coherent_power, stack_reflection, stack_transmission
     from models.physics.materials import wall_layers
-    from models.physics.roughness import specular_gain
     from msgs.values.units import SPEED_OF_LIGHT_MPS
 
     media, thicknesses_m = zip(
@@ -116,7 +115,8 @@ def _exact_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polar
     cosine = np.cos(np.radians(angles_deg))
     r = stack_reflection(media, thicknesses_m, cosine, wavelength_m, polarisation)
     t = stack_transmission(media, thicknesses_m, cosine, wavelength_m, polarisation)
-    return Curves(r, t, specular_gain(r, np.asarray(wall.roughness_m), cosine, wavelength_m))
+    left = coherent_power(np.asarray(wall.roughness_m), cosine, wavelength_m)
+    return Curves(r, t, np.square(np.abs(r)) * left)
 
 
 def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polarisation: Any) -> Curves:

@@ -16,7 +16,6 @@ Card = TypeVar("Card")
 
 #: Larger files are no cards.
 MAX_CARD_BYTES = 1 << 24
-#: Learned files that come with the code.
 
 
 def learned_path(name: str | Path, ending: str) -> Path:

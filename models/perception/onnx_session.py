@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
+import msgspec
 import numpy as np
 import onnxruntime
 
-from models.perception.cards import read_learned
+from models.perception.cards import card_path, read_card, read_learned
+from models.perception.trained_radar import TrainedRadar
 from msgs.files.unpacking import limited_memory
 
 #: Errors that a session raises for bytes that are no network.
@@ -33,14 +37,42 @@ def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.Inf
     return session_of(model_path, model, threads)
 
 
-class ArraySession:
+class ArrayCard(msgspec.Struct, frozen=True, kw_only=True):
+    """Description of a network file: how it was made, its input, its scores; a JSON file beside it."""
+
+    name: str
+    sha256: str
+    parameters: int
+    #: Radar of the maps in training.
+    radar: TrainedRadar = TrainedRadar()
+    input_shape: tuple[int, ...]
+    output_shape: tuple[int, ...]
+    #: On the data sets of validation.
+    scores: dict[str, float] = {}
+    #: Data sets of training and validation; networks before this one with their SHA-256.
+    data: dict[str, str] = {}
+    #: Chosen epoch and the resolved configuration of the run.
+    training: dict[str, Any] = {}
+
+    def check_shapes(self, **expected: tuple[int, ...]) -> None:
+        """Raise `ValueError` where `input` or `output` is of another shape."""
+        for end, shape in expected.items():
+            if getattr(self, f"{end}_shape") != shape:
+                raise ValueError(f"card.{end}_shape must be {shape}, got {getattr(self, f'{end}_shape')}")
+
+
+Card = TypeVar("Card", bound=ArrayCard)
+
+
+class ArraySession(Generic[Card]):
     """A network of one array in, one out, one input at a time; `ValueError` when its file and card do not agree."""
 
-    def __init__(
-        self, model_path: Path, sha256: str, threads: int, input_shape: tuple[int, ...], output_shape: tuple[int, ...]
-    ) -> None:
-        self._path, self._session = model_path, open_session(model_path, sha256, threads)
-        expected = [input_shape, output_shape]
+    def __init__(self, model_path: Path, kind: type[Card], threads: int) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self.card = read_card(card_path(model_path), kind)
+        self._path, self._session = model_path, open_session(model_path, self.card.sha256, threads)
+        expected = [self.card.input_shape, self.card.output_shape]
         actual = [tuple(tensor.shape) for tensor in (*self._session.get_inputs(), *self._session.get_outputs())]
         if actual != expected:
             raise ValueError(f"{model_path}: input and output of the network must be {expected}, got {actual}")
@@ -51,6 +83,19 @@ class ArraySession:
         if not np.isfinite(answer).all():
             raise ValueError(f"{self._path}: answers must be finite, got {np.extract(~np.isfinite(answer), answer)[0]}")
         return answer
+
+    def looked(
+        self, inputs: np.ndarray, mirrored: Callable[[], np.ndarray], odd: list[int], is_turned: bool, both: bool
+    ) -> np.ndarray:
+        """Return the answer to inputs, or, where they are turned, to their mirror image, mirrored back; or the mean.
+
+        `odd`: answers that change sign when left and right are exchanged.
+        """
+        if not (both or is_turned):
+            return self.answer(inputs)
+        turned = self.answer(mirrored())[..., ::-1].copy()
+        turned[odd] *= -1.0
+        return 0.5 * (self.answer(inputs) + turned) if both else turned
 
 
 def wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:

@@ -103,54 +103,29 @@ WATER_LINES = np.array(
     ]
 )
 
-#: Rain, ITU-R P.838-3, Tables 1 to 4: peaks (height a, position b, width c over log10 of GHz), slope m, offset c.
+#: Rain, ITU-R P.838-3, vertical: peaks (height a, position b, width c over log10 of GHz), slope m, offset c.
 _RainFit = tuple[tuple[tuple[float, float, float], ...], float, float]
-RAIN_LOG_K: dict[str, _RainFit] = {
-    "tm": (
-        (
-            (-5.33980, -0.10008, 1.13098),
-            (-0.35351, 1.26970, 0.45400),
-            (-0.23789, 0.86036, 0.15354),
-            (-0.94158, 0.64552, 0.16817),
-        ),
-        -0.18961,
-        0.71147,
+RAIN_LOG_K: _RainFit = (
+    (
+        (-3.80595, 0.56934, 0.81061),
+        (-3.44965, -0.22911, 0.51059),
+        (-0.39902, 0.73042, 0.11899),
+        (0.50167, 1.07319, 0.27195),
     ),
-    "te": (
-        (
-            (-3.80595, 0.56934, 0.81061),
-            (-3.44965, -0.22911, 0.51059),
-            (-0.39902, 0.73042, 0.11899),
-            (0.50167, 1.07319, 0.27195),
-        ),
-        -0.16398,
-        0.63297,
+    -0.16398,
+    0.63297,
+)
+RAIN_ALPHA: _RainFit = (
+    (
+        (-0.07771, 2.33840, -0.76284),
+        (0.56727, 0.95545, 0.54039),
+        (-0.20238, 1.14520, 0.26809),
+        (-48.2991, 0.791669, 0.116226),
+        (48.5833, 0.791459, 0.116479),
     ),
-}
-RAIN_ALPHA: dict[str, _RainFit] = {
-    "tm": (
-        (
-            (-0.14318, 1.82442, -0.55187),
-            (0.29591, 0.77564, 0.19822),
-            (0.32177, 0.63773, 0.13164),
-            (-5.37610, -0.96230, 1.47828),
-            (16.1721, -3.29980, 3.43990),
-        ),
-        0.67849,
-        -1.95537,
-    ),
-    "te": (
-        (
-            (-0.07771, 2.33840, -0.76284),
-            (0.56727, 0.95545, 0.54039),
-            (-0.20238, 1.14520, 0.26809),
-            (-48.2991, 0.791669, 0.116226),
-            (48.5833, 0.791459, 0.116479),
-        ),
-        -0.053739,
-        0.83433,
-    ),
-}
+    -0.053739,
+    0.83433,
+)
 
 #: Foliage, both times f^0.284 with f in GHz: loss of a short path [dB/m] (Weissberger's law below 14 m, in leaf, as
 #: quoted in textbooks) and the maximum loss of a long one [dB] (fitted here, see `vegetation_db`).
@@ -182,17 +157,15 @@ def gas_db_per_m(
     return 0.1820e-3 * frequency_ghz * refractivity
 
 
-def rain_db_per_m(frequency_hz: float, rain_mm_per_h: float, polarisation: str = "te") -> float:
-    """Return the loss in rain on a level path [dB/m]: k R^alpha, ITU-R P.838-3; "te" is vertical polarisation.
+def rain_db_per_m(frequency_hz: float, rain_mm_per_h: float) -> float:
+    """Return the loss of a vertical wave in rain on a level path [dB/m]: k R^alpha, ITU-R P.838-3.
 
-    Raises ValueError outside 1..1000 GHz and 0..300 mm/h, and for another polarisation.
+    Raises ValueError outside 1..1000 GHz and 0..300 mm/h.
     """
     frequency_ghz = within("frequency_hz", frequency_hz, 1e9, 1000e9) / 1e9
     rain = within("rain_mm_per_h", rain_mm_per_h, 0.0, 300.0)
-    if polarisation not in RAIN_LOG_K:
-        raise ValueError(f"polarisation must be te or tm, got {polarisation!r}")
-    k = 10.0 ** _rain_fit(RAIN_LOG_K[polarisation], frequency_ghz)
-    return 1e-3 * k * rain ** _rain_fit(RAIN_ALPHA[polarisation], frequency_ghz)
+    k = 10.0 ** _rain_fit(RAIN_LOG_K, frequency_ghz)
+    return 1e-3 * k * rain ** _rain_fit(RAIN_ALPHA, frequency_ghz)
 
 
 def snow_db_per_m(frequency_hz: float, snow_mm_per_h: float) -> float:

@@ -101,6 +101,16 @@ def coherent_power(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m:
     return np.exp(-np.square(4.0 * np.pi * np.asarray(roughness_m) * cos_theta / wavelength_m))
 
 
+def diffuse_share(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
+    """Return the share that `coherent_power` leaves (broadcast); ValueError: negative roughness, no cosine."""
+    roughness_m, cos_theta = np.asarray(roughness_m, np.float64), np.asarray(cos_theta, np.float64)
+    if not np.all((roughness_m >= 0.0) & np.isfinite(roughness_m)):
+        raise ValueError(f"roughness_m must be finite and not negative, got {roughness_m!r}")
+    if not np.all((cos_theta >= 0.0) & (cos_theta <= 1.0 + 1e-12)):
+        raise ValueError(f"cos_theta must lie in 0..1, got {cos_theta!r}")
+    return -np.expm1(-np.square(4.0 * np.pi * roughness_m * cos_theta / wavelength_m))
+
+
 def _walk(
     layers: list[tuple[np.ndarray, float]], cos_theta: np.ndarray, wavelength_m: float, polarisation: Polarisation
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -37,11 +37,9 @@ def beam_snr(
     return np.asarray(echo_mw * radar.samples_per_chirp * radar.chirps_per_beam / noise_mw)
 
 
-def two_way_field(
-    setup: RadarSetup, azimuth_rad: float | np.ndarray, elevation_rad: float | np.ndarray = 0.0
-) -> np.ndarray:
-    """Return the two-way field gain of an ideal beam steered at the target (broadcast), float64."""
-    azimuth_rad, elevation_rad = np.broadcast_arrays(azimuth_rad, elevation_rad)
+def two_way_field(setup: RadarSetup, azimuth_rad: float | np.ndarray) -> np.ndarray:
+    """Return the two-way field gain of an ideal beam steered at a level target (broadcast), float64."""
+    azimuth_rad, elevation_rad = np.broadcast_arrays(azimuth_rad, 0.0)
     directions, array = setup.array.steered_ways, setup.array
     gain = np.sqrt(array.columns) * row_field(array, setup.radar.wavelength_m, elevation_rad)
     return np.asarray(element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * gain**directions)

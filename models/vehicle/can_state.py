@@ -13,7 +13,7 @@ from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, WheelS
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension
 from msgs.values.arrays import MAX_STAMP_NS
-from msgs.values.units import s_from_ns
+from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
 
@@ -325,8 +325,7 @@ class StampMapper:
     Clocks that drift or are set are followed within two seconds; one stamp alone that is far off is taken to be new.
     """
 
-    def __init__(self, window_ns: int = 1_000_000_000) -> None:
-        self._window_ns = window_ns
+    def __init__(self) -> None:
         self._was_off = False
         self._least_ns: deque[int] = deque(maxlen=2)
         self._window_end_ns: int | None = None
@@ -338,7 +337,7 @@ class StampMapper:
         if self._was_off:
             return arrival_ns
         if self._window_end_ns is None or arrival_ns >= self._window_end_ns:
-            self._window_end_ns = arrival_ns + self._window_ns
+            self._window_end_ns = arrival_ns + NANOSECONDS_PER_SECOND
             self._least_ns.append(difference_ns)
         self._least_ns[-1] = min(self._least_ns[-1], difference_ns)
         return stamp_ns + min(self._least_ns)

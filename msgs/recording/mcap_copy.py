@@ -69,14 +69,12 @@ def copy_recording(
     return copied.messages, copied.loss
 
 
-def merge_recordings(
-    sources: Sequence[Path], target: Path, *, compress: bool = False, on_message: Callable[[], None] = lambda: None
-) -> Copied:
+def merge_recordings(sources: Sequence[Path], target: Path, *, on_message: Callable[[], None] = lambda: None) -> Copied:
     """Copy recordings into one, in order of log time, each message once; errors as `copy_recording`.
 
     Metadata records are those of the first source that has one of the name; others' carry the name of their file.
     """
-    return _copied(sources, Path(target), _Selection(), compress, False, on_message)
+    return _copied(sources, Path(target), _Selection(), False, False, on_message)
 
 
 def _copied(

@@ -339,7 +339,7 @@ def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, 
 
 
 def scene_facts(scene: Scene) -> dict[str, Any]:
-    """Return the facts of a scene that statistics need, so that its YAML need not be read."""
+    """Return the facts of a scene, so that its YAML need not be read."""
     names = ("role", "material", "roughness_mm", "curvature_per_m")
     return {
         "objects": [scene_object.object_class for scene_object in scene.objects],

@@ -61,28 +61,24 @@ def cell_range_m(radar: RadarParams) -> np.ndarray:
     return np.arange(CELLS) * (radar.range_bin_m / CELLS_PER_BIN)
 
 
-def profile_power_mw(
-    setup: RadarSetup, clutter: Clutter, effects: SignalEffects, front_end: FrontEnd, range_bins: int = RANGE_BINS
-) -> np.ndarray:
-    """Return the mean power of a Hann-windowed profile after the mean over chirps, mW, [beams, range_bins]."""
+def profile_power_mw(setup: RadarSetup, clutter: Clutter, effects: SignalEffects, front_end: FrontEnd) -> np.ndarray:
+    """Return the mean power of a Hann-windowed profile after the mean over chirps, mW, [beams, RANGE_BINS]."""
     basis = slow_time_basis(setup.radar)
     turned = basis * _carrier(setup.radar, _speeds(setup, clutter))[:, None]
     coherent = np.sum(np.abs(turned.mean(axis=2)) ** 2, axis=1)
-    tones = _tone_powers(setup.radar.samples_per_chirp, range_bins)
+    tones = _tone_powers(setup.radar.samples_per_chirp, RANGE_BINS)
     power_mw = clutter.beam_power_mw(setup, effects, front_end)[:, : len(tones)]
     return np.asarray(coherent[:, None] * (power_mw @ tones))
 
 
-def profile_bound_mw(
-    setup: RadarSetup, clutter: Clutter, effects: SignalEffects, front_end: FrontEnd, range_bins: int = RANGE_BINS
-) -> np.ndarray:
+def profile_bound_mw(setup: RadarSetup, clutter: Clutter, effects: SignalEffects, front_end: FrontEnd) -> np.ndarray:
     """Return a bound of the same at a tenth of the work: what lies beyond `NEAR_BINS` counts as if it lay there."""
-    tones = _tone_powers(setup.radar.samples_per_chirp, range_bins)
-    reach, middle = CELLS_PER_BIN * NEAR_BINS, range_bins // 2
+    tones = _tone_powers(setup.radar.samples_per_chirp, RANGE_BINS)
+    reach, middle = CELLS_PER_BIN * NEAR_BINS, RANGE_BINS // 2
     shape = tones[CELLS_PER_BIN * middle - reach : CELLS_PER_BIN * middle + reach + 1, middle]
     pattern = np.abs(_pattern(setup, effects, front_end, len(clutter.power_mw))) ** 2
     power_mw = np.pad(pattern @ clutter.power_mw[:, : len(tones)], ((0, 0), (reach, reach)))
-    steps = CELLS_PER_BIN * range_bins
+    steps = CELLS_PER_BIN * RANGE_BINS
     near_mw = sum(part * power_mw[:, at : at + steps : CELLS_PER_BIN] for at, part in enumerate(shape))
     # a Hann window has its nulls at whole bins
     beyond = tones[CELLS_PER_BIN * middle + reach + 1, middle]
@@ -90,17 +86,12 @@ def profile_bound_mw(
 
 
 def clutter_profiles(
-    setup: RadarSetup,
-    clutter: Clutter,
-    effects: SignalEffects,
-    front_end: FrontEnd,
-    seed: int,
-    range_bins: int = RANGE_BINS,
+    setup: RadarSetup, clutter: Clutter, effects: SignalEffects, front_end: FrontEnd, seed: int
 ) -> np.ndarray:
-    """Return draws of all beams of the first scan as Hann-windowed profiles, complex128 [beams, range_bins]."""
+    """Return draws of all beams of the first scan as Hann-windowed profiles, complex128 [beams, RANGE_BINS]."""
     basis = slow_time_basis(setup.radar)
     shares = (basis * _carrier(setup.radar, _speeds(setup, clutter))[:, None]).mean(axis=2)
-    tones = _tones(setup.radar.samples_per_chirp, range_bins)
+    tones = _tones(setup.radar.samples_per_chirp, RANGE_BINS)
     drawn = drawn_cells(setup, clutter, effects, front_end, seed)[:, :, : len(tones)]
     return np.asarray(np.einsum("br,brc->bc", shares, drawn) @ tones)
 

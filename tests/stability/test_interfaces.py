@@ -13,6 +13,7 @@ from mpmath import mp
 from models.physics.fresnel import (
     Polarisation,
     coherent_power,
+    diffuse_share,
     half_space_reflection,
     slab_reflection,
     slab_transmission,
@@ -20,7 +21,6 @@ from models.physics.fresnel import (
     stack_transmission,
 )
 from models.physics.materials import CONSTRUCTIONS, TABLE, permittivity, wall_layers
-from models.physics.roughness import diffuse_share
 from tests.stability.catalogue import Errors
 
 POLARISATIONS: tuple[Polarisation, ...] = ("te", "tm")
@@ -321,7 +321,7 @@ def test_very_rough_walls_reflect_nothing_without_a_warning() -> None:
         assert diffuse_share(20e-3, 1.0, wavelength_m) == 1.0
 
 
-@pytest.mark.hard("models.physics.roughness", "1 - exp(-g^2)", 2e-15, "relative", "rounding of g^2")
+@pytest.mark.hard("models.physics.fresnel", "1 - exp(-g^2)", 2e-15, "relative", "rounding of g^2")
 def test_what_a_smooth_wall_scatters(errors: Errors) -> None:
     """0.1 to 10 um of glass, upright and at 89.999 deg: exp(-g^2) rounds to one and nothing would be diffuse."""
     naive, ours = [], []

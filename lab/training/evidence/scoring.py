@@ -144,15 +144,15 @@ def visibility_logits(tally: EvidenceTally) -> tuple[float, float, float]:
     """Return what best explains, added to the logits of likely reports in each state of the mask, which were found."""
     (rows,) = tally.rows.values()
     reports = [report for row in rows for report in row.reports]
-    score, found = (np.array([getattr(report, name) for report in reports], np.float64) for name in ("score", "found"))
+    score, right = (np.array([getattr(report, name) for report in reports], np.float64) for name in ("score", "found"))
     state = np.concatenate([np.zeros(0, int), *tally.states])
-    return tuple(_shift(score[state == each], found[state == each]) for each in range(3))  # type: ignore[return-value]
+    return tuple(_shift(score[state == each], right[state == each]) for each in range(3))  # type: ignore[return-value]
 
 
-def _shift(score: np.ndarray, found: np.ndarray) -> float:
+def _shift(score: np.ndarray, right: np.ndarray) -> float:
     """Return the logit after which the mean probability is the share found; one report more is half found."""
     logits = logit(np.append(score, 0.5))
-    wanted = float(found.sum() + 0.5)
+    wanted = float(right.sum() + 0.5)
     return round(float(brentq(lambda by: expit(logits + by).sum() - wanted, -5.0, 5.0)), 2)
 
 

@@ -119,9 +119,6 @@ class CfarDetector:
 class PhotonDetector:
     """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed."""
 
-    def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:
-        self._params = params
-
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the classified peaks of one map."""
-        return msgspec.structs.replace(cfar_peaks(ra_map, self._params), sensitivity_db=UNKNOWN_SENSITIVITY_DB)
+        return msgspec.structs.replace(cfar_peaks(ra_map, PHOTON_CFAR), sensitivity_db=UNKNOWN_SENSITIVITY_DB)

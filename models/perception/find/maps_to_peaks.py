@@ -22,16 +22,10 @@ NOISE_LIMITS_MW = (1e-60, 1e60)
 class DetectionStage:
     """One detector for a radar's maps, made for its set-up by `detector_for`, and another for those of a LiDAR."""
 
-    def __init__(
-        self,
-        detector_for: Callable[[RadarSetup], Detector],
-        setup: RadarSetup | None = None,
-        photons: Detector | None = None,
-        timed: Timed = nullcontext,
-    ) -> None:
+    def __init__(self, detector_for: Callable[[RadarSetup], Detector], timed: Timed = nullcontext) -> None:
         self._detector_for, self._timed = detector_for, timed
-        self.detector = detector_for(setup or RadarSetup())
-        self._photon_detector = photons or PhotonDetector()
+        self.detector = detector_for(RadarSetup())
+        self._photon_detector = PhotonDetector()
 
     @property
     def doubt(self) -> str:

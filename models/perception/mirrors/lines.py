@@ -149,13 +149,11 @@ def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, f
     return cx, cy, 0.5 * math.atan2(2.0 * product, difference)
 
 
-def fit_line(
-    points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int = 3
-) -> tuple[np.ndarray, float, float, float]:
+def fit_line(points_m: np.ndarray, covariance_m2: np.ndarray) -> tuple[np.ndarray, float, float, float]:
     """Return the weighted total least squares: normal [2], offset [m], angle and offset std at the middle.
 
     Weights are inverse variances across the line, iterated; errors grow with residuals. Two distinct points.
     """
     # copied to the one layout for which the kernel is compiled
-    line = fitted(np.array(points_m, np.float64), np.array(covariance_m2, np.float64), rounds)
+    line = fitted(np.array(points_m, np.float64), np.array(covariance_m2, np.float64), 3)
     return np.array([line.nx, line.ny]), line.offset_m, line.angle_std_rad, line.offset_std_m

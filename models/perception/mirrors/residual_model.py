@@ -20,7 +20,7 @@ ResidualFrame = Literal["radar", "wall", "published"]
 CARD_GEOMETRY = {"ours": "ours", "specification": "published"}
 #: Inputs of the file, in order, with their shapes after the batch.
 INPUTS = ("images", "patch", "state")
-#: Longest correction in use unless another is named.
+#: Longest correction in use.
 MAX_SHIFT_M = 5.0
 
 
@@ -97,10 +97,10 @@ def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionSta
     return ReflectionState(images_m, frames.points(reflection.patch_m), state)
 
 
-def bounded(offsets_m: np.ndarray, max_shift_m: float = MAX_SHIFT_M) -> np.ndarray:
-    """Return the offsets [N, 2], those longer than `max_shift_m` scaled down to it."""
+def bounded(offsets_m: np.ndarray) -> np.ndarray:
+    """Return the offsets [N, 2], those longer than `MAX_SHIFT_M` scaled down to it."""
     length_m = np.linalg.norm(offsets_m, axis=1, keepdims=True)
-    return offsets_m * np.minimum(1.0, max_shift_m / np.maximum(length_m, 1e-9))
+    return offsets_m * np.minimum(1.0, MAX_SHIFT_M / np.maximum(length_m, 1e-9))
 
 
 def load_residual_card(model_path: Path) -> ResidualCard:
@@ -114,12 +114,10 @@ class LearnedResidual:
     Raises `ValueError` when file, card and shapes do not belong together, or a bound is not positive.
     """
 
-    def __init__(self, model_path: Path, threads: int = 1, max_shift_m: float = MAX_SHIFT_M) -> None:
+    def __init__(self, model_path: Path, threads: int = 1) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        if not max_shift_m > 0.0:
-            raise ValueError(f"max_shift_m must be positive, got {max_shift_m}")
-        self._path, self._max_shift_m = Path(model_path), max_shift_m
+        self._path = Path(model_path)
         self.card = load_residual_card(self._path)
         self._session = open_session(self._path, self.card.sha256, threads)
         self._check_shapes()
@@ -131,7 +129,7 @@ class LearnedResidual:
         if len(reflection.images_m) == 0:
             return np.zeros((0, 2))
         frames = image_frames(reflection, self.card.frame)
-        return bounded(frames.to_radar(self._infer(in_frames(reflection, frames))), self._max_shift_m)
+        return bounded(frames.to_radar(self._infer(in_frames(reflection, frames))))
 
     def require_trained_for(self, back_end: str) -> None:
         """Raise `ValueError` unless the network was trained on the walls, and takes the patches, of a back end."""

@@ -7,24 +7,24 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import msgspec
 import numpy as np
 
-from models.perception.cards import card_path, learned_path, read_card
+from models.perception.cards import learned_path
 from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of, shifted
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, made_up_peaks
 from models.perception.mirrors.walls import WallParams
-from models.perception.onnx_session import ArraySession
+from models.perception.onnx_session import ArrayCard, ArraySession
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
 from models.perception.see.evidence_answers import ROUNDING, evidence_detections
 from models.perception.see.field_predictor import DEFAULT_FIELDS, FieldPredictor
 from models.perception.see.radial_speed import radial_speeds
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.see.wall_memory import WallMemory
-from models.perception.trained_radar import TrainedRadar, require_grid
+from models.perception.trained_radar import require_grid
 from msgs.values.arrays import require_finite, require_within
 from msgs.values.perception import BevGrid, HiddenObject, Wall
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -37,22 +37,15 @@ DEFAULT_EVIDENCE = learned_path("evidence_unet.int8", ".onnx")
 ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
 
 
-class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
-    """Description of an evidence network file: how it was made, its input, its scores; a JSON file beside it."""
+class EvidenceCard(ArrayCard, frozen=True, kw_only=True):
+    """Description of an evidence network file."""
 
     formerly: ClassVar[dict[str, str]] = {
         "encoding.walls": "models.perception.mirrors.walls",
         "encoding.walls.arcs": "models.perception.mirrors.arcs",
     }
 
-    name: str
-    sha256: str
-    parameters: int
     encoding: EvidenceEncoding
-    #: Radar of the maps in training.
-    radar: TrainedRadar = TrainedRadar()
-    input_shape: tuple[int, ...]
-    output_shape: tuple[int, ...]
     #: Least probability that is reported: that of the least loss on the validation scans.
     threshold: float = 0.3
     #: From answers to the share of such reports that are a hidden object within a metre, of validation scans of a
@@ -62,22 +55,13 @@ class EvidenceCard(msgspec.Struct, frozen=True, kw_only=True):
     #: Added to the logit of a probability by what the view's mask (`Visibility`) says of the place: unknown, in direct
     #: sight, seen in a mirror. The mask knows fitted walls alone: a second witness beside the network's own.
     visibility_logits: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    #: On the validation scans, which chose epoch, threshold and calibration.
-    scores: dict[str, float] = {}
-    #: Data sets of training and validation; detector and wall network with their SHA-256.
-    data: dict[str, str] = {}
-    #: Chosen epoch and the resolved configuration of the run.
-    training: dict[str, Any] = {}
 
     def __post_init__(self) -> None:
         check_table("card.calibration", self.calibration)
         require_finite("card.visibility_logits", *self.visibility_logits)
         check_table("card.calibration_moving", self.calibration_moving)
         require_within("card.threshold", 0.0, 1.0, self.threshold)
-        expected = {"input": (1, *self.encoding.shape), "output": (1, ANSWERS, *self.encoding.grid.shape)}
-        for end, shape in expected.items():
-            if getattr(self, f"{end}_shape") != shape:
-                raise ValueError(f"card.{end}_shape must be {shape}, got {getattr(self, f'{end}_shape')}")
+        self.check_shapes(input=(1, *self.encoding.shape), output=(1, ANSWERS, *self.encoding.grid.shape))
 
     def calibration_of(self, moving: bool) -> ScoreTable:
         """Return the table for a vehicle that moves or does not; that at rest where no other could be fitted."""
@@ -98,24 +82,20 @@ class EvidencePredictor:
         threshold: float | None = None,
         flip_test: bool = False,
     ) -> None:
-        if threads < 1:
-            raise ValueError(f"threads must be at least 1, got {threads}")
-        self._path = Path(model_path)
-        self.card = read_card(card_path(self._path), EvidenceCard)
+        path = Path(model_path)
+        self._session = ArraySession(path, EvidenceCard, threads)
+        self.card = self._session.card
         self.threshold = self.card.threshold if threshold is None else threshold
         require_within("threshold", 0.0, 1.0, self.threshold)
         #: File of the field network, beside this one.
-        self.fields_path = self._path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name))
+        self.fields_path = path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name))
         self._fields = FieldPredictor(self.fields_path, threads, flip_test)
         self._flip_test = flip_test
         wanted = self.card.data.get("fields_sha256", self._fields.card.sha256)
         if self._fields.card.sha256 != wanted:
             raise ValueError(
-                f"{self._path}: field network must have the sha256 {wanted} of its card, got {self._fields.card.sha256}"
+                f"{path}: field network must have the sha256 {wanted} of its card, got {self._fields.card.sha256}"
             )
-        shapes = self.card.input_shape, self.card.output_shape
-        self._session = ArraySession(self._path, self.card.sha256, threads, *shapes)
-        self._odd_channels = self.card.encoding.odd_channels
         #: The newest map that peaks are awaited for, and what waits for its field answer.
         self._expected: tuple[RangeAzimuthMap, Callable[[], np.ndarray]] | None = None
         silent = silent_map(self.grid)
@@ -201,20 +181,15 @@ class EvidencePredictor:
 
     def answer(self, channels: np.ndarray) -> np.ndarray:
         """Return the answer [answers, x, y] to evidence [channels, x, y]."""
-        if self._flip_test:
-            return 0.5 * (self._session.answer(channels) + self._turned_answer(channels))
         level = channels[1].astype(np.float64)
         half = level.shape[1] // 2
-        is_turned = level[:, half:].sum() > level[:, :half].sum()
-        return self._turned_answer(channels) if is_turned else self._session.answer(channels)
+        is_turned = bool(level[:, half:].sum() > level[:, :half].sum())
+        return self._session.looked(channels, partial(self._turned, channels), ODD_ANSWERS, is_turned, self._flip_test)
 
-    def _turned_answer(self, channels: np.ndarray) -> np.ndarray:
-        """Return the answer to the mirrored evidence, mirrored back."""
+    def _turned(self, channels: np.ndarray) -> np.ndarray:
         flipped = channels[..., ::-1].copy()
-        flipped[self._odd_channels] *= -1.0
-        answer = self._session.answer(flipped)[..., ::-1].copy()
-        answer[ODD_ANSWERS] *= -1.0
-        return answer
+        flipped[self.card.encoding.odd_channels] *= -1.0
+        return flipped
 
 
 def silent_map(grid: RangeAzimuthGrid) -> RangeAzimuthMap:

@@ -29,9 +29,7 @@ MAX_LOG_ODDS = 80.0
 _LEAST_VARIANCE = 1e-12
 
 
-def log_likelihoods(
-    tracks: Sequence[Estimate], measurements: Sequence[Sighting], density_m2ps3: float, gate: float = GATE
-) -> np.ndarray:
+def log_likelihoods(tracks: Sequence[Estimate], measurements: Sequence[Sighting], density_m2ps3: float) -> np.ndarray:
     """Return the log density [1/m^2] of each measurement by each track at its time [T, M]; -inf outside the gate."""
     if not tracks or not measurements:
         return np.full((len(tracks), len(measurements)), -np.inf)
@@ -47,10 +45,10 @@ def log_likelihoods(
     spread = spread + np.array([measurement.covariance_m2 for measurement in measurements])
     position_m = np.array([measurement.position_m for measurement in measurements])
     offset = position_m - mean[..., :2] - elapsed_s[..., None] * mean[..., 2:]
-    return _log_density(offset, spread, gate)
+    return _log_density(offset, spread)
 
 
-def _log_density(offset: np.ndarray, spread: np.ndarray, gate: float) -> np.ndarray:
+def _log_density(offset: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Return the logarithm of Gaussian densities at offsets [..., 2] with covariances [..., 2, 2]."""
     xx, xy, yy = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
     # along the axes of the ellipse, so that a thin one is no difference of large numbers
@@ -62,7 +60,7 @@ def _log_density(offset: np.ndarray, spread: np.ndarray, gate: float) -> np.ndar
     along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
     distance2 = along**2 / major + across**2 / minor
     log_density = -0.5 * (distance2 + np.log(major) + np.log(minor)) - np.log(2.0 * np.pi)
-    return np.where(distance2 <= gate, log_density, -np.inf)
+    return np.where(distance2 <= GATE, log_density, -np.inf)
 
 
 def marginal_probabilities(log_odds: np.ndarray) -> np.ndarray:

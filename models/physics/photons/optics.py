@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.physics.fresnel import coherent_power, half_space_reflection
+from models.physics.fresnel import coherent_power, diffuse_share, half_space_reflection
 from models.physics.materials import CONSTRUCTIONS, wall_name
-from models.physics.roughness import diffuse_share
 from msgs.values.lidar import SpadParams
 
 CHOICE = "engineering choice"

@@ -11,10 +11,10 @@ import pytest
 from scipy.special import erfc
 
 from lab.compare.detection_snr import half_range, map_noise_gain, photon_snr, radar_snr, radar_threshold
+from models.physics.fresnel import coherent_power
 from models.physics.link_budget import spad_threshold
 from models.physics.photons.first_photon import first_photon_probability
 from models.physics.photons.optics import direct_photons
-from models.physics.roughness import specular_gain
 from msgs.values.lidar import SpadParams
 from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -73,7 +73,7 @@ def test_free_space_gives_10_ghz_its_17_7_db() -> None:
 def test_roughness_costs_twice_the_loss_of_a_bounce(setup: RadarSetup, roughness_mm: float, table: str) -> None:
     """Loss per bounce [dB] at 0, 45, 70 deg; tolerance: half of the last digit written."""
     cosine = np.cos(np.radians([0.0, 45.0, 70.0]))
-    bounce = specular_gain(-1.0, 1e-3 * roughness_mm, cosine, setup.radar.wavelength_m)
+    bounce = coherent_power(1e-3 * roughness_mm, cosine, setup.radar.wavelength_m)
     found = 0.5 * db(radar_snr(setup, 30.0, 1.0, bounce) / radar_snr(setup, 30.0, 1.0))
     for one, written in zip(found, table.split(), strict=True):
         assert one == pytest.approx(float(written), abs=0.5 * 10.0 ** -len(written.partition(".")[2]))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
+from models.physics.fresnel import diffuse_share
 from models.physics.rough_lobe import RoughLobe, mean_over_orders, rough_lobe
-from models.physics.roughness import diffuse_share
 
 WAVELENGTH_M = 0.03
 WALLS = [(2e-3, 0.03), (4e-3, 0.03), (4e-3, 0.01), (1e-3, 0.005), (2e-3, 0.1), (0.03, 0.03)]

@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.physics.fresnel import coherent_power
-from models.physics.roughness import (
-    diffuse_share,
-    phase_deviation_rad,
-    specular_gain,
-)
+from models.physics.fresnel import coherent_power, diffuse_share
 
 WAVELENGTH_M = 299_792_458.0 / 10e9
 
@@ -27,12 +22,8 @@ def test_gaussian_law_is_the_mean_phasor_of_gaussian_heights(phase_rad: float) -
     assert coherent_power(roughness_of(phase_rad), 1.0, WAVELENGTH_M) == pytest.approx(abs(mean) ** 2, rel=1e-9)
 
 
-def test_criteria_are_phases_of_a_right_angle_and_its_quarter() -> None:
-    """g = pi / 2 at lambda / (8 cos), pi / 8 at lambda / (32 cos), where the mirror loses 0.67 dB."""
-    cosine = np.cos(np.radians([0.0, 45.0, 80.0]))
-    for divisor, phase_rad in ((8.0, np.pi / 2.0), (32.0, np.pi / 8.0)):
-        limit_m = WAVELENGTH_M / (divisor * cosine)
-        np.testing.assert_allclose(phase_deviation_rad(limit_m, cosine, WAVELENGTH_M), phase_rad, rtol=1e-14)
+def test_a_quarter_of_a_right_angle_costs_the_mirror_little() -> None:
+    """g = pi / 8 at lambda / 32."""
     loss_db = 10.0 * np.log10(coherent_power(WAVELENGTH_M / 32.0, 1.0, WAVELENGTH_M))
     assert loss_db == pytest.approx(-0.67, abs=0.005)
 
@@ -43,11 +34,6 @@ def test_coherent_and_diffuse_share_the_power() -> None:
     total = coherent_power(heights, 0.7, WAVELENGTH_M) + diffuse_share(heights, 0.7, WAVELENGTH_M)
     np.testing.assert_allclose(total, 1.0, atol=1e-15)
     assert diffuse_share(roughness_of(1e-8), 1.0, WAVELENGTH_M) == pytest.approx(1e-16, rel=1e-9, abs=0.0)
-
-
-def test_specular_gain_is_a_power_ratio() -> None:
-    gain = specular_gain(np.array([0.6j, -0.5]), roughness_of(1.0), 1.0, WAVELENGTH_M)
-    np.testing.assert_allclose(gain, np.array([0.36, 0.25]) * np.exp(-1.0), rtol=1e-12)
 
 
 @pytest.mark.parametrize("roughness_m", [-1e-3, np.nan, np.inf])

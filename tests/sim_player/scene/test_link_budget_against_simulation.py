@@ -10,10 +10,9 @@ import pytest
 from lab.compare.detection_snr import map_noise_gain, photon_snr, radar_snr
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.photon_map import photon_map
-from models.physics.fresnel import half_space_reflection
+from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import permittivity
 from models.physics.photons.counting import expected_histogram
-from models.physics.roughness import specular_gain
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -70,7 +69,7 @@ def predicted_snr(setup: RadarSetup, range_m: float, azimuth_rad: float, wall: t
     if wall is not None:
         cosine = math.sin(azimuth_rad)
         reflection = half_space_reflection(permittivity(wall[0], carrier_hz), cosine)
-        bounce = specular_gain(reflection, 1e-3 * wall[1], cosine, wavelength_m)
+        bounce = np.abs(reflection) ** 2 * coherent_power(1e-3 * wall[1], cosine, wavelength_m)
     return float(radar_snr(setup, range_m, rcs_m2, bounce, azimuth_rad))
 
 

@@ -14,6 +14,7 @@ from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.export.onnx import write_card
 from lab.training.export.residual import PARITY_M, export_residual_onnx
 from models.perception.find.onnx_model import card_path
+from models.perception.mirrors import residual_model
 from models.perception.mirrors.recovery import ReflectionState
 from models.perception.mirrors.residual_model import (
     LearnedResidual,
@@ -108,13 +109,16 @@ def test_offsets_go_there_and_back(frame: ResidualFrame) -> None:
 
 def test_long_corrections_are_scaled_down_and_short_ones_stay() -> None:
     offsets_m = np.array([[30.0, 40.0], [0.3, -0.4], [0.0, 0.0]])
-    np.testing.assert_allclose(bounded(offsets_m, 5.0), [[3.0, 4.0], [0.3, -0.4], [0.0, 0.0]])
+    np.testing.assert_allclose(bounded(offsets_m), [[3.0, 4.0], [0.3, -0.4], [0.0, 0.0]])
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_answers_what_torch_answers(models: dict[str, Path], network: ResidualReflectNet, count: int) -> None:
+def test_answers_what_torch_answers(
+    models: dict[str, Path], network: ResidualReflectNet, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(residual_model, "MAX_SHIFT_M", 1e3)
     part = ReflectionState(STATE.images_m[:count], STATE.patch_m[:count], STATE.state[:count])
-    offsets_m = LearnedResidual(models["radar"], max_shift_m=1e3)(part)
+    offsets_m = LearnedResidual(models["radar"])(part)
     with torch.no_grad():
         arrays = (torch.from_numpy(a.astype(np.float32)) for a in (part.images_m, part.patch_m, part.state))
         wanted_m = network(*arrays).numpy()
@@ -181,8 +185,6 @@ def test_a_missing_card_is_named(model: Path) -> None:
         LearnedResidual(model)
 
 
-def test_bounds_and_threads_must_be_positive(model: Path) -> None:
-    with pytest.raises(ValueError, match=r"max_shift_m must be positive, got 0\.0"):
-        LearnedResidual(model, max_shift_m=0.0)
+def test_threads_must_be_positive(model: Path) -> None:
     with pytest.raises(ValueError, match=r"threads must be at least 1, got 0"):
         LearnedResidual(model, threads=0)
