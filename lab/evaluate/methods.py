@@ -177,7 +177,12 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
         detect = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0
-        detect = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
+        found = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
+
+        def detect(frame: Frame) -> Peaks:
+            peaks = found(frame)
+            return peaks.take(peaks.score >= at)
+
     return Method(
         name=spec.name,
         text=spec.text,
