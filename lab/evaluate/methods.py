@@ -178,11 +178,7 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
     else:
         at = spec.threshold or 0.0
         found = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
-
-        def detect(frame: Frame) -> Peaks:
-            peaks = found(frame)
-            return peaks.take(peaks.score >= at)
-
+        detect = _at_least(found, at)
     return Method(
         name=spec.name,
         text=spec.text,
@@ -193,6 +189,14 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
         detect=detect,
         place=_back_end(spec, residual),
     )
+
+
+def _at_least(found: Detect, threshold: float) -> Detect:
+    def detect(frame: Frame) -> Peaks:
+        peaks = found(frame)
+        return peaks.take(peaks.score >= threshold)
+
+    return detect
 
 
 def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> Detect:
