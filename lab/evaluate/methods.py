@@ -177,8 +177,8 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
         detect = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0
-        found = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
-        detect = _at_least(found, at)
+        detector = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
+        detect = _at_least(detector, at)
     return Method(
         name=spec.name,
         text=spec.text,
@@ -191,9 +191,9 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
     )
 
 
-def _at_least(found: Detect, threshold: float) -> Detect:
+def _at_least(detector: Detect, threshold: float) -> Detect:
     def detect(frame: Frame) -> Peaks:
-        peaks = found(frame)
+        peaks = detector(frame)
         return peaks.take(peaks.score >= threshold)
 
     return detect
