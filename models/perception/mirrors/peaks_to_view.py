@@ -143,15 +143,15 @@ def recover_bev(
     scan = _folded(peaks, params, returns, walls, residual, confidence)
     hidden = scan.recovered.take(scan.hidden)
     visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
-    found = form_objects(hidden, scan.walls, params.objects) if objects is None or peaks.sensor else ()
+    reports = form_objects(hidden, scan.walls, params.objects) if objects is None or peaks.sensor else ()
     if objects is not None:
-        found = agreed(objects(), found) if peaks.sensor else objects(visibility, params.grid)
+        reports = agreed(objects(), reports) if peaks.sensor else objects(visibility, params.grid)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
         walls=tuple(scan.walls),
         points=hidden.as_hidden_points(),
-        objects=found,
+        objects=reports,
         los_points_m=scan.returns.points_m.astype(np.float32),
         grid=params.grid,
         visibility=visibility,
