@@ -11,6 +11,7 @@ mutant survives. Usage: python -m benchmarks.mutation.mutations [--group reviewe
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import re
@@ -76,17 +77,22 @@ def mutated(source: str, mutation: Mutation) -> str:
     return source.replace(mutation.old, mutation.new)
 
 
+@functools.cache
+def _test_texts(root: Path) -> dict[str, str]:
+    """Test files of a tree by their path in it, in order."""
+    return {str(test.relative_to(root)): test.read_text() for test in sorted((root / "tests").rglob("test_*.py"))}
+
+
 def stages_of(root: Path, mutation: Mutation) -> Iterator[list[str]]:
     """Tests of a mutant in the order in which they run, none twice; those of one list run together."""
-    path = Path(mutation.file)
-    files = sorted(str(test.relative_to(root)) for test in (root / "tests").rglob("test_*.py"))
+    path, texts = Path(mutation.file), _test_texts(root)
     word = re.compile(rf"\b{path.stem}\b")
     # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
-    readers = [file for file in files if not file.startswith(("tests/docs/", "tests/fuzz/"))]
-    naming = [file for file in readers if path.stem in file or word.search((root / file).read_text())]
+    readers = [file for file in texts if not file.startswith(("tests/docs/", "tests/fuzz/"))]
+    naming = [file for file in readers if path.stem in file or word.search(texts[file])]
     room = "/".join(("tests", *path.parts[: 2 if path.parts[0] == "models" else 1], ""))
     taken = set[str]()
-    for stage in (list(mutation.tests), naming, [file for file in files if file.startswith(room)]):
+    for stage in (list(mutation.tests), naming, [file for file in texts if file.startswith(room)]):
         if fresh := [test for test in stage if test not in taken]:
             yield fresh
         taken |= set(stage)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -75,7 +74,7 @@ def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], ref
         figure, panels = scene_panels(labels, len(part))
         for index, column in enumerate(part):
             _draw_column(panels[:, index], column, shown)
-        legend_of_figure(figure, _signs(panels), columns=len(part), fontsize=10)
+        legend_of_figure(figure, handles_of(*panels[2:].ravel(), *panels[0]), columns=len(part), fontsize=10)
         _save(figure, out if not start else out.with_stem(f"{out.stem}-{start // COLUMNS + 1}"))
 
 
@@ -85,11 +84,6 @@ def scene_panels(labels: Sequence[str], columns: int) -> tuple[Figure, np.ndarra
     for axes, label in zip(panels[:, 0], labels, strict=True):
         axes.set_ylabel(label, fontsize=12)
     return figure, panels
-
-
-def _signs(panels: np.ndarray) -> list[Artist]:
-    """A sign for each kind of mark, whatever panel it is in; the walls of the scenes among them."""
-    return handles_of(*panels[2:].ravel(), *panels[0])
 
 
 def _draw_column(panels: np.ndarray, column: _Column, shown: Sequence[int]) -> None:

@@ -177,7 +177,8 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
         detect = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0
-        detect = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
+        detector = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
+        detect = _at_least(detector, at)
     return Method(
         name=spec.name,
         text=spec.text,
@@ -188,6 +189,14 @@ def _built(spec: MethodSpec, threads: int, setup: RadarSetup) -> Method:
         detect=detect,
         place=_back_end(spec, residual),
     )
+
+
+def _at_least(detector: Detect, threshold: float) -> Detect:
+    def detect(frame: Frame) -> Peaks:
+        peaks = detector(frame)
+        return peaks.take(peaks.score >= threshold)
+
+    return detect
 
 
 def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> Detect:

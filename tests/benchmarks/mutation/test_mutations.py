@@ -93,7 +93,7 @@ def test_every_mutation_of_the_list_fits_its_file() -> None:
         program = programs.setdefault(one.file, ast.dump(ast.parse(source)))
         assert ast.dump(ast.parse(mutated(source, one))) != program, one.name
         assert all((ROOT / test.partition("::")[0]).exists() for test in one.tests), one.name
-        assert next(stages_of(ROOT, one)), one.name
+        assert one.tests or next(stages_of(ROOT, one)), one.name
 
 
 @pytest.mark.parametrize(

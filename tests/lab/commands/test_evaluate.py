@@ -88,6 +88,12 @@ def test_labels_as_peaks_are_perfect(folder: Path) -> None:
     assert found["dense_macro_chamfer_m"][0] == pytest.approx(0.0, abs=5e-6)
 
 
+def test_a_threshold_holds_without_a_network(folder: Path) -> None:
+    (frame,) = DataSet(folder).frames(range(1))
+    every, sure = (build_method(parse_method(text)).detect(frame) for text in ("cfar", "cfar,threshold=0.99"))
+    assert len(sure) == np.count_nonzero(every.score >= 0.99)
+
+
 @pytest.mark.slow
 def test_one_run_with_all_its_files(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two methods over three frames; tables can be made again from the rows of the frames."""
