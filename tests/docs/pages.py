@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 import tomllib
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -314,7 +315,9 @@ class Runner:
         for block in blocks:
             text = re.sub(r"^for view in (views\(.*\)):$", r"for _, view in zip(range(2), \1):", block.text, flags=re.M)
             code = compile(text, f"{block.page.relative_to(ROOT)}:{block.line}", "exec", dont_inherit=True)
-            with contextlib.chdir(self._folder):
+            with contextlib.chdir(self._folder), warnings.catch_warnings():
+                # a file that a line opens is closed when the line is over
+                warnings.simplefilter("ignore", ResourceWarning)
                 exec(code, {"__name__": "__main__"})
 
     def _start(self, words: list[str], command: str) -> None:
