@@ -31,7 +31,6 @@ BEAT_S = 10.0
 #: Files whose tests make nothing for each other: each may run in a worker of its own.
 SEPARATE = frozenset(
     {
-        "tests/docs/test_pages.py",
         "tests/graph/test_supervisor.py",
         "tests/mirrorwave/test_exit_signals.py",
         "tests/mirrorwave/test_terminal.py",

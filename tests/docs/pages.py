@@ -6,6 +6,7 @@ would take minutes runs in its short form: `SHORTER` lists every change, nothing
 
 from __future__ import annotations
 
+import configparser
 import contextlib
 import importlib.util
 import io
@@ -18,6 +19,8 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -46,8 +49,13 @@ UP = (NodeState.READY, NodeState.DEGRADED)
 OPTIONAL = ("node", "npm", "cc", "./my_node")
 #: Libraries that a C compiler has to find.
 C_LIBRARIES = ("libzmq", "msgpack")
-#: Folder of a page into which packages are installed.
-INSTALLED = "installed"
+#: Folder of a page into which packages are installed, those of the checkout by their entry points alone: their wheels
+#: are installed in tests/examples/test_installed.py. What speaks of them is known to a new process alone.
+INSTALLED, EXAMPLE, OF_AN_EXAMPLE = (
+    "installed",
+    re.compile(r"pip install \./(\S+)"),
+    re.compile(r"\bmy[_/](?!detector)|yard|doctor"),
+)
 #: A machine that has no DDS shows the bridge's graph instead.
 WITHOUT_DDS: tuple[tuple[str, str], ...] = (
     () if importlib.util.find_spec("cyclonedds") else ((r"^mirrorwave launch (\S+_ros2\S+)$", r"mirrorwave graph \1"),)
@@ -56,11 +64,7 @@ WITHOUT_DDS: tuple[tuple[str, str], ...] = (
 #: same verb on what is small; `make` says what it would do.
 SHORTER: tuple[tuple[str, str], ...] = (
     (r"^make (?!-n)", "make -n "),
-    # without an index, and not into the environment of the tests
-    (
-        r"^pip install (\./\S+)$",
-        rf"python -m pip install --quiet --no-deps --no-build-isolation --no-index --target {INSTALLED} \1",
-    ),
+    (r"^pip install (\w+)$", r"python -c 'import \1'"),
     # the environment of the tests may have been installed before the plug-in was
     (r"^pytest (\S+)$", r"python -m pytest -q -p mirrorwave.testing.fixtures \1"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
@@ -70,14 +74,18 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # tests/docs/test_notebook.py runs it
     (r"^jupyter execute (\S+)$", r"test -f \1"),
     (r"--duration \d+", "--duration 2"),
+    (r"^(mirrorwave (?:launch|demo|topic) .*--duration) 2", r"\1 1"),
+    # the default profile processes the sample
+    (r"^(mirrorwave process (?!--|.*--profile).*)$", r"\1 --profile cfar"),
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
+    (r"^(python -m benchmarks\S+ --record .*)$", r"\1 --chirps 2"),
     (r"--scans \d+", "--scans 2"),
     *WITHOUT_DDS,
     # two machines in one folder; the nodes that link them run in tests/contrib/two_machines/test_link.py
     (r"^scp keys/(\S+) \w+:(\S+)$", r"cp keys/\1 \2"),
     (r"^mirrorwave launch (launch/two_hosts_\S+).*$", r"mirrorwave graph \1"),
-    (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 2\2"),
+    (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 1\2"),
     # a LiDAR has no chirps
     (
         r"^mirrorwave launch (launch/(?:corner(?!_spad)|side_street)\S*)(.*)$",
@@ -94,9 +102,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
     # all rows, and those of the simulator: tests/lab/tradeoff
-    (r"^mirrorwave tradeoff (--simulator|--full).*$", r"mirrorwave tradeoff \1 --help"),
-    (r"^mirrorwave tradeoff(?!.*--help)(.*)$", r"mirrorwave tradeoff\1 --count 1 --no-memory"),
-    (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
+    (r"^(mirrorwave tradeoff)(?!.*--row)(.*)$", r"\1\2 --help"),
+    (r"^(mirrorwave tradeoff) --row chirps(.*)$", r"\1\2 --count 1 --no-memory"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here
     (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),
     (r"^ssh -N -L 8765:127.0.0.1:8765 vehicle$", "mirrorwave view --help"),
@@ -170,9 +177,10 @@ def shortened(command: str) -> str:
 class Runner:
     """Runs the blocks of one page in a folder."""
 
-    def __init__(self, folder: Path, launched: set[str]) -> None:
+    def __init__(self, folder: Path, launched: dict[str, Path | None]) -> None:
         self._folder = folder
-        #: Launch files whose graph ran already, on this page or another: other options of it are checked alone.
+        #: Launch files whose graph ran already, on this page or another: other options of it are checked alone, and its
+        #: recording, if there is one, is what another one would be.
         self._launched = launched
         self._background: list[subprocess.Popen[str]] = []
         #: The command of the graph among them.
@@ -234,8 +242,11 @@ class Runner:
         background = written.endswith("&")
         command = shortened(written.rstrip("& "))
         words = [word for word in shlex.split(command) if not re.match(r"[A-Z_]+=", word)]
-        # an installed package is known to a new process alone
-        plain = command.startswith("mirrorwave ") and "|" not in words and not (self._folder / INSTALLED).exists()
+        is_new = (self._folder / INSTALLED).exists() and OF_AN_EXAMPLE.search(command)
+        plain = command.startswith("mirrorwave ") and "|" not in words and not is_new
+        if example := EXAMPLE.fullmatch(command):
+            install(ROOT / example[1], self._folder / INSTALLED)
+            return
         if words[0] in OPTIONAL and self._is_missing(words[0]):
             self.missing.append(words[0])
             return
@@ -248,18 +259,27 @@ class Runner:
             self._start(words, command)
             self._graph = command if words[1:2] == ["launch"] else self._graph
             return
-        is_again = plain and words[1] == "launch" and "--record" not in words and words[2] in self._launched
+        recording = self._folder / words[words.index("--record") + 1] if "--record" in words else None
+        is_again = words[1:2] == ["launch"] and words[2] in self._launched and "--split-duration" not in words
+        earlier = self._launched[words[2]] if is_again and recording else None
+        is_again &= recording is None or earlier is not None
         # of a command that is interrupted on purpose the moment decides which
         ended = (0, 130) if "--signal INT" in command else (0,)
         for longer in ("", *LONGER_S) if LISTENS.match(command) else ("",):
             command = re.sub(r"\d+$", longer, command) if longer else command
             with checked_alone() if is_again else contextlib.nullcontext():
-                code, output = self._mirrorwave(shlex.split(command)[1:]) if plain else self._process(command)
+                if plain:
+                    code, output = self._mirrorwave(shlex.split(command)[1:])
+                else:
+                    # a package's graph has no other options
+                    code, output = (0, "") if is_again else self._process(command)
             if code in ended:
                 break
         assert code in ended, f"{where}: {command!r} ended with {code}: {output[-2000:]}"
-        if words[1:2] == ["launch"]:
-            self._launched.add(words[2])
+        if earlier and recording:
+            shutil.copy(self._folder / earlier, recording)
+        elif words[1:2] == ["launch"]:
+            self._launched[words[2]] = self._launched.get(words[2]) or recording
 
     def _is_missing(self, program: str) -> bool:
         if "/" in program:
@@ -271,13 +291,10 @@ class Runner:
         """In this process, where packages are loaded already."""
         handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
         output = io.StringIO()
-        before = Path.cwd()
         try:
-            os.chdir(self._folder)
-            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            with contextlib.chdir(self._folder), contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 code = main(arguments)
         finally:
-            os.chdir(before)
             for number, handler in handlers.items():
                 signal.signal(number, handler)
         return code, output.getvalue()
@@ -294,10 +311,14 @@ class Runner:
         return done.returncode, done.stdout + done.stderr
 
     def _python(self, blocks: list[Block]) -> None:
-        parts = [(block.text, f"{block.page.relative_to(ROOT)}:{block.line}") for block in blocks]
-        text = f"for part in {parts!r}: exec(compile(*part, 'exec'), {{'__name__': '__main__'}})"
-        code, output = self._process(f"{shlex.quote(sys.executable)} -W error -c {shlex.quote(text)}")
-        assert code == 0, output[-2000:]
+        """In this process, whose warnings are errors; of views the first two."""
+        for block in blocks:
+            text = re.sub(r"^for view in (views\(.*\)):$", r"for _, view in zip(range(2), \1):", block.text, flags=re.M)
+            code = compile(text, f"{block.page.relative_to(ROOT)}:{block.line}", "exec", dont_inherit=True)
+            with contextlib.chdir(self._folder), warnings.catch_warnings():
+                # a file that a line opens is closed when the line is over
+                warnings.simplefilter("ignore", ResourceWarning)
+                exec(code, {"__name__": "__main__"})
 
     def _start(self, words: list[str], command: str) -> None:
         """Start in the background, with as long to run as the page's foreground needs."""
@@ -329,6 +350,20 @@ class Runner:
 def checked_alone() -> contextlib.AbstractContextManager[object]:
     """Have `launch` read its file and options, and ask its nodes whether they take them; no graph is started."""
     return mock.patch("mirrorwave.commands.graph.launch.run_graph", return_value=0)
+
+
+def install(example: Path, folder: Path) -> None:
+    """Make modules and entry points of a package known to processes that have the folder on their path."""
+    project = tomllib.loads((example / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    about = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    about.mkdir(parents=True)
+    for module in example.glob("*.py"):
+        (folder / module.name).symlink_to(module)
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    points = configparser.ConfigParser()
+    points.read_dict(project["entry-points"])
+    with (about / "entry_points.txt").open("w") as file:
+        points.write(file)
 
 
 def has_c_libraries() -> bool:

@@ -23,7 +23,7 @@ SMALL = ["-p", "player.chirps_per_beam=8"]
 #: The same of `sim run`, with the paths alone that every scene has.
 BEAMS = ["--chirps-per-beam", "8", "--effects", "basic"]
 #: How long a graph may run until it has said everything.
-DURATIONS_S = (2, 8, 32, 128)
+DURATIONS_S = (1, 4, 16, 64, 128)
 #: Channel of python-can's virtual bus on which a car speaks while pages are run.
 CAN_CHANNEL = "docs"
 

@@ -73,9 +73,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def launched() -> set[str]:
-    # in the background of several pages
-    return {"launch/corner.yaml"}
+def launched() -> dict[str, Path | None]:
+    # in the background of several pages; its recording is lent to those that record it
+    return {"launch/corner.yaml": Path("seen.mcap")}
 
 
 def pages_with_code() -> Iterator[ParameterSet]:
@@ -90,7 +90,7 @@ def pages_with_code() -> Iterator[ParameterSet]:
 
 
 @pytest.mark.parametrize("name", list(pages_with_code()))
-def test_page(name: str, folder: Path, prepared: Prepared, launched: set[str]) -> None:
+def test_page(name: str, folder: Path, prepared: Prepared, launched: dict[str, Path | None]) -> None:
     for given in GIVEN.get(name, ()):
         prepared.lend(given, folder)
     runner = Runner(folder, launched)

@@ -21,7 +21,7 @@ from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.perception import BevFrame
 from msgs.values.vehicle import VehicleState
 
-SCANS = 5
+SCANS = 3
 LAUNCH = """
 name: replay
 nodes:

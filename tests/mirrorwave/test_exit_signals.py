@@ -144,8 +144,7 @@ def test_work_that_was_not_done_ends_with_128_and_the_signal(box: Path, held: st
     assert said == said_of[number]
 
 
-@pytest.mark.parametrize("number", CODES)
-@pytest.mark.parametrize("way", ["lost", "text", "other error"])
+@pytest.mark.parametrize(("way", "number"), phases(["lost", "text", "other error"]))
 def test_what_a_library_makes_of_an_interrupt_changes_nothing(box: Path, way: str, number: signal.Signals) -> None:
     """Some lose it, some make another error of it, some mark the process to end by SIGINT whatever comes."""
     words = ["process", str(box / "none.mcap"), "--out", str(box / "out")]

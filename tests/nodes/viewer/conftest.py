@@ -46,6 +46,13 @@ def until(page: Any, condition: str) -> None:
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
+def resize(page: Any, width: int, scheme: str = "light", height: int = 860) -> None:
+    """Show a page on another screen."""
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": height})
+    until(page, f"innerWidth === {width}")
+
+
 def leave(page: Any) -> None:
     """Have a page's tab forget it; its process stays, which it would not if the browser were asked."""
     if page.url != "about:blank":

@@ -14,7 +14,7 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
 from tests.nodes.viewer import test_page
-from tests.nodes.viewer.conftest import Open, leave, until
+from tests.nodes.viewer.conftest import Open, leave, resize, until
 
 pytestmark = pytest.mark.graph
 PHONE, TABLET, DESK = 400, 800, 1440
@@ -62,24 +62,26 @@ CUT = """() => [...document.querySelectorAll('header *, .warnings *, main *, foo
 }).map((one) => `${one.tagName}#${one.id}.${one.className} ${one.textContent.trim().slice(0, 40)}`)"""
 
 
-@pytest.mark.parametrize(("scheme", "width"), [("light", 320), ("dark", PHONE), ("light", TABLET)])
-def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, width: int) -> None:
+def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open) -> None:
     with ViewerServer(busy_board(), title="a title of some length") as server:
-        page = open_page(server, scheme, width)
+        page = open_page(server, "light", 320)
         until(page, "mirrorwave.plots.shown.every((one) => one.data)")
         until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
         until(page, "mirrorwave.state.warnings.length >= 2")
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        assert page.evaluate("document.body.scrollWidth") <= width
-        assert page.evaluate(CUT) == []
-        inside = "[...document.querySelectorAll('section')].filter((one) => one.scrollWidth > one.clientWidth + 1)"
-        assert page.evaluate(f"{inside}.length") == 0
-        page.keyboard.press("?")
-        box = page.locator("#help").bounding_box()
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= width
-        fits = "document.getElementById('help').scrollWidth <= document.getElementById('help').clientWidth"
-        assert page.evaluate(fits)
+        for scheme, width in (("light", 320), ("dark", PHONE), ("light", TABLET)):
+            resize(page, width, scheme)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert page.evaluate("document.body.scrollWidth") <= width
+            assert page.evaluate(CUT) == []
+            inside = "[...document.querySelectorAll('section')].filter((one) => one.scrollWidth > one.clientWidth + 1)"
+            assert page.evaluate(f"{inside}.length") == 0
+            page.keyboard.press("?")
+            box = page.locator("#help").bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= width
+            fits = "document.getElementById('help').scrollWidth <= document.getElementById('help').clientWidth"
+            assert page.evaluate(fits)
+            page.keyboard.press("Escape")
 
 
 #: Words that stand in more than one line: parts of it have boxes at different heights.
@@ -96,12 +98,13 @@ BROKEN = """() => [...document.querySelectorAll('#nodes, #tracks, #objects')].fl
 })"""
 
 
-@pytest.mark.parametrize("width", [PHONE, DESK])
-def test_no_word_of_a_table_is_broken(open_page: Open, width: int) -> None:
+def test_no_word_of_a_table_is_broken(open_page: Open) -> None:
     with ViewerServer(busy_board(), title="words") as server:
-        page = open_page(server, "light", width)
+        page = open_page(server, "light", PHONE)
         until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
-        assert page.evaluate(BROKEN) == []
+        for width in (PHONE, DESK):
+            resize(page, width)
+            assert page.evaluate(BROKEN) == []
         # the measure itself
         narrow = "max-width: 40px; word-break: break-all; white-space: normal"
         page.evaluate(f"document.querySelector('#nodes td').style.cssText = '{narrow}'")
@@ -172,39 +175,39 @@ ORANGE_LEFT = """() => {
 }"""
 
 
-@pytest.mark.parametrize(("scheme", "width"), [("dark", PHONE), ("light", TABLET), ("dark", DESK)])
-def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, scheme: str, width: int) -> None:
+def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open) -> None:
     """Strip and slider reach from padding to padding, and the strip's last mark stands over the slider's end."""
     from tests.mirrorwave.commands.captures.test_view import write_drive
 
     with test_page.played(write_drive(tmp_path / "drive.mcap")) as server:
-        page = open_page(server, scheme, width)
+        page = open_page(server, "dark", PHONE)
         until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
-        footer, strip, seek = (page.locator(one).bounding_box() for one in ("#timeline", "#strip", "#seek"))
-        padding = page.evaluate("parseFloat(getComputedStyle(document.getElementById('timeline')).paddingLeft)")
-        assert footer["width"] == pytest.approx(width, abs=0.5)
-        assert strip["width"] == pytest.approx(width - 2.0 * padding, abs=0.5)
-        assert strip["x"] == pytest.approx(padding, abs=0.5)
-        assert seek["x"] + seek["width"] == pytest.approx(strip["x"] + strip["width"], abs=0.5)
-        # the names of the lanes have the colour of axes alone: no mark of few, wide scans is drawn over them
-        page.evaluate("mirrorwave.state.overview = {times_s: [0, 5, 10], seen: [3, 3, 3], marks: []}")
-        page.evaluate("window.dispatchEvent(new Event('resize'))")
-        page.locator("#seek").fill("0")
-        until(page, "mirrorwave.state.timeline.index === 0")
-        assert page.evaluate(ORANGE_LEFT) == 0
-        assert page.evaluate(ORANGE_LEFT.replace("65", "200")) > 0
-        # buttons stand beneath, none beside it
-        for button in page.locator("#timeline button:visible").all():
-            assert button.bounding_box()["y"] >= seek["y"] + seek["height"] - 1.0
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        assert page.evaluate(CUT) == []
+        for scheme, width in (("dark", PHONE), ("light", TABLET), ("dark", DESK)):
+            resize(page, width, scheme)
+            footer, strip, seek = (page.locator(one).bounding_box() for one in ("#timeline", "#strip", "#seek"))
+            padding = page.evaluate("parseFloat(getComputedStyle(document.getElementById('timeline')).paddingLeft)")
+            assert footer["width"] == pytest.approx(width, abs=0.5)
+            assert strip["width"] == pytest.approx(width - 2.0 * padding, abs=0.5)
+            assert strip["x"] == pytest.approx(padding, abs=0.5)
+            assert seek["x"] + seek["width"] == pytest.approx(strip["x"] + strip["width"], abs=0.5)
+            # the names of the lanes have the colour of axes alone: no mark of few, wide scans is drawn over them
+            page.evaluate("mirrorwave.state.overview = {times_s: [0, 5, 10], seen: [3, 3, 3], marks: []}")
+            page.evaluate("window.dispatchEvent(new Event('resize'))")
+            page.locator("#seek").fill("0")
+            until(page, "mirrorwave.state.timeline.index === 0")
+            assert page.evaluate(ORANGE_LEFT) == 0
+            assert page.evaluate(ORANGE_LEFT.replace("65", "200")) > 0
+            # buttons stand beneath, none beside it
+            for button in page.locator("#timeline button:visible").all():
+                assert button.bounding_box()["y"] >= seek["y"] + seek["height"] - 1.0
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert page.evaluate(CUT) == []
         leave(page)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open, scheme: str) -> None:
+def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open) -> None:
     with ViewerServer(busy_board(urgent=1), title="desk") as server:
-        page = open_page(server, scheme, DESK)
+        page = open_page(server, "light", DESK)
         until(page, "mirrorwave.state.warnings.length >= 2")
         # where several are urgent, these share the banner by their titles and times alone
         cut = """() => [...document.querySelectorAll('.warnings li:not([data-level=urgent]) .words *')]
@@ -215,8 +218,10 @@ def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open, scheme: str) -> 
           return box.right > words.right + 1 || box.bottom > Math.min(...ends) + 1 ||
             getComputedStyle(one).textOverflow === 'ellipsis';
         }).map((one) => one.textContent)"""
-        assert page.locator(".warnings li:not([data-level=urgent]) .detail").count() >= 1
-        assert page.evaluate(cut) == []
+        for scheme in ("light", "dark"):
+            resize(page, DESK, scheme)
+            assert page.locator(".warnings li:not([data-level=urgent]) .detail").count() >= 1
+            assert page.evaluate(cut) == []
 
 
 #: Words of warnings that do not lie whole within their box.

@@ -181,31 +181,31 @@ def pixel(page: Any, canvas: str, x: float, y: float) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("form", ["cartesian", "polar"])
 @pytest.mark.parametrize(("range_m", "azimuth_deg"), [(20.0, 40.0), (40.0, -25.0)])
 def test_an_echo_shines_where_it_came_from(
-    server: ViewerServer, board: Board, open_page: Open, form: str, range_m: float, azimuth_deg: float
+    server: ViewerServer, board: Board, open_page: Open, range_m: float, azimuth_deg: float
 ) -> None:
-    """60 dB over noise is the top of the colour scale; a mirrored place is at the bottom."""
+    """60 dB over noise is the top of the colour scale, a mirrored place is at the bottom; in both forms of the map."""
     assembly = Assembly(board)
     assembly.take(one_echo(range_m, math.radians(azimuth_deg)), 0)
     assembly.take(frame(0), 0)
     page = open_page(server)
     until(page, "mirrorwave.state.map")
-    page.evaluate(f"mirrorwave.setForm('{form}')")
-    until(page, "true")
     colour = f"""(azimuth) => {{
       const canvas = document.getElementById('map');
       const ratio = canvas.width / canvas.clientWidth;
       const [x, y] = mirrorwave.mapToCanvas({range_m}, azimuth);
       return [x, ...canvas.getContext('2d').getImageData(x * ratio, y * ratio, 1, 1).data];
     }}"""
-    x, *shining = page.evaluate(colour, math.radians(azimuth_deg))
-    other_x, *dark = page.evaluate(colour, math.radians(-azimuth_deg))
-    assert shining[0] > 240
-    assert shining[2] < 90
-    assert dark[:2] == [0, 34]
-    assert (x < other_x) == (azimuth_deg > 0)
+    for form in ("cartesian", "polar"):
+        page.evaluate(f"mirrorwave.setForm('{form}')")
+        until(page, "true")
+        x, *shining = page.evaluate(colour, math.radians(azimuth_deg))
+        other_x, *dark = page.evaluate(colour, math.radians(-azimuth_deg))
+        assert shining[0] > 240, form
+        assert shining[2] < 90, form
+        assert dark[:2] == [0, 34], form
+        assert (x < other_x) == (azimuth_deg > 0), form
 
 
 #: Ratio of light [pixel] of a map with an echo of some dB beside a wall of 80 dB to that of noise.

@@ -266,7 +266,7 @@ def test_raw_beams_of_a_place_are_sent_at_the_gain_of_the_data_set() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("threads", "workers"), [(1, 1), (2, 1), (2, 2)])
+@pytest.mark.parametrize(("threads", "workers"), [(1, 1), (2, 2)])
 def test_threads_and_workers_do_not_change_bytes(tmp_path: Path, places: Path, threads: int, workers: int) -> None:
     """However many threads of linear algebra the caller has; the one in which nothing is split is among them."""
     with threadpool_limits(limits=threads):

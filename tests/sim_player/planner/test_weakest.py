@@ -65,7 +65,7 @@ def paths_at(plan: Plan, time_s: float = 0.0) -> Paths:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("purpose", "index"), list(zip(Purpose, range(3), strict=True)))
+@pytest.mark.parametrize(("purpose", "index"), [*zip(Purpose, range(3), strict=True)])
 def test_the_law_holds_in_every_cell_of_a_scan(purpose: Purpose, index: int) -> None:
     """Beams and map of one scan, each beam of its own time: what is left out stays under the budget, and is some of
     what there is. A budget ten times as wide breaks the law, so the test can fail.
