@@ -631,6 +631,8 @@ def _open(path: Path) -> BinaryIO:
     if magic != MCAP0_MAGIC:
         file.close()
         reason = "is not an MCAP recording: its first 8 bytes are not the MCAP magic" if magic else "is empty"
+        if path.suffix.startswith(".sigmf"):
+            reason = "is a SigMF capture, must be an MCAP recording"
         raise ValueError(f"{path}: {reason}")
     return file
 
