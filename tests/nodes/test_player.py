@@ -295,7 +295,7 @@ def test_garbage_as_a_capture_is_one_line(tmp_path: Path, name: str, content: by
 
 @pytest.mark.parametrize("wrong", [{"purpose": "fun"}, {"chirps_per_beam": 0}])
 def test_params_refuse_what_no_scene_has(wrong: dict[str, object]) -> None:
-    with pytest.raises(msgspec.ValidationError, match="fun|chirps_per_beam"):
+    with pytest.raises(msgspec.ValidationError, match=r"fun|chirps_per_beam"):
         msgspec.convert({"scene": "x", **wrong}, Params)
 
 
