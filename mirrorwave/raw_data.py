@@ -14,6 +14,8 @@ from nodes.player import first_setups
 
 def require_raw(capture: Path) -> None:
     """Raise `ValueError`, saying what a file holds and which verb takes it, unless raw data can be processed."""
+    if capture.is_dir():
+        raise ValueError(f"{capture}: is a folder, must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta")
     if capture.suffix != ".mcap":
         is_sigmf = capture.suffix in (".sigmf-meta", ".sigmf-data") or Path(f"{capture}.sigmf-meta").is_file()
         if capture.is_file() and not is_sigmf:

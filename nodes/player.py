@@ -26,8 +26,10 @@ from msgs.bus.topics import (
     sensor_topic,
 )
 from msgs.recording.clock_steps import Bridged
+from msgs.values.arrays import require_within
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.radar import RADAR_LIMITS
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
@@ -102,7 +104,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     effects: str = "auto"
     budget_db: float = -20.0
     #: What effects "auto" keep: samples, peaks or objects, what perception needs.
-    purpose: str = "objects"
+    purpose: Literal["samples", "peaks", "objects"] = "objects"
     #: Walls of a scene to publish once a scan, as a map knows them: none, true, or noisy (`MapErrors`).
     walls: Literal["none", "true", "noisy"] = "none"
     #: False where a car on a CAN bus says how the vehicle moves.
@@ -119,6 +121,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"player.walls are those of a scene, a capture has its own: got {self.walls!r}")
         if self.scans is not None and self.scans < 0:
             raise ValueError(f"player.scans must not be negative, got {self.scans!r}")
+        if self.chirps_per_beam is not None:
+            require_within("player.chirps_per_beam", *RADAR_LIMITS["chirps_per_beam"], self.chirps_per_beam)
         require_rest("player.settle_s", self.settle_s)
         require_clock_offset("player.vehicle_clock_offset_s", self.vehicle_clock_offset_s)
 

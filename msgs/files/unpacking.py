@@ -23,7 +23,8 @@ UNPACKING_ERRORS = (zstandard.ZstdError, RuntimeError, zlib.error, EOFError, Mem
 def unpack(data: bytes, method: str, limit: int) -> bytes:
     """Return what all frames of `data` unpack to by "zstd", "lz4", "zlib" or "" (none), at most `limit` bytes and one.
 
-    May raise any of `UNPACKING_ERRORS`, and `ValueError` for another method or data that end within a frame.
+    May raise any of `UNPACKING_ERRORS`, and `ValueError` for another method or data that end within a frame: of zstd
+    whole frames are taken then.
     """
     if method == "":
         return data
@@ -32,7 +33,11 @@ def unpack(data: bytes, method: str, limit: int) -> bytes:
         with zstandard.ZstdDecompressor().stream_reader(BytesIO(data), read_across_frames=True) as reader:
             return reader.read(limit + 1)
     if method == "zlib":
-        return zlib.decompressobj().decompress(data, limit + 1)
+        stream = zlib.decompressobj()
+        unpacked = stream.decompress(data, limit + 1)
+        if not stream.eof and len(unpacked) <= limit:
+            raise ValueError("ends within a zlib stream")
+        return unpacked
     if method != "lz4":
         raise ValueError(f"compression must be zstd, lz4 or none, got {method[:20]!r}")
     unpacked = b""

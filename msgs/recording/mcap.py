@@ -327,11 +327,6 @@ class RecordingReader:
         return self._walk.complete
 
     @property
-    def start_ns(self) -> int:
-        """Time of sending of its first message, 0 if it has none."""
-        return min((chunk.start_ns for chunk in self._walk.chunks), default=0)
-
-    @property
     def loss(self) -> str | None:
         """Missing or damaged part, as far as read."""
         reasons = [self._walk.damage] if self._walk.damage else []
@@ -631,6 +626,8 @@ def _open(path: Path) -> BinaryIO:
     if magic != MCAP0_MAGIC:
         file.close()
         reason = "is not an MCAP recording: its first 8 bytes are not the MCAP magic" if magic else "is empty"
+        if path.suffix.startswith(".sigmf"):
+            reason = "is a SigMF capture, must be an MCAP recording"
         raise ValueError(f"{path}: {reason}")
     return file
 

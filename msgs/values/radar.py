@@ -73,6 +73,9 @@ class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         for name, limits in RADAR_LIMITS.items():
             require_within(f"radar.{name}", *limits, getattr(self, name))
+        if self.bandwidth_hz >= 2.0 * self.carrier_hz:
+            rule = f"radar.bandwidth_hz must be below twice radar.carrier_hz, {self.carrier_hz!r}"
+            raise ValueError(f"{rule}, got {self.bandwidth_hz!r}")
         if (
             self.chirp_interval_s is not None
             and not self.chirp_period_s <= self.chirp_interval_s <= LONGEST_CHIRP_INTERVAL_S

@@ -293,6 +293,12 @@ def test_garbage_as_a_capture_is_one_line(tmp_path: Path, name: str, content: by
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("wrong", [{"purpose": "fun"}, {"chirps_per_beam": 0}])
+def test_params_refuse_what_no_scene_has(wrong: dict[str, object]) -> None:
+    with pytest.raises(msgspec.ValidationError, match=r"fun|chirps_per_beam"):
+        msgspec.convert({"scene": "x", **wrong}, Params)
+
+
 @pytest.mark.parametrize("scene", [SCENE, "launch/scenes/facade_across_lane_77ghz.yaml"])
 def test_walls_of_a_scene_are_sent_once_a_scan(scene: str) -> None:
     """With the stamp of its first beam, as the vehicle sees them then; stamps move with the bus clock's."""

@@ -36,7 +36,7 @@ def filter_topics(
 
     require_new_file(out)
     with RecordingReader(file) as reader:
-        start_ns, end_ns = span_ns(reader.start_ns, start, end)
+        start_ns, end_ns = span_ns(*reader.span_ns, start, end)
         wanted = _selected(
             reader.types, [*(topic or ()), *(split_topics(topics) or ())] or ["*"], not_topic or [], file
         )

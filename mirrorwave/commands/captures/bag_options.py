@@ -12,7 +12,7 @@ import typer
 
 from mirrorwave.console import require_new_file
 from mirrorwave.exit_signals import is_asked_again
-from msgs.values.units import ns_from_s
+from msgs.values.units import ns_from_s, s_from_ns
 
 File = Annotated[Path, typer.Argument(metavar="RECORDING", help="Recording (MCAP).")]
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="New recording.")]
@@ -93,14 +93,18 @@ def split_topics(topics: str | None) -> tuple[str, ...] | None:
 
 
 def span_ns(
-    first_ns: int, start_s: float, end_s: float | None, duration_s: float | None = None
+    first_ns: int, last_ns: int, start_s: float, end_s: float | None, duration_s: float | None = None
 ) -> tuple[int, int | None]:
-    """Times of the span that `--start`, `--end` and `--duration` name, in seconds from `first_ns`."""
+    """Times of the span that `--start`, `--end` and `--duration` name, in seconds from `first_ns`, up to `last_ns`."""
     for option, value_s in (("--start", start_s), ("--end", end_s), ("--duration", duration_s)):
         require_seconds(option, value_s)
     if end_s is not None and duration_s is not None:
         raise ValueError(f"--end and --duration must not be given together, got {end_s:g} and {duration_s:g}")
     end_s = start_s + duration_s if duration_s is not None else end_s
+    if start_s and first_ns + ns_from_s(start_s) > last_ns:
+        raise ValueError(
+            f"--start must be within the recording, {s_from_ns(last_ns - first_ns):.3g} s, got {start_s:g}"
+        )
     # two times may be one nanosecond
     if end_s is not None and ns_from_s(end_s) <= ns_from_s(start_s):
         raise ValueError(f"--end must be after --start {start_s:g}, got {end_s:g}")

@@ -68,7 +68,7 @@ def play(
         await_nodes(bus, meeting, lambda: stop.requested)
         topics_to_play = _playable(reader, renamed, split_topics(topics), list_publishers(meeting), domain, clock)
         first_ns = first_sensed_ns(reader, topics_to_play, renamed)
-        start_ns, end_ns = span_ns(first_ns, start, end, duration)
+        start_ns, end_ns = span_ns(first_ns, reader.span_ns[1], start, end, duration)
         params = ReplayParams(
             topics=topics_to_play, renamed=renamed, rate=rate, keeps_time=realtime, loop=loop, first_ns=first_ns,
             start_ns=start_ns, end_ns=end_ns, on_clock=clock, paused=start_paused,

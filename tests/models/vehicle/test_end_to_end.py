@@ -58,6 +58,7 @@ def test_the_checksums_own_byte_takes_no_part() -> None:
 
 def test_data_id_tells_messages_apart() -> None:
     """The same payload under another id has another checksum; the id goes in ahead, low byte first."""
+    assert ChecksumRule(signal="LITTLE", data_id=0xFFFF).data_id == 0xFFFF
     rule = ChecksumRule(signal="LITTLE", data_id=0x0123)
     assert checksum_of(rule, b"\xff\x05\x06", 0) == crc8_sae_j1850(b"\x23\x01\x05\x06")
     other = ChecksumRule(signal="LITTLE", data_id=0x0124)

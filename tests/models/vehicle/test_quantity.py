@@ -170,6 +170,7 @@ def test_the_mapping_overrules_what_is_recognised() -> None:
     # a range in counts that no rule can know: 3 bits of 16 are used
     assert not quantity(scaling="(0.5,-2)", limits="[0|7]", dbc_range="raw").range_fault(0, -2.0)
     assert quantity(scaling="(0.5,-2)", limits="[0|7]", dbc_range="raw").range_fault(0, 2.0)
+    assert quantity(scaling="(0.5,-2)", limits="[3|7]", dbc_range="raw").range_fault(0, -2.0)
     assert not quantity(limits="[0|5]", dbc_range="ignore").range_fault(0, 600.0)
     for choice in DbcRange:
         assert quantity(dbc_range=choice).range_fault(0, math.nan)
@@ -183,17 +184,20 @@ def test_a_range_that_is_no_range_of_counts_is_refused_as_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "parts"), [(3.47, [3.5, 0.0, -0.03]), (-1.234, [-1.0, -0.2, -0.034]), (1000.0, [1000.0, 0.0, 0.0])]
+    ("value", "parts"),
+    [(3.47, [3.5, 0.0, -0.03]), (3.54, [3.5, 0.0, 0.04]), (-1.234, [-1.0, -0.2, -0.034]), (1000.0, [1000.0, 0.0, 0.0])],
 )
 def test_a_sum_is_shared_out_by_the_steps_of_each_signal(value: float, parts: list[float]) -> None:
-    """Steps of 0.5, 0.1 and 0.001: each takes the nearest that it can, the last one the remainder."""
+    """Steps of 0.5, 0.1 and 0.001: each takes the nearest that it can, the last the remainder as its bits permit."""
     dbc = """VERSION ""
 BO_ 16 A: 8 X
  SG_ V : 0|16@1- (0.5,0) [0|0] "m/s" X
  SG_ W : 16|16@1- (0.1,0) [0|0] "m/s" X
  SG_ X : 32|16@1- (0.001,0) [0|0] "m/s" X
 """
-    message = cantools.database.load_string(dbc, "dbc").messages[0]
     rule = QuantityRule(message="A", signals=("V", "W", "X"), combine="sum", low=-2e3, high=2e3)
-    quantities, negative = Quantity("speed", rule, message, Dimension.SPEED).from_si(value)
-    assert (quantities, negative) == (pytest.approx(parts), False)
+    few_bits = dbc.replace("16@1- (0.001,0)", "8@1- (0.0001,0)")
+    for text, last in ((dbc, parts[-1]), (few_bits, min(max(parts[-1], -0.0128), 0.0127))):
+        message = cantools.database.load_string(text, "dbc").messages[0]
+        quantities, negative = Quantity("speed", rule, message, Dimension.SPEED).from_si(value)
+        assert (quantities, negative) == (pytest.approx([*parts[:-1], last]), False)

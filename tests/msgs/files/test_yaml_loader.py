@@ -44,6 +44,8 @@ def test_half_a_megabyte_of_sexagesimal_digits_is_text() -> None:
     """Multiplied out it would be a number of 350,000 digits, and take a minute."""
     text = "1" + ":59" * 200_000
     assert yaml.load(text, Loader=BoundedLoader) == text
+    with pytest.raises(yaml.YAMLError, match="more than 100000 keys and values"):
+        yaml.load(f"[{'1,' * 100_001}]", Loader=BoundedLoader)
 
 
 def test_libyaml_reads_the_text() -> None:

@@ -380,6 +380,8 @@ def test_no_recording_at_all(tmp_path: Path, content: bytes, rule: str) -> None:
     with pytest.raises(ValueError, match=rf"a\.mcap: {rule}") as refused:
         RecordingReader(path)
     assert "\n" not in str(refused.value)
+    with pytest.raises(ValueError, match=r"a\.sigmf-meta: is a SigMF capture, must be an MCAP recording"):
+        RecordingReader(path.rename(tmp_path / "a.sigmf-meta"))
 
 
 def test_no_file_and_no_regular_file(tmp_path: Path) -> None:

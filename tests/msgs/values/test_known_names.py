@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 import pytest
 
-from msgs.values.known_names import with_known_names
+from msgs.values.known_names import refuse_unknown, with_known_names
 
 
 class Colour(StrEnum):
@@ -68,6 +68,13 @@ def test_choices_are_listed(value: object, text: str) -> None:
     with pytest.raises(msgspec.ValidationError) as caught:
         msgspec.convert(value, Choices)
     assert with_known_names(caught.value, Choices) == text
+
+
+def test_what_is_unknown_is_refused_before_it_is_converted() -> None:
+    refuse_unknown({"named": {"any": {"depth_m": 1.0}}}, Outer, "")
+    refuse_unknown({"colour": "red"}, Choices, "")
+    with pytest.raises(ValueError, match="colour: unknown 'blue'; known are red, dark-blue"):
+        refuse_unknown({"colour": "blue"}, Choices, "")
 
 
 @pytest.mark.parametrize("value", [{"name": 3}, {"one": {"depth_m": -1.0}}, 3])

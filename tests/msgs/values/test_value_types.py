@@ -133,6 +133,7 @@ def peak(**changes: float) -> Peaks:
     ("make", "rule"),
     [
         (lambda: RadarParams(carrier_hz=0.0), "radar.carrier_hz must lie in"),
+        (lambda: RadarParams(bandwidth_hz=2e10), "radar.bandwidth_hz must be below twice radar.carrier_hz"),
         (lambda: RadarParams(chirps_per_beam=0), "radar.chirps_per_beam"),
         (lambda: ArrayParams(phase_bits=17), "array.phase_bits must be 0..16, got 17"),
         (lambda: BeamGrid(azimuth_deg=()), "at least one beam"),

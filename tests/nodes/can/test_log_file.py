@@ -104,11 +104,11 @@ def test_marks_and_encodings(tmp_path: Path, kind: str, encoding: str) -> None:
     assert (read.frame.arbitration_id, read.frame.data[:2]) == (0x123, b"\x0e\x10")
 
 
-def blf(path: Path, *containers: bytes) -> Path:
+def blf(path: Path, *containers: bytes, cut: int = 0) -> Path:
     can.BLFWriter(path).stop()
     content = path.read_bytes()[:144]
     for container in containers:
-        packed = struct.pack("<H6xL4x", 2, len(container)) + zlib.compress(container)
+        packed = struct.pack("<H6xL4x", 2, len(container)) + zlib.compress(container)[: -cut or None]
         content += struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(packed), 10) + packed + b"\0" * (len(packed) % 4)
     path.write_bytes(content)
     return path
@@ -133,6 +133,8 @@ def test_a_blf_that_is_cut_off_says_so(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(ValueError, match=r"cut\.blf: cannot be read after 0 frames: ValueError: ends within an object"):
         list(read_log(path))
+    with pytest.raises(ValueError, match="ends within a zlib stream"):
+        list(read_log(blf(path, b"".join(map(object_of_blf, range(100))), cut=4)))
 
 
 def test_a_packed_log_is_not_unpacked_without_end(tmp_path: Path) -> None:

@@ -30,7 +30,8 @@ def test_a_reason_is_said_when_it_changes(unit: str | None, lines: list[str], ca
     refusals.refuse("beam", ValueError("no"))
     # another kind is counted by its own name and not as a beam
     refusals.refuse("setup", ValueError("no"))
+    shed.add("setup", "refused", 2)
     assert [record.message for record in caplog.records] == lines
     assert [(one.what, one.reason, one.count) for one in shed.counts()] == [
-        ("beam", "refused", 4), ("setup", "refused", 1),
+        ("beam", "refused", 4), ("setup", "refused", 3),
     ]  # fmt: skip

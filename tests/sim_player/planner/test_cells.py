@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msgs.values.radar import BeamGrid, RadarSetup
+from msgs.values.radar import BeamGrid, RadarSetup, RangeAzimuthGrid
 from sim_player.planner.cells import cells_of
 from sim_player.planner.purposes import Purpose
 
@@ -20,6 +20,10 @@ def test_floor_is_noise_or_what_stands_next_door() -> None:
     np.testing.assert_allclose(floor[11:14, 3:6], 5.0)
     np.testing.assert_allclose(floor[:11], 1.0)
     np.testing.assert_allclose(floor[:, :3], 1.0)
+    on_map = CELLS.floor(profiles, np.full(8, 1e-9))[25:, 4]
+    strongest, azimuth_deg = on_map > 0.9999 * on_map.max(), np.degrees(RangeAzimuthGrid().azimuth_rad)
+    assert strongest[np.abs(azimuth_deg) < 6.0].all()
+    assert not strongest[np.abs(azimuth_deg) > 7.0].any()
 
 
 def test_a_single_beam_has_no_neighbour() -> None:

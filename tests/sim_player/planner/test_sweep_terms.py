@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.special import jv
@@ -11,12 +12,12 @@ from msgs.values.radar import ArrayParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
-from sim_player.paths.ray_tracing import trace
+from sim_player.paths.ray_tracing import BASIC_EFFECTS, trace
 from sim_player.planner.sweep_terms import MAX_TERMS, _needed, _reach_m, sweep_terms
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import departure
-from sim_player.signal.switches import column_weights, sweep_ratio
+from sim_player.signal.switches import PLAIN, column_weights, sweep_ratio
 from tests.sim_player.planner.test_evaluation import NO_OVERLAP, NO_SWEEP
 
 
@@ -46,6 +47,14 @@ def test_weak_paths_need_fewer_terms() -> None:
     fine, coarse = (sweep_terms(RadarSetup(), paths, NO_OVERLAP, NO_FAULTS, tolerance) for tolerance in (1e-9, 1e-7))
     assert (coarse.count <= fine.count).all()
     assert coarse.count.sum() < fine.count.sum()
+
+
+def test_a_chirp_begins_with_the_last_ones_echoes() -> None:
+    """For as long as an echo is on its way: 13 % of the chirp at 109 m."""
+    paths = trace(prepare(random_place(11, 0), 0), 0.0, BASIC_EFFECTS)
+    effects = msgspec.structs.replace(PLAIN, chirp_overlap=True)
+    head = sweep_terms(RadarSetup(), paths, effects, NO_FAULTS, 1e-7).head
+    np.testing.assert_allclose(head, 0.1337 * 0.5 * paths.length_m / 109.42, atol=2e-4)
 
 
 def test_without_squint_one_term_says_all() -> None:

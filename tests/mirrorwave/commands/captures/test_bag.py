@@ -212,6 +212,7 @@ def test_a_launch_tells_what_its_recording_lacks(
     ("options", "rule"),
     [
         (["--start", "inf"], "--start must be 0..1e+09 s, got inf"),
+        (["--start", "400"], "--start must be within the recording"),
         (["--end", "1e300"], "--end must be 0..1e+09 s, got 1e+300"),
         (["--topics", "vehicle/stat"], "a.mcap: no topic matches 'vehicle/stat'; it holds vehicle/state"),
         (["--topics", ""], "--topics must name a topic, got ''"),

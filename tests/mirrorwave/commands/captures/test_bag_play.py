@@ -149,7 +149,7 @@ def play(
         monkeypatch.setattr(replay_graph, "list_publishers", lambda _: [(ANSWER, "geometry")])
     stop = stop or Stop()
     graph = ReplayedGraph(bus, tmp_path, topics, lambda: stop.requested)  # type: ignore[arg-type]
-    start_ns, end_ns = span_ns(FIRST_MS * MS - MS, start_s, end_s)
+    start_ns, end_ns = span_ns(FIRST_MS * MS - MS, 1 << 62, start_s, end_s)
     params = ReplayParams(topics=topics, first_ns=FIRST_MS * MS - MS, start_ns=start_ns, end_ns=end_ns, **options)
     shown: list[Position] = []
     with RecordingReader(path) as reader:
@@ -506,6 +506,7 @@ def test_a_foreign_topic_is_played_under_a_known_name(
         (["--clock", "--rate", "2"], "--clock needs --rate 1"),
         (["--end", "2", "--duration", "1"], "--end and --duration must not be given together"),
         (["--start", "inf"], "--start must be 0..1e+09 s, got inf"),
+        (["--start", "400"], "--start must be within the recording"),
         (["--duration", "nan"], "--duration must be 0..1e+09 s, got nan"),
         (["--topics", ""], "--topics must name a topic, got ''"),
         (["--duration", "0"], "--end must be after --start 0, got 0"),

@@ -197,6 +197,7 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
             "a scan must have 2 beams or more to tell directions apart, its radar has 1"
         ),
         other: "must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",
+        tmp_path: "is a folder, must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",
     }
     for path, rule in wrong.items():
         assert main(["process", str(path), "--out", str(tmp_path / "out")]) == 2

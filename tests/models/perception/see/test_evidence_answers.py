@@ -19,7 +19,7 @@ from models.perception.see.detections import (
     OBJECT,
     PLACE,
 )
-from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.evidence_answers import _image, evidence_detections
 from models.perception.see.gathering import BirdsEyeGrid
 from msgs.values.perception import Wall
 
@@ -60,6 +60,16 @@ def test_an_object_is_where_it_is_said_with_its_box_and_errors_along_its_way() -
     assert report.away_rad[0] == pytest.approx(np.arctan2(away[1], away[0]))
     along = away / np.hypot(*away)
     assert along @ report.covariance_m2[0] @ along == pytest.approx(0.04)
+
+
+def test_the_image_in_an_arc_does_not_depend_on_other_walls() -> None:
+    straight = Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -10.0), (20.0, 10.0)), inliers=9)
+    arc = Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -8.0), (20.0, 9.0)), inliers=9, curvature_per_m=0.04)
+    walls, places_m = wall_arrays([straight, arc]), np.full((2, 2), (13.0, -3.0))
+    (flat_m, bent_m), _ = _image(places_m, np.array([0, 1]), walls)
+    np.testing.assert_allclose(flat_m, [27.0, -3.0])
+    np.testing.assert_allclose(bent_m, _image(places_m[1:], np.array([1]), walls)[0][0])
+    assert abs(bent_m - flat_m).max() > 0.1
 
 
 def test_one_object_is_one_report_and_two_are_two() -> None:

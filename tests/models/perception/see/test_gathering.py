@@ -44,6 +44,8 @@ def test_an_image_stands_for_the_place_that_the_wall_mirrors() -> None:
     """A place at (14, -4) has its image in x = 20 at (26, -4); cells are 0.5 m."""
     evidence = evidence_of(echo_at(np.array([26.0, -4.0])), wall_arrays([FACADE]))
     np.testing.assert_allclose(loudest_m(evidence), [14.0, -4.0], atol=0.75)
+    # no other wall stands before it: the gap that its rays come through is as wide as any
+    assert set(evidence.channels[BY_MIRROR.index("gap")][evidence.mirror >= 0]) == {1.0}
 
 
 @pytest.mark.parametrize("curvature_per_m", [0.04, -0.04])

@@ -10,7 +10,14 @@ import pytest
 from lab.training.data.field_samples import first_walls
 from models.perception.mirrors.mirror_table import wall_arrays
 from models.perception.see.scan_evidence import certainties
-from models.perception.see.wall_elements import WallGrowth, further_walls, grown_walls, nearest_walls, wall_elements
+from models.perception.see.wall_elements import (
+    ELEMENT_STD_M,
+    WallGrowth,
+    further_walls,
+    grown_walls,
+    nearest_walls,
+    wall_elements,
+)
 from msgs.values.perception import Wall
 from tests.models.perception.see.fields import AZIMUTH_RAD, GRID, Ends, perfect_answer, walls_of
 
@@ -36,6 +43,8 @@ def test_a_straight_wall_is_where_it_is(ends_m: Ends) -> None:
     said = np.array(wall.ends_m)
     assert min(np.abs(said - [a, b]).max(), np.abs(said - [b, a]).max()) < 1.0
     assert wall.curvature_per_m == 0.0
+    # elements within a metre share their error
+    assert wall.offset_std_m > 0.5 * ELEMENT_STD_M / math.sqrt(np.hypot(*(b - a)) + 1.0)
 
 
 @pytest.mark.parametrize("curvature_per_m", [0.05, -0.05], ids=["hollow", "bulging"])

@@ -120,10 +120,10 @@ def test_the_parts_of_a_wall_are_one_wall() -> None:
 
 
 def test_walls_apart_stay_apart() -> None:
-    """Two parallel facades of one view stay two, and a third one of the other view is a third."""
+    """Two parallel facades of one view stay two, and others of the other view are others, one half a metre away."""
     first = example_view(walls=(wall_between((5.0, 6.0), (25.0, 6.0)), wall_between((5.0, 6.3), (25.0, 6.3))))
-    second = example_view(walls=(wall_between((5.0, -6.0), (25.0, -6.0)),))
-    assert len(FusionStage().view([RadarView(first, Pose2()), RadarView(second, Pose2())]).walls) == 3
+    second = example_view(walls=(wall_between((5.0, -6.0), (25.0, -6.0)), wall_between((5.0, 5.5), (25.0, 5.5))))
+    assert len(FusionStage().view([RadarView(first, Pose2()), RadarView(second, Pose2())]).walls) == 4
 
 
 def test_a_cell_is_seen_by_whoever_sees_it() -> None:
