@@ -18,7 +18,7 @@ class ArrayTable:
     def take(self, selection: np.ndarray) -> Self:
         """Return the rows of an index or mask."""
         index = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
-        return type(self)(*[getattr(self, name).take(index, axis=0) for name in self.__dataclass_fields__])
+        return type(self)(**{name: getattr(self, name).take(index, axis=0) for name in self.__dataclass_fields__})
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -27,7 +27,7 @@ class ArrayTable:
         filled = [part for part in parts if len(getattr(part, names[0]))]
         if len(filled) <= 1:
             return filled[0] if filled else parts[0]
-        return cls(*[np.concatenate([getattr(part, name) for part in filled]) for name in names])
+        return cls(**{name: np.concatenate([getattr(part, name) for part in filled]) for name in names})
 
 
 def stored_columns(name: str, tables: Sequence[ArrayTable]) -> dict[str, np.ndarray]:
