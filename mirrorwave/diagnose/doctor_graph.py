@@ -231,6 +231,9 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
         is_needed = any(graph.entries.get(name, {}).get("module") not in _TAKES_ALL for name in readers)
         if not publishers and (plain in _OPTIONAL_TOPICS or (is_own and not is_needed)):
             continue
+        # a player publishes what its recording has
+        if plain in _OPTIONAL_TOPICS and not is_needed and _is_silent(graph, topic):
+            continue
         if not publishers:
             yield Finding(f"topic {topic}", spare, f"no publisher; {', '.join(readers)} reads it")
         elif facts.rate_hz:
