@@ -686,7 +686,9 @@ def _words(parts: Parts, box: Box) -> None:
             bag_options.split_topics(word)
         case 4:
             start, end, duration = (float(one) for one in [*word.split(), "nan", "nan", "nan"][:3])
-            first, last = bag_options.span_ns(0, start, *(None if math.isnan(one) else one for one in (end, duration)))
+            first, last = bag_options.span_ns(
+                0, 1 << 62, start, *(None if math.isnan(one) else one for one in (end, duration))
+            )
             assert last is None or last > first
         case 5:
             evaluate_methods.parse_method(word)

@@ -16,10 +16,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.home import move_in
 from tests.scheduling import Beats, FromBothEnds, in_order
 
+# a shared machine is slow at times
+settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("shared")
 # before a test imports what looks for a home
 move_in()
 # where a machine forbids it (containers often do) every worker, and every process that a test starts, would compile all

@@ -55,7 +55,7 @@ SCENES_PER_SHARD = 50
 #: Half a minute at the default radar: a longer drive hardly fits a place.
 MAX_SCANS = 100
 #: Grows whenever the same series would give other scenes, signals or labels than before.
-FORMAT = 4
+FORMAT = 5
 #: Spread of the radar's gain from scene to scene (ageing, temperature, radome), uniform within.
 GAIN_DB = 3.0
 #: Scene, facts and plan in a shard, as text in UTF-32.

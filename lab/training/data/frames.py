@@ -152,8 +152,12 @@ class DataSet:
 
     @property
     def setup(self) -> RadarSetup:
-        """The radar that recorded the scenes."""
-        return PRESETS[self.series.get("preset", "xband")]
+        """The radar that recorded the scenes; up to format 4 phases were rounded from the first column on."""
+        setup, written = PRESETS[self.series.get("preset", "xband")], self.series.get("format")
+        if isinstance(written, int) and written <= 4:
+            array = msgspec.structs.replace(setup.array, phases_from_centre=False)
+            return msgspec.structs.replace(setup, array=array)
+        return setup
 
     @cached_property
     def _interpolator(self) -> AzimuthInterpolator:

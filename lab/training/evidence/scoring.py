@@ -18,10 +18,10 @@ from lab.training.calibration import fit_table
 from lab.training.data.evidence_samples import SCALE
 from lab.training.data.evidence_store import ScanTruth, load_truths
 from lab.training.evidence.scan_rows import add_rows
-from models.perception.find.score_calibration import ScoreTable, calibrated, score_of, shifted
+from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams
-from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.evidence_answers import evidence_detections, shifted
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.scan_evidence import EvidenceEncoding
 from msgs.files.array_files import load_arrays

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import expit, logit
 
 #: Knots (score, probability), both rising within 0..1 and linear between; no knots leave scores as they are.
 ScoreTable = tuple[tuple[float, float], ...]
@@ -34,8 +33,3 @@ def score_of(table: ScoreTable, probability: float) -> float:
         return probability
     knots = np.array(table)
     return float(np.interp(probability, knots[:, 1], knots[:, 0]))
-
-
-def shifted(probability: np.ndarray, logits: np.ndarray) -> np.ndarray:
-    """Return probabilities [N] moved by logits [N]; those of 0 and 1 stay."""
-    return np.asarray(expit(logit(probability) + logits))

@@ -78,3 +78,8 @@ def _image(place_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np
     away = place_m - share[:, None] * image_m
     length_m = np.hypot(*away.T)
     return image_m, away / np.maximum(length_m, 1e-9)[:, None]
+
+
+def shifted(probability: np.ndarray, logits: np.ndarray) -> np.ndarray:
+    """Return probabilities [N] moved by logits [N]; those of 0 and 1 stay."""
+    return np.asarray(expit(logit(probability) + logits))

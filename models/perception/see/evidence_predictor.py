@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import learned_path
-from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of, shifted
+from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, made_up_peaks
 from models.perception.mirrors.walls import WallParams
 from models.perception.onnx_session import ArrayCard, ArraySession
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
-from models.perception.see.evidence_answers import ROUNDING, evidence_detections
+from models.perception.see.evidence_answers import ROUNDING, evidence_detections, shifted
 from models.perception.see.field_predictor import DEFAULT_FIELDS, FieldPredictor
 from models.perception.see.radial_speed import radial_speeds
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence

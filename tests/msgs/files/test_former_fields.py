@@ -89,9 +89,8 @@ def test_a_running_node_refuses_to_change_a_constant() -> None:
 
 @pytest.mark.parametrize(("value", "refused"), [(2.0, False), (0.0, True)])
 def test_a_card_may_name_a_constant_by_its_own_value(value: float, refused: bool, tmp_path: Path) -> None:
-    """The network was trained with it; those of the checkout name all of their walls' limits."""
+    """The network was trained with it."""
     card = json.loads(DEFAULT_EVIDENCE.with_suffix(".json").read_text())
-    assert card["encoding"]["walls"]["open_gap_m"] == 2.0
     card["encoding"]["walls"]["open_gap_m"] = value
     path = tmp_path / "card.json"
     path.write_text(json.dumps(card))
