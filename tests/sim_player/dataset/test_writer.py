@@ -412,7 +412,7 @@ def test_another_series_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"count must not be below what .* holds \(shard-00001.npz\), got 1"):
         write_dataset(tmp_path, 1, 1, STREETS)
     (tmp_path / "series.json").write_bytes(b'{"seed":1,"scenes_per_shard":2}')
-    with pytest.raises(ValueError, match=r"holds another data set: .*format None, wanted 4"):
+    with pytest.raises(ValueError, match=r"holds another data set: .*format None, wanted 5"):
         write_dataset(tmp_path, 3, 1, STREETS)
     (tmp_path / "series.json").unlink()
     with pytest.raises(ValueError, match=r"holds shards but no series\.json"):
