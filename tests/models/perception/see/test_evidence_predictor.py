@@ -17,7 +17,7 @@ from models.perception.mirrors.peaks_to_view import made_up_peaks as street_peak
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, OBJECT, PLACE
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.track.views_over_scans import ViewStage
-from msgs.values.perception import BevFrame, HiddenObject, Peaks
+from msgs.values.perception import BevFrame, HiddenObject, Peaks, Visibility
 from msgs.values.radar import NO_RADIAL_SPEED, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from tests.models.perception.see.networks_by_hand import EVIDENCE, GRID, echoes, empty_map, evidence_network, written
@@ -102,6 +102,20 @@ def test_a_map_that_does_not_suit_is_refused(network: Path) -> None:
     _, walls = direct_structure(made_up_peaks(), GeometryParams())
     with pytest.raises(ValueError, match=r"map\.mode must be of a radar for by_hand, got photons"):
         EvidencePredictor(network).judge(street_map(mode="photons"), walls)
+
+
+def test_a_score_heeds_the_views_mask(network: Path) -> None:
+    """A logit more where a mirror shows its place; in direct sight it falls below the threshold."""
+    card = msgspec.structs.replace(read_card(card_path(network), EvidenceCard), visibility_logits=(0.0, -20.0, 1.0))
+    write_card(card, network)
+    grid, (_, walls) = GeometryParams().grid, direct_structure(made_up_peaks(), GeometryParams())
+    begun = EvidencePredictor(network, threshold=0.2).judge(street_map(), walls)
+    masks = {state: np.full((grid.rows, grid.columns), state, np.uint8) for state in Visibility}
+    plain = begun()
+    assert begun(masks[Visibility.UNKNOWN], grid) == plain
+    assert begun(masks[Visibility.DIRECT], grid) == ()
+    shown = logit([item.score for item in begun(masks[Visibility.MIRRORED], grid)])
+    np.testing.assert_allclose(shown, logit([item.score for item in plain]) + 1.0)
 
 
 def test_scans_are_judged_beside_each_other(network: Path) -> None:
