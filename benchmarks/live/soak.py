@@ -35,6 +35,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from benchmarks.live.live_graph import quantiles, shed_of
+from benchmarks.live.processes import processes_of
 from mirrorwave.plots.style import legend_beside, new_figure, save
 from msgs.bus.zmq import ZmqBus, run_dir
 from msgs.files.shipped import CHECKOUT
@@ -407,17 +408,6 @@ def draw(result: dict[str, Any], path: Path) -> None:
             axes.axvspan(in_kills[0] - 1.0, in_kills[-1], color="tab:red", alpha=0.08, label="kills")
         legend_beside(axes)
     save(figure, path)
-
-
-def processes_of(graph: str) -> list[int]:
-    """Every process whose command line names a graph's domain, this one and zombies left out."""
-    return [
-        process.info["pid"]
-        for process in psutil.process_iter(["pid", "cmdline", "status"])
-        if any(graph in part for part in process.info["cmdline"] or ())
-        and process.info["pid"] != os.getpid()
-        and process.info["status"] != psutil.STATUS_ZOMBIE
-    ]
 
 
 def main() -> None:

@@ -20,12 +20,10 @@ import numpy as np
 
 from lab.measures.point_scores import Counts, match_points, recovered_counts
 from lab.training.data.frames import DataSet, Frame, FrameLabels, fixed_splits
-from lab.training.data.residual_samples import GATE_M, fold_published
+from lab.training.data.residual_samples import GATE_M, fold_published, true_images
 from models.perception.cards import learned_path
 from models.perception.find.detectors import NetworkDetector
 from models.perception.mirrors.residual_model import LearnedResidual
-from msgs.values.frames import xy_from_polar
-from msgs.values.perception import PathClass
 
 REACH_M = 5.0
 KINDS = {"all": "", "with a curved wall": "curved_wall", "with a hedge": "hedge", "with a rough facade": "facade"}
@@ -79,8 +77,7 @@ def errors(
 
     The parts point from a place to the true one and are NaN where no true image is near.
     """
-    truth = labels.take((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
-    true_images_m = xy_from_polar(truth.range_m.astype(np.float64), truth.azimuth_rad.astype(np.float64))
+    truth, true_images_m = true_images(labels)
     truth_m = truth.hidden_xy_m.astype(np.float64)
     image_error_m, wall_error_m = np.full((2, len(image_m), 2), np.nan)
     order = np.zeros(len(image_m), np.int64)

@@ -188,11 +188,6 @@ def head_area(share: np.ndarray) -> np.ndarray:
     return np.asarray(share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi))
 
 
-def head_height(share: np.ndarray) -> np.ndarray:
-    """Return the window where it is cut: d bins off the tone its cut stays under this over pi d."""
-    return np.asarray(1.0 - np.cos(2.0 * np.pi * share))
-
-
 def _last_turn(radar: RadarParams, tone: np.ndarray) -> np.ndarray:
     """Return what turns an echo's beat into the last chirp's where that one begins, and 0 where no sample holds it.
 

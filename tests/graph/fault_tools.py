@@ -145,13 +145,3 @@ class LiveGraph:
             return self.process.wait(PATIENCE_S)
         finally:
             self.bus.close()
-
-
-def processes_of(graph: str | Path) -> list[int]:
-    """Return every process whose command line names a graph's domain or folder, this one and zombies left out."""
-    found = []
-    for process in psutil.process_iter(["pid", "cmdline", "status"]):
-        names_it = any(str(graph) in part for part in process.info["cmdline"] or ())
-        if names_it and process.info["pid"] != os.getpid() and process.info["status"] != psutil.STATUS_ZOMBIE:
-            found.append(process.info["pid"])
-    return found

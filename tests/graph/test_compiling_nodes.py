@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.live.processes import processes_of
 from nodes.process.interpreter import COMPILED
 from nodes.process.launch_file import launch_from_mapping
 from nodes.process.supervisor import Supervisor
-from tests.graph.fault_tools import processes_of
 from tests.graph.test_supervisor import _Log
 
 pytestmark = pytest.mark.graph

@@ -34,6 +34,7 @@ import pytest
 import zmq
 from websockets.sync.client import ClientConnection, connect
 
+from benchmarks.live.processes import processes_of
 from mirrorwave.cli import main
 from models.perception.onnx_session import MAX_MODEL_BYTES
 from msgs.bus.interface import Outgoing
@@ -52,7 +53,7 @@ from nodes.node import InProcessGraph, load_node
 from nodes.process.supervisor import read_lock
 from nodes.vehicle_can import LogSource
 from sim_player.car import SimulatedCar
-from tests.graph.fault_tools import PATIENCE_S, ROOT, LiveGraph, processes_of
+from tests.graph.fault_tools import PATIENCE_S, ROOT, LiveGraph
 from tests.ports import free_udp_port
 
 SCENE = "launch/scenes/facade_across_lane.yaml"

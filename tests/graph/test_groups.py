@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.live.processes import processes_of
 from nodes.process.launch_file import LaunchFile, launch_from_mapping
 from nodes.process.supervisor import Supervisor
-from tests.graph.fault_tools import processes_of
 from tests.graph.test_supervisor import _Log
 
 pytestmark = pytest.mark.graph

@@ -18,12 +18,12 @@ from typing import Any
 
 import pytest
 
+from benchmarks.live.processes import processes_of
 from msgs.files.shipped import CHECKOUT
 from msgs.values.node_params import ParamRequest
 from nodes.process.launch_file import LaunchFile, launch_from_mapping
 from nodes.process.liveness import Sample, sample
 from nodes.process.supervisor import Supervisor, read_lock
-from tests.graph.fault_tools import processes_of
 
 pytestmark = pytest.mark.graph
 

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.live.processes import processes_of
 from mirrorwave.exit_signals import HUNG_UP
 from mirrorwave.terminal import READER_LEFT
 from msgs.recording.mcap import RecordingReader, info
 from nodes.recording.files import recorded_files
-from tests.graph.fault_tools import processes_of
 from tests.mirrorwave.endings import hears_endings, made_box
 
 pytestmark = pytest.mark.graph

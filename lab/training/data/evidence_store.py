@@ -72,7 +72,7 @@ class ScanTruth:
     azimuth_stamp_ns: np.ndarray
     #: The vehicle's motion was taken out of the map.
     ego_compensated: bool
-    #: The view's observability mask; None: the file is of training scans, which need none.
+    #: The view's observability mask; None: the file has none, as former ones.
     visibility: np.ndarray | None = None
 
 

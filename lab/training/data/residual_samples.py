@@ -118,14 +118,19 @@ def fold_published(peaks: Peaks) -> Folded:
 GEOMETRIES: dict[Geometry, Callable[[Peaks], Folded]] = {"ours": fold_ours, "published": fold_published}
 
 
+def true_images(labels: FrameLabels) -> tuple[FrameLabels, np.ndarray]:
+    """Return the labels of mirror images whose true position is known, and where they appear [N, 2]."""
+    truth = labels.take((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
+    return truth, xy_from_polar(truth.range_m.astype(np.float64), truth.azimuth_rad.astype(np.float64))
+
+
 def with_truth(folded: Folded, labels: FrameLabels, scene: int) -> FoldedImages:
     """Return the folded images of one scene, each with the nearest truth image.
 
     Labels without a true position are ignored.
     """
     recovered, reflection = folded
-    truth = labels.take((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
-    truth_images_m = xy_from_polar(truth.range_m.astype(np.float64), truth.azimuth_rad.astype(np.float64))
+    truth, truth_images_m = true_images(labels)
     truth_m = truth.hidden_xy_m.astype(np.float64)
     target_m = np.full((len(recovered), 2), np.nan)
     pairs = match_points(recovered.images_m, truth_images_m, GATE_M)

@@ -18,10 +18,10 @@ from lab.training.calibration import fit_table
 from lab.training.data.evidence_samples import SCALE
 from lab.training.data.evidence_store import ScanTruth, load_truths
 from lab.training.evidence.scan_rows import add_rows
-from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
+from models.perception.find.score_calibration import ScoreTable, calibrated
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams
-from models.perception.see.evidence_answers import evidence_detections, shifted
+from models.perception.see.evidence_answers import evidence_detections, least_answer, shifted
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.scan_evidence import EvidenceEncoding
 from msgs.files.array_files import load_arrays
@@ -57,7 +57,7 @@ class EvidenceTally:
         logits: tuple[float, float, float] = NO_LOGITS,
     ) -> None:
         self._grid, self._azimuth_rad, self._calibration = encoding.grid, azimuth_rad, calibration
-        self._logits = np.array(logits)
+        self._logits = logits
         self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
         #: What the mask says of the reports of each scan that reach the lowest threshold.
         self.states: list[np.ndarray] = []
@@ -65,15 +65,20 @@ class EvidenceTally:
     def add(self, stored: ScanTruth, answer: np.ndarray) -> None:
         """Score the answer to one scan."""
         table = self._calibration(stored.ego_compensated)
-        least = score_of(table, float(shifted(np.array([min(self.rows)]), -self._logits.max(keepdims=True))[0]))
+        least = least_answer(table, min(self.rows), self._logits)
         likely = evidence_detections(answer, stored.mirror, self._grid, stored.walls, least)
         states = np.zeros(len(likely.score), int)
         if stored.visibility is not None:
             states = visibility_at(stored.visibility, GeometryParams().grid, likely.place_m)
-        likely = replace(likely, score=shifted(calibrated(table, likely.score), self._logits[states]))
+        likely = replace(likely, score=shifted(calibrated(table, likely.score), np.array(self._logits)[states]))
         self.states.append(states[likely.score >= min(self.rows)])
         stamp_ns = np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)
         add_rows(self.rows, likely, stamp_ns, stored)
+
+    def add_all(self, answered: Sequence[tuple[ScanTruth, np.ndarray]]) -> None:
+        """Score the answers to many scans."""
+        for stored, answer in answered:
+            self.add(stored, answer)
 
     def points(self) -> list[CurvePoint]:
         """Return the measures at each threshold, the lowest first."""
@@ -108,13 +113,11 @@ def with_probabilities(card: EvidenceCard, predictor: EvidencePredictor, files: 
         tallies[stored.ego_compensated].add(stored, answer)
     at_rest, moving = (probability_table(tally.rows) for tally in tallies)
     card = msgspec.structs.replace(card, calibration=at_rest, calibration_moving=moving)
-    tally = EvidenceTally(card.encoding, azimuth_rad, (LIKELY,), card.calibration_of)
-    for stored, answer in answered:
-        tally.add(stored, answer)
-    card = msgspec.structs.replace(card, visibility_logits=visibility_logits(tally))
+    likely = EvidenceTally(card.encoding, azimuth_rad, (LIKELY,), card.calibration_of)
+    likely.add_all(answered)
+    card = msgspec.structs.replace(card, visibility_logits=visibility_logits(likely))
     tally = EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS, card.calibration_of, card.visibility_logits)
-    for stored, answer in answered:
-        tally.add(stored, answer)
+    tally.add_all(answered)
     points = tally.points()
     best = min(points, key=lambda point: point.loss_per_scan)
     scores = {name: round(getattr(best, name), 4) for name in CurvePoint.__dataclass_fields__ if name != "threshold"}

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import expit, logit
 
+from models.perception.find.score_calibration import ScoreTable, score_of
 from models.perception.mirrors.mirror_table import RADAR, WallArrays, hits
 from models.perception.see.detections import (
     CENTRE,
@@ -78,6 +81,12 @@ def _image(place_m: np.ndarray, wall: np.ndarray, walls: WallArrays) -> tuple[np
     away = place_m - share[:, None] * image_m
     length_m = np.hypot(*away.T)
     return image_m, away / np.maximum(length_m, 1e-9)[:, None]
+
+
+def least_answer(table: ScoreTable, probability: float, logits: Sequence[float]) -> float:
+    """Return the least answer whose report may reach a probability, by a table and the largest of `logits`."""
+    unshifted = shifted(np.array([probability]), np.array([-max(0.0, *logits)]))
+    return score_of(table, float(unshifted[0]))
 
 
 def shifted(probability: np.ndarray, logits: np.ndarray) -> np.ndarray:

@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import learned_path
-from models.perception.find.score_calibration import ScoreTable, calibrated, check_table, score_of
+from models.perception.find.score_calibration import ScoreTable, calibrated, check_table
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, made_up_peaks
 from models.perception.mirrors.walls import WallParams
 from models.perception.onnx_session import ArrayCard, ArraySession
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
-from models.perception.see.evidence_answers import ROUNDING, evidence_detections, shifted
+from models.perception.see.evidence_answers import ROUNDING, evidence_detections, least_answer, shifted
 from models.perception.see.field_predictor import DEFAULT_FIELDS, FieldPredictor
 from models.perception.see.radial_speed import radial_speeds
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
@@ -173,8 +173,7 @@ class EvidencePredictor:
             memory.add(scan.elements)
         table = self.card.calibration_of(moving)
         answer = self.answer(scan.evidence.channels)
-        most = np.array([max(0.0, *self.card.visibility_logits)])
-        least = score_of(table, float(shifted(np.array([threshold]), -most)[0]))
+        least = least_answer(table, threshold, self.card.visibility_logits)
         reports = evidence_detections(answer, scan.evidence.mirror, self.card.encoding.grid, scan.arrays, least)
         reports = replace(reports, score=calibrated(table, reports.score))
         return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
