@@ -131,6 +131,33 @@ def text_lines(picture: GraphPicture) -> list[str]:
     return lines
 
 
+def dot_text(picture: GraphPicture) -> str:
+    """The graph in Graphviz's language: nodes as boxes, topics as ellipses, silent and missing parts in red."""
+    lines = ["digraph mirrorwave {", "  rankdir=LR;", '  node [fontname="sans-serif"];']
+    for node in picture.nodes:
+        small = node.module or (f"{node.state}: {node.reason}" if node.reason else node.state)
+        red = ", color=red" if node.state in ("silent", "degraded", "stopping") else ""
+        lines.append(f"  {_quoted(f'node {node.node}')} [shape=box, label={_quoted(node.node, small)}{red}];")
+    for topic in picture.topics():
+        rates = [link.hz for node in picture.nodes for link in node.outputs if link.topic == topic and link.hz]
+        absent = not picture.publishers(topic)
+        small = "no publisher" if absent else f"{sum(rates):.3g} Hz" if rates else ""
+        red = ", color=red" if absent else ""
+        lines.append(f"  {_quoted(f'topic {topic}')} [shape=ellipse, label={_quoted(topic, small)}{red}];")
+    for node in picture.nodes:
+        name = _quoted(f"node {node.node}")
+        lines += [f"  {name} -> {_quoted(f'topic {link.topic}')};" for link in node.outputs]
+        for link in node.inputs:
+            label = f" [label={_quoted(f'{link.lost} lost')}, color=red]" if link.lost else ""
+            lines.append(f"  {_quoted(f'topic {link.topic}')} -> {name}{label};")
+    return "\n".join([*lines, "}", ""])
+
+
+def _quoted(*lines: str) -> str:
+    plain = [line.replace("\\", "\\\\").replace('"', '\\"') for line in lines if line]
+    return '"' + "\\n".join(plain) + '"'
+
+
 def _links(rows: list[dict[str, Any]], direction: str) -> list[Link]:
     return [
         Link(topic=row["topic"], hz=row["hz"], lost=row["lost"] + row["rejected"])

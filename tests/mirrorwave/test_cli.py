@@ -119,7 +119,7 @@ def test_options_are_taken_by_their_former_names(capsys: pytest.CaptureFixture[s
         (["launch", "launch/corner.yaml", "-p", "geometry.object_treshold=1"], "; did you mean 'object_threshold'?"),
         (["launch", "launch/corner.yaml", "-p", "geometry.object_threshold=abc"], "Expected float | null, got str"),
         (["launch", "launch/corner.yaml", "-p", "geometry.object_threshold=7"], "must lie in 0..1, got 7.0"),
-        (["launch", "launch/corner.yaml", "--profile", "balancd"], "; did you mean 'balanced'?"),
+        (["launch", "launch/corner.yaml", "--profile", "acurate"], "; did you mean 'accurate'?"),
         (["sim", "material", "conrete"], "; did you mean 'concrete'?"),
     ],
 )  # fmt: skip

@@ -63,8 +63,8 @@ def test_launch_runs_the_default_profile_where_none_is_named(monkeypatch: pytest
 
 def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     file = str(LAUNCH / "corner.yaml")
-    named = run_launch(monkeypatch, file, "--profile", "balanced")
-    assert named.nodes["dense_predictor"].params == read_profile("balanced")["dense_predictor"]
+    named = run_launch(monkeypatch, file, "--profile", "accurate")
+    assert named.nodes["dense_predictor"].params == read_profile("accurate")["dense_predictor"]
     overridden = run_launch(monkeypatch, file, "-p", "geometry.confidence=none")
     assert overridden.nodes["geometry"].params == read_profile("default")["geometry"] | {"confidence": "none"}
     millimetre = over_default(read_launch_file(LAUNCH / "corner_77ghz.yaml")).nodes
@@ -73,14 +73,10 @@ def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytes
 
 
 def test_default_is_what_was_chosen() -> None:
-    """As `balanced`, by the committed evidence network."""
-    default, balanced = (SharedParts.of(read_profile(name), RadarSetup()) for name in ("default", "balanced"))
-    beams = list(LabelledPlace(5, 1, "basic").beams())
-    chains = [parts.chain() for parts in (default, balanced)]
-    objects = [[one for beam in beams for view in chain.add(beam) for one in view.frame.objects] for chain in chains]
-    assert objects[0] == objects[1]
-    assert objects[0]
-    assert all(item.object_class for item in objects[0])
+    default = SharedParts.of(read_profile("default"), RadarSetup())
+    objects = objects_of(default, LabelledPlace(5, 1, "basic").beams())
+    assert objects
+    assert all(item.object_class for item in objects)
     assert default.predictor is not None
     assert SharedParts.of(read_profile("fast"), RadarSetup()).predictor is None
 
@@ -135,8 +131,9 @@ def test_auto_judges_no_peaks_of_a_stranger() -> None:
 
 
 def test_a_former_profile_is_read_as_the_one_that_replaced_it() -> None:
-    assert read_profile("unfiltered") == read_profile("fast")
-    assert "unfiltered" not in profile_names()
+    for former, present in {"unfiltered": "fast", "balanced": "default"}.items():
+        assert read_profile(former) == read_profile(present)
+        assert former not in profile_names()
 
 
 def in_the_alley(folder: Path, *words: str) -> tuple[dict[str, Any], float]:

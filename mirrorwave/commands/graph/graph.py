@@ -20,25 +20,21 @@ def graph(
             autocompletion=complete_launch_files,
         ),
     ] = None,
-    svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a drawing, for light and dark pages.")] = None,
-    dot: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it for Graphviz.")] = None,
+    dot: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it for Graphviz (dot -Tsvg FILE).")] = None,
     window: Annotated[float, typer.Option(metavar="S", min=0.6, help="Listen this long for rates.")] = 2.2,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
 ) -> None:
     """Nodes and topics of a running graph, with rates and losses, or of a launch file."""
-    from mirrorwave.diagnose.graph_drawing import dot_text, svg_text
-    from mirrorwave.diagnose.graph_picture import launch_picture, running_picture, text_lines
+    from mirrorwave.diagnose.graph_picture import dot_text, launch_picture, running_picture, text_lines
 
-    for path in (svg, dot):
-        if path is not None:
-            require_new_file(path)
+    if dot is not None:
+        require_new_file(dot)
     picture = running_picture(domain, window) if file is None else launch_picture(file)
-    for out, text in ((svg, svg_text), (dot, dot_text)):
-        if out is not None:
-            out.write_text(text(picture), encoding="utf-8")
+    if dot is not None:
+        dot.write_text(dot_text(picture), encoding="utf-8")
     if as_json:
         print_json(picture.as_dict())
-    elif svg is None and dot is None:
+    elif dot is None:
         for line in text_lines(picture):
             print_line(line)
