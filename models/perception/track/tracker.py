@@ -51,8 +51,8 @@ MAX_GAP_S = 2.0
 class TrackParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tracks that are published."""
 
-    #: A track is published from this existence on.
-    confirm_existence: float = 0.6
+    #: A track is published from this existence on. With `detection_probability` chosen by IDF1 on `validation_drives`.
+    confirm_existence: float = 0.8
 
     def __post_init__(self) -> None:
         require_within("tracker.confirm_existence", LEAST_EXISTENCE, 1.0, self.confirm_existence)
@@ -68,7 +68,7 @@ class TrackerParams(TrackParams, frozen=True, kw_only=True, forbid_unknown_field
     #: Added to each object's own: the centre of the visible part of a vehicle wanders over its face.
     place_std_m: float = 0.4
     #: Probability that a scan reports an object that stands where its observability mask says it can.
-    detection_probability: float = 0.6
+    detection_probability: float = 0.7
     #: Density of the reports of a scan that are new objects; with their scores it gives that of false reports.
     birth_density_per_m2: float = 3e-4
 

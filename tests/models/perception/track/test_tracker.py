@@ -50,7 +50,7 @@ def test_existence_of_an_object_seen_twice_is_that_of_bayes():
     """Without other objects, reported twice at the same place with score 0.6, 0.3 s apart, by a scan without a mask.
 
     It begins with r = 0.6 and a variance of R = 0.09 + 0.16 along each axis. Then r = 0.6 * 0.8^0.3, the density f of
-    the report has variance 2 R + 64 * 0.09 + 2 * 0.027 / 3, the background is k = 3e-4 / 0.6 and p_D = 0.6:
+    the report has variance 2 R + 64 * 0.09 + 2 * 0.027 / 3, the background is k = 3e-4 / 0.6 and p_D = 0.7:
     r' = (r p f + k r (1 - p)) / (r p f + k (1 - r p)).
     """
     tracker = Tracker()
@@ -58,8 +58,8 @@ def test_existence_of_an_object_seen_twice_is_that_of_bayes():
     assert tracker.step(frame(0, item), stationary_pose()) == ()
     (track,) = tracker.step(frame(1, item), stationary_pose())
     prior, background = 0.6 * 0.8**0.3, 3e-4 / 0.6
-    report = prior * 0.6 / (2.0 * math.pi * (0.5 + 5.76 + 0.018))
-    expected = (report + background * prior * 0.4) / (report + background * (1.0 - prior * 0.6))
+    report = prior * 0.7 / (2.0 * math.pi * (0.5 + 5.76 + 0.018))
+    expected = (report + background * prior * 0.3) / (report + background * (1.0 - prior * 0.7))
     assert track.existence == pytest.approx(expected, rel=1e-12)
 
 
@@ -73,7 +73,7 @@ def test_one_scan_publishes_nothing_two_do_and_misses_end_it():
     after = existence[3:]
     assert after == sorted(after, reverse=True)
     assert [one.misses for tracks in told[4:] for one in tracks] == list(range(1, len(after) + 1))
-    assert after[0] == pytest.approx(existence[2] * 0.8**0.3 * 0.4 / (1.0 - existence[2] * 0.8**0.3 * 0.6))
+    assert after[0] == pytest.approx(existence[2] * 0.8**0.3 * 0.3 / (1.0 - existence[2] * 0.8**0.3 * 0.7))
 
 
 def masked(scan: int, *objects: HiddenObject, observable: bool) -> BevFrame:
@@ -86,13 +86,13 @@ def masked(scan: int, *objects: HiddenObject, observable: bool) -> BevFrame:
 
 @pytest.mark.parametrize("observable", [True, False])
 def test_a_scan_that_cannot_see_a_track_takes_little_from_it(observable: bool):
-    """p_D is 0.6 where the mask shows the place, a fifth of that where it does not."""
+    """p_D is 0.7 where the mask shows the place, a fifth of that where it does not."""
     tracker = Tracker()
     before = [tracker.step(masked(scan, seen(8.0, 9.0), observable=True), stationary_pose()) for scan in range(4)][-1]
     (now,) = tracker.step(masked(4, observable=observable), stationary_pose())
     assert before[0].existence is not None
     prior = before[0].existence * 0.8**0.3
-    detection = 0.6 if observable else 0.6 * UNOBSERVABLE_SHARE
+    detection = 0.7 if observable else 0.7 * UNOBSERVABLE_SHARE
     assert now.existence == pytest.approx(prior * (1.0 - detection) / (1.0 - prior * detection), rel=1e-9)
 
 
