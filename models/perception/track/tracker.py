@@ -29,8 +29,6 @@ from msgs.values.units import ns_from_s, s_from_ns
 FRONT = Pose2()
 #: Largest number of hypotheses that are kept, the likeliest: no street hides as many.
 MAX_TRACKS = 200
-#: Measurements until a track is published: one gives no velocity.
-LEAST_MEASUREMENTS = 2
 #: A published position is known to this standard deviation along its worst axis: a vaguer one points at nothing.
 MAX_POSITION_STD_M = 2.0
 #: A measurement counts as a track's where it is so probable.
@@ -51,7 +49,8 @@ MAX_GAP_S = 2.0
 class TrackParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tracks that are published."""
 
-    #: A track is published from this existence on. With `detection_probability` chosen by IDF1 on `validation_drives`.
+    #: A track is published from this existence on. IDF1, HOTA and GOSPA of `validation_drives` chose it together with
+    #: `detection_probability`.
     confirm_existence: float = 0.8
 
     def __post_init__(self) -> None:
@@ -158,13 +157,7 @@ class Tracker:
         self._walls.clear()
 
     def _confirmed(self) -> list[_TrackState]:
-        """Return the tracks that exist by more than one scan."""
-        least = self.params.confirm_existence
-        return [
-            track
-            for track in self._tracks
-            if track.bernoulli.existence >= least and track.measurements >= LEAST_MEASUREMENTS
-        ]
+        return [track for track in self._tracks if track.bernoulli.existence >= self.params.confirm_existence]
 
     def _follow(self, frame: BevFrame, odom_from_radar: Pose2, reported: list[Sighting]) -> None:
         """Predict, associate, update, begin and end tracks by what a scan has `reported`."""

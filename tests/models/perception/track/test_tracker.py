@@ -63,17 +63,19 @@ def test_existence_of_an_object_seen_twice_is_that_of_bayes():
     assert track.existence == pytest.approx(expected, rel=1e-12)
 
 
-def test_one_scan_publishes_nothing_two_do_and_misses_end_it():
+def test_a_sure_report_is_published_at_once_and_misses_end_it():
     """Missed where it could be seen: r (1 - p_D) / (1 - r p_D) a scan, and the track is gone below its least."""
     told = drive(Tracker(), [[(8.0, 9.0)]] * 4 + [[]] * 8)
-    assert [len(tracks) for tracks in told[:5]] == [0, 1, 1, 1, 1]
+    # a report of score 0.9; that of 0.6 above waits for the next scan
+    assert [one.existence for one in told[0]] == [0.9]
+    assert [len(tracks) for tracks in told[:5]] == [1] * 5
     assert told[-1] == ()
     existence = [one.existence for tracks in told for one in tracks]
-    assert existence[:3] == sorted(existence[:3])
-    after = existence[3:]
+    assert existence[:4] == sorted(existence[:4])
+    after = existence[4:]
     assert after == sorted(after, reverse=True)
     assert [one.misses for tracks in told[4:] for one in tracks] == list(range(1, len(after) + 1))
-    assert after[0] == pytest.approx(existence[2] * 0.8**0.3 * 0.3 / (1.0 - existence[2] * 0.8**0.3 * 0.7))
+    assert after[0] == pytest.approx(existence[3] * 0.8**0.3 * 0.3 / (1.0 - existence[3] * 0.8**0.3 * 0.7))
 
 
 def masked(scan: int, *objects: HiddenObject, observable: bool) -> BevFrame:
@@ -126,7 +128,7 @@ def test_a_doubtful_object_takes_more_scans():
 def test_two_reports_of_one_object_are_one_track():
     """Half a metre apart in each scan."""
     told = drive(Tracker(), [[(8.0, 9.0), (8.5, 9.0)]] * 6)
-    assert [len(tracks) for tracks in told] == [0, 1, 1, 1, 1, 1]
+    assert [len(tracks) for tracks in told] == [1] * 6
 
 
 def test_of_too_many_tracks_the_likeliest_are_kept(monkeypatch: pytest.MonkeyPatch):
@@ -221,7 +223,8 @@ def test_two_that_pass_each_other_keep_their_ids():
 
 def test_nothing_outside_the_gate_is_assigned():
     told = drive(Tracker(), [[(8.0, 9.0)]] * 8 + [[(8.0, 13.0)]])
-    assert [one.misses for one in told[-1]] == [1]
+    # missed, and the other report begins one of its own
+    assert [one.misses for one in told[-1]] == [1, 0]
 
 
 def test_ids_are_never_used_twice():
