@@ -1,4 +1,4 @@
-"""int8 networks answer the same on every processor."""
+"""int8 networks answer the same on every processor with AVX2; on others floats are rounded otherwise."""
 
 from __future__ import annotations
 
