@@ -19,6 +19,7 @@ class TrainedRadar(msgspec.Struct, frozen=True, kw_only=True):
     #: Spacing of the columns in wavelengths.
     column_spacing: float = 0.5
     steered_ways: int = 2
+    phase_bits: int = 6
     azimuth_deg: tuple[float, ...] = BeamGrid().azimuth_deg
 
     @classmethod
@@ -30,6 +31,7 @@ class TrainedRadar(msgspec.Struct, frozen=True, kw_only=True):
             columns=array.columns,
             column_spacing=array.column_spacing(wavelength_m) / wavelength_m,
             steered_ways=array.steered_ways,
+            phase_bits=array.phase_bits,
             azimuth_deg=setup.beams.azimuth_deg,
         )
 
@@ -46,6 +48,9 @@ class TrainedRadar(msgspec.Struct, frozen=True, kw_only=True):
             for name, tolerance in tolerances.items()
             if abs(getattr(own, name) / getattr(self, name) - 1.0) > tolerance
         ]
+        # two bits serve as well as six; with one every beam looks to both sides
+        if own.phase_bits == 1 != self.phase_bits:
+            different.append(f"phase_bits 1 in place of {self.phase_bits}")
         trained_deg = np.sort(self.azimuth_deg)
         looked_deg = np.delete(np.asarray(own.azimuth_deg), list(unused_beams))
         step_deg = float(np.diff(trained_deg).max(initial=0.0))

@@ -14,7 +14,7 @@ Answer = TypeVar("Answer")
 
 
 class Refusals:
-    """Refusals of a stage. `unit`: what log lines count, as "beam"; None: they name what was refused."""
+    """Refusals of a stage. `unit`: what log lines count, as "beam"; of others they name what was refused."""
 
     def __init__(self, log: logging.Logger, shed: ShedTally, unit: str | None = None) -> None:
         self._log, self._shed, self._unit = log, shed, unit
@@ -27,11 +27,12 @@ class Refusals:
 
     def refuse(self, kind: str, error: ValueError, name: str | None = None) -> None:
         """Count `kind`, in the log called `name`, as refused for an error; log the error unless it is the last one."""
-        self._count += kind == self._unit
+        is_counted = kind == self._unit
+        self._count += is_counted
         self._shed.add(kind, "refused")
         if str(error) != self.reason:
-            so_far = "" if self._unit is None else f"({counted(self._count, self._unit)} refused so far)"
-            self._log.warning("%s", f"{error} {so_far}" if so_far else f"{name or kind} refused: {error}")
+            so_far = f"{error} ({counted(self._count, kind)} refused so far)"
+            self._log.warning("%s", so_far if is_counted else f"{name or kind} refused: {error}")
         self._shed.refusal = str(error)
 
     def attempt(self, kind: str, work: Callable[[], Answer], name: str | None = None) -> Answer | None:

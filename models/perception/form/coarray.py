@@ -37,6 +37,9 @@ _MAX_INVERSES = 64
 #: Largest number of beams times coefficients of magnitudes, which each range bin solves separately on a moving vehicle.
 #: The 77 GHz radar has 6,441; at the limit a scan takes a second.
 MAX_TERMS = 1 << 14
+#: Largest condition of the beams at which coefficients tell of the array. An array of half a wavelength has 12 to 18
+#: where beams span 114 degrees or more; over 60 degrees it has 530, and coefficients 30 dB more noise than a beam.
+_MAX_CONDITION = 30.0
 #: Beams that looked no further from their steering angle than this count as looking there: an eighth of a cell.
 _STILL_RAD = 1e-3
 
@@ -164,9 +167,13 @@ class AzimuthInterpolator:
 
     @cached_property
     def coefficient_matrix(self) -> np.ndarray | None:
-        """Profiles of all beams to co-array coefficients, complex64 [beams, 2N-1]; None where beams are too few."""
+        """Profiles of all beams to co-array coefficients, complex64 [beams, 2N-1]; None where beams are too few, or too
+        much alike to tell them from noise.
+        """
         beams, coefficients = self._beam_matrix.shape
-        return None if beams <= coefficients else np.linalg.pinv(self._beam_matrix).T.astype(np.complex64)
+        if beams <= coefficients or np.linalg.cond(self._beam_matrix) > _MAX_CONDITION:
+            return None
+        return np.linalg.pinv(self._beam_matrix).T.astype(np.complex64)
 
     def interpolate(
         self,

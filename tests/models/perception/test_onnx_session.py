@@ -1,4 +1,4 @@
-"""int8 networks answer the same on every processor."""
+"""int8 networks answer the same on every processor with AVX2; on others floats are rounded otherwise."""
 
 from __future__ import annotations
 
@@ -85,7 +85,9 @@ def compare(python: list[str], names: tuple[str, ...], tolerances: dict[str, flo
     # as loud as a map full of echoes: sums that could be cut off
     cells = {name: rng.random(one.get_inputs()[0].shape, np.float32) for name, one in sessions.items()}
     np.savez(folder / "cells.npz", **cells)  # type: ignore[arg-type]
-    subprocess.run([*python, "-c", CHILD, folder], cwd=ROOT, check=True, timeout=600)
+    # the other processor runs its own kernels, not those that this one was told to
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_CORETYPE"}
+    subprocess.run([*python, "-c", CHILD, folder], cwd=ROOT, env=environment, check=True, timeout=600)
     with np.load(folder / "there.npz") as there:
         for name, session in sessions.items():
             (here,) = session.run(None, {session.get_inputs()[0].name: cells[name]})

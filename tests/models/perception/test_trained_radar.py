@@ -31,6 +31,8 @@ def steered(*azimuth_deg: float) -> RadarSetup:
         (RadarSetup(array=ArrayParams(columns=6)), ["columns 6 in place of 8"]),
         (RadarSetup(array=ArrayParams(column_spacing_m=0.7 * WAVELENGTH_M)), ["column_spacing 0.7 in place of 0.5"]),
         (RadarSetup(array=ArrayParams(steered_ways=1)), ["steered_ways 1 in place of 2"]),
+        (RadarSetup(array=ArrayParams(phase_bits=2)), []),
+        (RadarSetup(array=ArrayParams(phase_bits=1)), ["phase_bits 1 in place of 6"]),
         (RadarSetup(radar=RadarParams(carrier_hz=24e9)), ["carrier_hz 2.4e+10 in place of 1e+10"]),
     ],
 )

@@ -29,9 +29,9 @@ def test_a_reason_is_said_when_it_changes(unit: str | None, lines: list[str], ca
     assert refusals.health() == (NodeState.READY, "")
     refusals.refuse("beam", ValueError("no"))
     # another kind is counted by its own name and not as a beam
-    refusals.refuse("setup", ValueError("no"))
+    refusals.refuse("setup", ValueError("none"))
     shed.add("setup", "refused", 2)
-    assert [record.message for record in caplog.records] == lines
+    assert [record.message for record in caplog.records] == [*lines, "setup refused: none"]
     assert [(one.what, one.reason, one.count) for one in shed.counts()] == [
         ("beam", "refused", 4), ("setup", "refused", 3),
     ]  # fmt: skip

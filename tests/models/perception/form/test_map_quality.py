@@ -24,6 +24,7 @@ from models.perception.mirrors.peaks_to_view import condition_flags
 from models.physics.antenna import coarray_weights, setup_weights
 from msgs.bus.codec import decode_inline, encode_inline
 from msgs.values.radar import (
+    PRESETS,
     WIRING_FAULTS,
     ArrayParams,
     BeamGrid,
@@ -153,6 +154,20 @@ def test_deviation_grows_with_the_error() -> None:
     draw = np.random.default_rng(6).standard_normal(8)
     deviations = [_deviation(_profiles(4, np.exp(1j * np.radians(rms) * draw))) for rms in (0.0, 15.0, 30.0, 60.0)]
     assert deviations == sorted(deviations)
+
+
+@pytest.mark.parametrize(
+    ("setup", "speaks"),
+    [
+        (PRESETS["xband"], True),
+        (RadarSetup(beams=BeamGrid(azimuth_deg=tuple(np.linspace(-30.0, 30.0, 25).tolist()))), False),
+        (RadarSetup(beams=BeamGrid(azimuth_deg=tuple(np.linspace(-50.0, 50.0, 25).tolist()))), False),
+        # phases of 0 and 180 degrees: left and right are one
+        (RadarSetup(array=ArrayParams(phase_bits=1)), False),
+    ],
+)
+def test_beams_too_much_alike_say_nothing_of_their_array(setup: RadarSetup, speaks: bool) -> None:
+    assert (AzimuthInterpolator(setup).coefficient_matrix is not None) == speaks
 
 
 def test_a_turn_of_the_whole_beam_is_no_deviation() -> None:
