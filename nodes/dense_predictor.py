@@ -22,6 +22,7 @@ from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from nodes.inputs.refusals import Refusals
 from nodes.node import Node
+from nodes.process.machine import integer_kernels
 
 _LOG = logging.getLogger(__name__)
 
@@ -150,4 +151,6 @@ def detector_for(params: Params, setup: RadarSetup) -> Detector:
 
 def create(params: Params) -> DensePredictorNode:
     """Return the node with its parameters."""
+    if params.method == "network":
+        _LOG.info("int8 networks run on %s", integer_kernels())
     return DensePredictorNode(params)

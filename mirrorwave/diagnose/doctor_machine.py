@@ -16,7 +16,7 @@ from pathlib import Path
 from mirrorwave.console import error_line
 from mirrorwave.diagnose.findings import Finding, Status
 from msgs.files.shipped import WEIGHTS
-from nodes.process.machine import installed_version
+from nodes.process.machine import installed_version, integer_kernels
 
 _MIB = 1 << 20
 #: Package -> module to import: importing it is what finds a missing shared library.
@@ -153,7 +153,7 @@ def check_processor() -> Iterator[Finding]:
     import numba
     import psutil
 
-    yield Finding("cores", Status.OK, f"{len(os.sched_getaffinity(0))} usable")
+    yield Finding("cores", Status.OK, f"{len(os.sched_getaffinity(0))} usable; int8 networks on {integer_kernels()}")
     free = psutil.virtual_memory().available
     enough = free >= _MEMORY_NEEDED_BYTES
     yield Finding("memory", Status.OK if enough else Status.WARNING, f"{free / _MIB:.0f} MiB available")

@@ -8,6 +8,16 @@ import platform
 from pathlib import Path
 from typing import Any
 
+#: Instructions that products of whole numbers run on, the best first; below AVX2, and on ARM, floats between them are
+#: rounded otherwise.
+_INTEGER_KERNELS = {
+    "avx512_vnni": "AVX-512 VNNI",
+    "avx_vnni": "AVX VNNI",
+    "avx2": "AVX2",
+    "i8mm": "ARM I8MM",
+    "asimddp": "ARM dot product",
+}
+_CPUINFO = Path("/proc/cpuinfo")
 _PACKAGES = ("mirrorwave", "numpy", "scipy", "onnxruntime", "pyzmq", "msgspec", "mcap", "zstandard")
 
 
@@ -54,9 +64,20 @@ def _lines(path: Path) -> list[str]:
         return []
 
 
+def integer_kernels(cpuinfo: Path = _CPUINFO) -> str:
+    """Return the instructions that networks of whole numbers run on, as this processor names its own."""
+    flags = {word for key in ("flags", "Features") for word in _fact(cpuinfo, key).split()}
+    return next((name for flag, name in _INTEGER_KERNELS.items() if flag in flags), f"{platform.machine()} alone")
+
+
 def _processor() -> str:
-    names = (line.partition(":")[2].strip() for line in _lines(Path("/proc/cpuinfo")) if line.startswith("model name"))
-    return next(names, platform.machine())
+    return _fact(_CPUINFO, "model name") or platform.machine()
+
+
+def _fact(cpuinfo: Path, key: str) -> str:
+    """Return what the first line of a key says; empty where there is none."""
+    lines = (line.partition(":") for line in _lines(cpuinfo))
+    return next((value.strip() for name, _, value in lines if name.strip() == key), "")
 
 
 def installed_version(package: str) -> str | None:

@@ -1,12 +1,13 @@
-"""Which share of the machine a process may use."""
+"""Which share of the machine a process may use, and what its processor computes whole numbers with."""
 
 from __future__ import annotations
 
+import platform
 from pathlib import Path
 
 import pytest
 
-from nodes.process.machine import quota_cores
+from nodes.process.machine import integer_kernels, quota_cores
 
 
 @pytest.fixture
@@ -41,3 +42,21 @@ def test_quotas_of_the_earlier_version_count_too(groups: Path) -> None:
     assert quota(groups, memberships) is None
     (folder / "cpu.cfs_quota_us").write_text("25000\n")
     assert quota(groups, memberships) == 0.25
+
+
+@pytest.mark.parametrize(
+    ("line", "kernels"),
+    [
+        ("flags\t\t: fpu sse4_1 avx2 avx512f avx512_vnni", "AVX-512 VNNI"),
+        ("flags\t\t: fpu sse4_1 avx2 avx_vnni", "AVX VNNI"),
+        ("flags\t\t: fpu sse4_1 avx2", "AVX2"),
+        ("Features\t: fp asimd asimddp", "ARM dot product"),
+        ("flags\t\t: fpu sse4_1", f"{platform.machine()} alone"),
+        ("", f"{platform.machine()} alone"),
+    ],
+)
+def test_kernels_of_whole_numbers_are_the_best_that_the_processor_names(
+    tmp_path: Path, line: str, kernels: str
+) -> None:
+    (tmp_path / "cpuinfo").write_text(f"processor\t: 0\nmodel name\t: any\n{line}\nbugs\t\t: none\n")
+    assert integer_kernels(tmp_path / "cpuinfo") == kernels
