@@ -32,6 +32,7 @@ _CONSTANTS = {
     "calibrate background": {"--scans": "100"},
     "calibrate noise": {"--scans": "20"},
     "calibrate array": {"--scans": "100"},
+    "graph": {"--svg": "no drawing; dot -Tsvg draws what --dot writes"},
     "sim statistics": {"--out": "no page; --json prints all numbers"},
     "sim lidar": {"--guess-m": "0.3 m", "--guess-deg": "3 deg"},
     "import xradarnlos": {"--keys": "L,G,T"},
