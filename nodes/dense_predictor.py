@@ -151,3 +151,7 @@ def detector_for(params: Params, setup: RadarSetup) -> Detector:
 def create(params: Params) -> DensePredictorNode:
     """Return the node with its parameters."""
     return DensePredictorNode(params)
+
+
+#: It opens its network and nothing else.
+check = create

@@ -182,6 +182,8 @@ class Bridged(Generic[Item]):
         )
         start_ns = self._last_ns + self._shift_ns
         span_ns = max(0, next_ns + self._shift_ns - start_ns)
+        # the one that returns follows them, not a gap
+        self._last_ns = next_ns
         self._given.extend(start_ns + span_ns * at // (count + 1) for at in range(1, count + 1))
         return self._given.popleft()
 

@@ -194,7 +194,7 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
             "holds no radar/setup, which says how to read its radar/beam"
         ),
         recording_of(tmp_path / "one.mcap", [("radar/setup", one), ("radar/beam", beams[0])]): (
-            "a scan must have 2 beams or more to tell directions apart, its radar has 1"
+            "its radar: beams.azimuth_deg must name at least 2 directions to tell echoes apart, got (0.0,)"
         ),
         other: "must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",
         tmp_path: "is a folder, must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",
