@@ -583,14 +583,6 @@ def scene_of(params: Params) -> Scene:
     from sim_player.scene.description import check_scene, load_scene
 
     scene = load_scene(Path(params.scene or ""))
-    if scene.radar.preset == "spad":
-        # `sim run` asks for samples where nothing is said
-        radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
-        default = Params(scene=params.scene)
-        for name in radar_only:
-            value = getattr(params, name)
-            if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
-                raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
     if params.object_speed_mps is not None:
         moving_objects = tuple(
             msgspec.structs.replace(item, speed_mps=params.object_speed_mps) for item in scene.objects
@@ -607,6 +599,14 @@ def scene_of(params: Params) -> Scene:
             require_clear_path(scene, params.scans * period_s)
     except ValueError as error:
         raise ValueError(f"{params.scene}: {error}") from None
+    if scene.radar.preset == "spad":
+        # `sim run` asks for samples where nothing is said
+        radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
+        default = Params(scene=params.scene)
+        for name in radar_only:
+            value = getattr(params, name)
+            if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
+                raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
     return scene
 
 

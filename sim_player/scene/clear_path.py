@@ -81,7 +81,6 @@ def require_clear_path(scene: Scene, duration_s: float) -> None:
     """Raise `ValueError`, field first, where the radar of a scene meets a wall or an object within a duration."""
     meeting = ego_meeting(scene)
     if meeting is not None and meeting[0] <= duration_s:
-        raise ValueError(
-            f"ego.speed_mps: {meeting_text(meeting)}, within the {duration_s:g} s of the recording, "
-            f"got {scene.ego.speed_mps!r}"
-        )
+        speed_mps = scene.ego.speed_mps
+        field, got = ("ego.speed_mps", f", got {speed_mps!r}") if speed_mps else ("objects", "")
+        raise ValueError(f"{field}: {meeting_text(meeting)}, within the {duration_s:g} s of the recording{got}")

@@ -138,7 +138,8 @@ def test_an_error_comes_after_all_that_was_read_before_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step_s", "text"), [(6.02, "+6.0 s"), (-99.98, "-100 s"), (1e9, "+1000000000 s (31.7 years)")]
+    ("step_s", "text"),
+    [(6.02, "+6.0 s"), (-0.012, "-0.012 s"), (-99.98, "-100 s"), (1e9, "+1000000000 s (31.7 years)")],
 )
 def test_amounts(step_s: float, text: str) -> None:
     assert amount(round(step_s * S)) == text

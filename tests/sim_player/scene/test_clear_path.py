@@ -93,7 +93,11 @@ def test_a_path_that_meets_no_wall_is_free(free: Scene) -> None:
 def test_an_object_is_met_too(speed_mps: float, ego: dict[str, float], time_s: float | None) -> None:
     car = SceneObject(class_="car", x_m=10.0, y_m=0.0, speed_mps=speed_mps)
     met = None if time_s is None else (pytest.approx(time_s, abs=2e-3), "the radar and objects[0] (car) meet")
-    assert ego_meeting(Scene(name="t", objects=(car,), ego=Ego(**ego))) == met
+    crowded = Scene(name="t", objects=(car,), ego=Ego(**ego))
+    assert ego_meeting(crowded) == met
+    if met is not None:
+        with pytest.raises(ValueError, match=rf"^{'ego.speed_mps' if ego else 'objects'}: the radar and objects\[0\]"):
+            require_clear_path(crowded, 2.0)
 
 
 def test_no_beam_and_no_truth_is_made_beyond_a_wall() -> None:
