@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from models.perception.form.coarray import require_formable
 from msgs.bus.topics import RAW_TOPICS, SENSOR_TOPICS, plain_topic, sensor_of, sensor_topic
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture
@@ -22,7 +23,7 @@ def require_raw(capture: Path) -> None:
             is_scene = capture.suffix in (".yaml", ".yml")
             scene = "; mirrorwave sim run SCENE --out NAME.mcap records a scene" if is_scene else ""
             raise ValueError(f"{capture}: must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta{scene}")
-        _require_bearings(capture, SigmfCapture.open(capture, verify=False).setup)
+        _require_formable(capture, SigmfCapture.open(capture, verify=False).setup)
         return
     with RecordingReader(capture) as reader:
         held = reader.types
@@ -38,7 +39,7 @@ def require_raw(capture: Path) -> None:
         raise ValueError(f"{capture}: {content}; {_use_of(capture, held)}{loss}")
     for topic, message in setups:
         if isinstance(message, RadarSetup) and sensor_topic("radar/beam", sensor_of(topic)) in held:
-            _require_bearings(capture, message)
+            _require_formable(capture, message)
 
 
 def sensors_in(capture: Path) -> tuple[str, ...]:
@@ -50,10 +51,12 @@ def sensors_in(capture: Path) -> tuple[str, ...]:
     return tuple(sorted({sensor_of(topic) for topic in raw} - {""}))
 
 
-def _require_bearings(capture: Path, setup: RadarSetup) -> None:
-    """Raise `ValueError` for a radar of one beam: nothing tells from where its echoes come."""
-    if len(setup.beams) < 2:
-        raise ValueError(f"{capture}: a scan must have 2 beams or more to tell directions apart, its radar has 1")
+def _require_formable(capture: Path, setup: RadarSetup) -> None:
+    """Raise `ValueError` for a radar of which no map can be formed."""
+    try:
+        require_formable(setup)
+    except ValueError as error:
+        raise ValueError(f"{capture}: its radar: {error}") from None
 
 
 def _use_of(recording: Path, held: Iterable[str]) -> str:

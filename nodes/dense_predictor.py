@@ -154,3 +154,7 @@ def create(params: Params) -> DensePredictorNode:
     if params.method == "network":
         _LOG.info("int8 networks run on %s", integer_kernels())
     return DensePredictorNode(params)
+
+
+#: It opens its network and nothing else.
+check = create

@@ -285,3 +285,7 @@ def confidence_paths(confidence: str) -> list[Path]:
 def create(params: Params) -> GeometryNode:
     """Return the node with its parameters."""
     return GeometryNode(params)
+
+
+#: It opens its networks and nothing else.
+check = create

@@ -346,8 +346,8 @@ def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
 def scene_events(player: SceneSource, scans: int | None, backlog: Backlog | None = None) -> Iterator[Event]:
     """Return what the sensor of a scene sends, vehicle states and truth, scan after scan, stamped from zero.
 
-    Scans are not made where the `backlog` has them left out. Without `scans` they end before the sensor drives into a
-    wall.
+    Scans are not made where the `backlog` has them left out. Without `scans` they end before the sensor meets a
+    wall or an object.
     """
     from sim_player.scene.clear_path import ego_meeting, meeting_text
 
@@ -577,7 +577,7 @@ def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
 def scene_of(params: Params) -> Scene:
     """Return the scene named by `params`, with the speeds it overrides.
 
-    Raises `ValueError` naming file and field, also where the sensor would drive into a wall within `params.scans`.
+    Raises `ValueError` naming file and field, also where the sensor would meet a wall or an object in `params.scans`.
     """
     from sim_player.scene.clear_path import require_clear_path
     from sim_player.scene.description import check_scene, load_scene
@@ -599,6 +599,14 @@ def scene_of(params: Params) -> Scene:
             require_clear_path(scene, params.scans * period_s)
     except ValueError as error:
         raise ValueError(f"{params.scene}: {error}") from None
+    if scene.radar.preset == "spad":
+        # `sim run` asks for samples where nothing is said
+        radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
+        default = Params(scene=params.scene)
+        for name in radar_only:
+            value = getattr(params, name)
+            if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
+                raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
     return scene
 
 
@@ -608,13 +616,6 @@ def scene_player(params: Params) -> SceneSource:
     if scene.radar.preset == "spad":
         from sim_player.lidar.player import LidarPlayer
 
-        # `sim run` asks for samples where nothing is said
-        radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db", "purpose")
-        default = Params(scene=params.scene)
-        for name in radar_only:
-            value = getattr(params, name)
-            if value != getattr(default, name) and (name, value) != ("purpose", "samples"):
-                raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
         return LidarPlayer(scene, seed=params.seed)
 
     from sim_player.player import ScenePlayer
@@ -646,6 +647,19 @@ def events_of(params: Params, backlog: Backlog | None = None) -> Iterator[Event]
     if params.vehicle_clock_offset_s:
         return _with_offset(events, ns_from_s(params.vehicle_clock_offset_s))
     return events
+
+
+def check(params: Params) -> None:
+    """Raise `ValueError` for a scene, effects or a capture that cannot be played."""
+    if params.scene is not None:
+        from sim_player.effects.table import named_effects
+
+        named_effects(params.effects)
+    elif Path(params.capture or "").suffix != ".mcap":
+        from msgs.recording.sigmf import SigmfCapture
+
+        SigmfCapture.open(Path(params.capture or ""), verify=False)
+    _more_topics(params)
 
 
 def create(params: Params) -> Player:

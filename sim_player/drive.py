@@ -57,8 +57,8 @@ class Drive:
         in_vehicle = np.array([speed - yaw_rate * lever.y_m, yaw_rate * lever.x_m])
         return RadarState(pose @ lever, pose.rotate(in_vehicle))
 
-    def meeting(self, scene: Scene) -> tuple[float, int] | None:
-        """Return when the radar meets the first wall, and the number of its surface; None if it never does."""
+    def meeting(self, scene: Scene) -> tuple[float, str] | None:
+        """Return when the radar meets the first wall or object, in words which; None if it never does."""
         time_s = np.arange(0.0, float(self.time_s[-1]) + 0.05, 0.05)
         poses = [self.radar(float(at_s)).pose for at_s in time_s]
         return first_meeting(scene, time_s, np.array([(pose.x_m, pose.y_m) for pose in poses]))

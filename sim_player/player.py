@@ -79,13 +79,14 @@ class ScenePlayer:
             raise ValueError(f"phase_jitter_rad must be finite and not negative, got {phase_jitter_rad!r}")
         self.scene, self.drive = scene, drive
         self.setup = msgspec.structs.replace(setup, stamp_ns=start_ns)
-        self._meeting = None
-        if walls_stop:
-            self._meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
         self._moves = drive is not None or scene.moves
         self._seed = seed if noise_seed is None else noise_seed
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
+        # of a scene that is good
+        self._meeting = None
+        if walls_stop:
+            self._meeting = ego_meeting(scene) if drive is None else drive.meeting(scene)
         self._precision = precision
         #: Effects as planned at the start, None: the basic ones. Of a moving scene its weakest paths are chosen later.
         self.plan = resolve_plan(self._world, self.setup, effects, budget_db, purpose=purpose_of(purpose))

@@ -72,7 +72,8 @@ def capture_files(given: Sequence[Path], config: Dca1000Config) -> list[Path]:
     """Return the files of one capture in order: those given, or `..._Raw_0.bin` with as many that follow as it needs,
     or those of the devices of a cascade beside the master's.
 
-    Raises `ValueError` for a file that goes on where another ended, `OSError` where one cannot be read.
+    Raises `ValueError` for a file that goes on where another ended or that is missing between two, `OSError` where one
+    cannot be read.
     """
     files = list(given)
     if (parts := DEVICES[config.device].parts) > 1:
@@ -90,8 +91,14 @@ def capture_files(given: Sequence[Path], config: Dca1000Config) -> list[Path]:
         )
     wanted = config.frame.frames * config.frame_bytes
     while met is not None and len(given) == 1:
+        if 0 < wanted <= sum(file.stat().st_size for file in files):
+            break
         following = files[0].with_name(f"{met['stem']}{len(files)}{met['end']}")
-        if not following.is_file() or 0 < wanted <= sum(file.stat().st_size for file in files):
+        if not following.is_file():
+            if following.with_name(f"{met['stem']}{len(files) + 1}{met['end']}").is_file():
+                raise ValueError(
+                    f"{following}: is missing between files of one capture; to read some give each of them"
+                )
             break
         files.append(following)
     return files

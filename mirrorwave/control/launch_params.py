@@ -76,7 +76,10 @@ def main(argv: list[str] | None = None) -> int:
     refused = {f"topics.{name}": TOPICS.refused[name] for name in topics if name not in known or name in TOPICS.refused}
     for name, node in asked["nodes"].items():
         try:
-            convert_at(node["params"], node_module(node["module"], name).Params, f"{name}.params")
+            module = node_module(node["module"], name)
+            params = convert_at(node["params"], module.Params, f"{name}.params")
+            # what a file must hold, without starting anything
+            getattr(module, "check", lambda params: None)(params)
         except ValueError as error:
             refused[name] = str(error)
     sys.stdout.write(f"\n{json.dumps(refused)}\n")

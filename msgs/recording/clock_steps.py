@@ -182,6 +182,8 @@ class Bridged(Generic[Item]):
         )
         start_ns = self._last_ns + self._shift_ns
         span_ns = max(0, next_ns + self._shift_ns - start_ns)
+        # the one that returns follows them, not a gap
+        self._last_ns = next_ns
         self._given.extend(start_ns + span_ns * at // (count + 1) for at in range(1, count + 1))
         return self._given.popleft()
 
@@ -196,4 +198,5 @@ def amount(step_ns: int) -> str:
     """Return a step in words: "+6.0 s", "-100 s", "+1700000000 s (53.9 years)"."""
     step_s = s_from_ns(step_ns)
     years = f" ({abs(step_s) / _YEAR_S:.1f} years)" if abs(step_s) > _YEAR_S else ""
-    return f"{step_s:+.{0 if abs(step_s) >= 10.0 else 1}f} s{years}"
+    digits = 0 if abs(step_s) >= 10.0 else 1 if abs(step_s) >= 0.1 else 3
+    return f"{step_s:+.{digits}f} s{years}"

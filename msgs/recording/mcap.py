@@ -38,6 +38,7 @@ from msgs.files.unpacking import UNPACKING_ERRORS, unpack
 from msgs.files.whole_files import whole
 from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, ZSTD_LEVEL, McapFile
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+from msgs.values.wording import counted
 
 _LOG = logging.getLogger(__name__)
 
@@ -150,7 +151,7 @@ class RecordingInfo(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float
     topics: tuple[TopicInfo, ...]
     metadata: dict[str, str]
-    #: The recorder closed the file.
+    #: The recorder closed the file, and nothing follows.
     complete: bool
     #: Every checksum of the data agrees.
     checksums_agree: bool
@@ -323,8 +324,8 @@ class RecordingReader:
 
     @property
     def complete(self) -> bool:
-        """Return whether the recorder closed the file."""
-        return self._walk.complete
+        """Return whether the recorder closed the file, and nothing follows."""
+        return self._walk.complete and not self._walk.damage
 
     @property
     def loss(self) -> str | None:
@@ -332,7 +333,8 @@ class RecordingReader:
         reasons = [self._walk.damage] if self._walk.damage else []
         if self._damage:
             first = min(self._damage)
-            reasons.append(f"{len(self._damage)} damaged chunks, the first at byte {first}: {self._damage[first]}")
+            chunks = counted(len(self._damage), "damaged chunk")
+            reasons.append(f"{chunks}, the first at byte {first}: {self._damage[first]}")
         return "; ".join(reasons) or None
 
     @property
@@ -653,6 +655,11 @@ def _walk_records(file: BinaryIO) -> _Walk:
             walk.damage = f"damaged at byte {offset}: {_one_line(error)}"
         offset = end
     if walk.complete:
+        if (end := offset + len(MCAP0_MAGIC)) < walk.size:
+            # files put together, one after the other
+            file.seek(end)
+            rest = "another recording" if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC else "what is no part of it"
+            walk.damage = f"ends at byte {end} and is read so far; {rest}, {walk.size - end} bytes, follows and is not"
         # the index has a checksum, the heads of the records have none
         indexed = {chunk.offset: chunk for chunk in walk.indexed}
         walk.chunks = [chunk for chunk in walk.chunks if chunk.offset not in indexed] + list(indexed.values())

@@ -79,7 +79,8 @@ def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
     if channel is None and len(channels) > 1:
         _LOG.warning("%s: frames of channels %s are read as one bus", path, ", ".join(channels))
     elif count and not is_found:
-        raise ValueError(f"{path}: holds no frames of channel {channel}; its channels are {', '.join(channels)}")
+        listed = f"its channels are {', '.join(channels)}" if channels.keys() != {"None"} else "it names no channels"
+        raise ValueError(f"{path}: holds no frames of channel {channel}; {listed}")
 
 
 def _unpacked(stored: BinaryIO) -> BinaryIO:

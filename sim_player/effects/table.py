@@ -224,6 +224,19 @@ EFFECTS: dict[str, Effect] = {**PATHS, **WEIGHTS, **SIGNAL}
 ALL_EFFECTS = frozenset(EFFECTS)
 
 
+def named_effects(effects: str) -> frozenset[str]:
+    """Return the names of effects in a text of "auto", "basic", "all", which give all, or names between commas.
+
+    Raises ValueError for an unknown effect, or an empty list.
+    """
+    if effects in ("auto", "basic", "all"):
+        return ALL_EFFECTS
+    names = frozenset(name.strip() for name in effects.split(",")) - {""}
+    if not names:
+        raise ValueError("effects: want auto, all, basic or names with commas between them, got nothing")
+    return check_effects(names)
+
+
 def check_effects(names: frozenset[str]) -> frozenset[str]:
     """Return the same names; ValueError lists the unknown ones."""
     unknown = sorted(names - ALL_EFFECTS)

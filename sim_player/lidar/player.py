@@ -33,9 +33,10 @@ class LidarPlayer:
             raise ValueError(f"radar.preset: must be 'spad' for a LiDAR, got {scene.radar.preset!r}")
         self.scene = scene
         self.setup: LidarSetup = msgspec.structs.replace(scene.lidar, stamp_ns=start_ns)
-        self._meeting = ego_meeting(scene)
         self._seed = seed
         self._world = prepare(scene, seed)
+        # of a scene that is good
+        self._meeting = ego_meeting(scene)
         self._still = None if scene.moves else optical_paths(self._world, self.setup)
 
     def stamp_ns(self, scan: int, azimuth: int = 0) -> int:

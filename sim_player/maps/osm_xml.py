@@ -46,7 +46,7 @@ class _Reader:
         self.points = 0
         #: Footprints, or why there is none, of each element.
         self._footprints: dict[str, list[Footprint | str]] = {}
-        #: Tags of the ways that are buildings.
+        #: Tags of all ways.
         self._tags_of_ways: dict[int, dict[str, str]] = {}
         #: Outer ways of each multipolygon.
         self._outlines: dict[int, list[int]] = {}
@@ -63,13 +63,20 @@ class _Reader:
         return FootprintFile(footprints, broken, False, dict(self.left_out), ATTRIBUTION)
 
     def note_outline(self, entity: Any) -> None:
-        """Note the tags of a way, or the outer ways of a relation: an area may come before both."""
-        if entity.is_relation():
-            self._outlines[entity.id] = [
-                member.ref for member in entity.members if member.type == "w" and member.role != "inner"
-            ]
-        elif is_building(tags := {tag.k: tag.v for tag in entity.tags}):
+        """Note the tags of a way, or the outer ways of a relation, which come after all ways: an area may come before.
+
+        libosmium makes no area of a relation that lacks a way: it is a broken footprint until one is taken.
+        """
+        tags = {tag.k: tag.v for tag in entity.tags}
+        if not entity.is_relation():
             self._tags_of_ways[entity.id] = tags
+            return
+        roles = {member.ref: member.role for member in entity.members if member.type == "w"}
+        self._outlines[entity.id] = outlines = [number for number, role in roles.items() if role != "inner"]
+        lost = next((number for number in roles if number not in self._tags_of_ways), None)
+        if lost is not None and tags.get("type") == "multipolygon" and is_building(self._tags_of(tags, outlines)):
+            field = f"relation {entity.id}"
+            self._footprints[field] = [f"{field}: must have all its ways in the file, way {lost} is missing"]
 
     def take(self, entity: Any) -> None:
         """Take a building; areas that come from ways were taken as ways."""
@@ -84,11 +91,7 @@ class _Reader:
 
     def _multipolygon(self, area: Any, tags: dict[str, str]) -> None:
         outlines = self._outlines.get(area.orig_id(), [])
-        of_ways = [self._tags_of_ways.get(number, {}) for number in outlines]
-        if (is_building(tags) or not tags.keys() - _NO_OBJECT) and outlines and all(of_ways):
-            # until 2016 the tags of a multipolygon stood on its outer ways; heights often still do
-            tags = of_ways[0] | tags
-        if not is_building(tags):
+        if not is_building(tags := self._tags_of(tags, outlines)):
             return
         rings = [(outer, tuple(area.inner_rings(outer))) for outer in area.outer_rings()]
         field = f"relation {area.orig_id()}"
@@ -96,6 +99,13 @@ class _Reader:
         if not any(isinstance(each, str) for each in self._footprints[field]):
             # ways may come after the area that they make
             self._in_multipolygons.update(f"way {number}" for number in outlines)
+
+    def _tags_of(self, tags: dict[str, str], outlines: list[int]) -> dict[str, str]:
+        """Return the tags of a multipolygon: until 2016 they stood on its outer ways; heights often still do."""
+        of_ways = [self._tags_of_ways[number] for number in outlines if number in self._tags_of_ways]
+        if (is_building(tags) or not tags.keys() - _NO_OBJECT) and of_ways and all(map(is_building, of_ways)):
+            return of_ways[0] | tags
+        return tags
 
     def _take(self, field: str, tags: dict[str, str], rings: list[tuple[Any, tuple[Any, ...]]]) -> None:
         """Note the footprints of one element, or why it has none."""

@@ -26,8 +26,9 @@ class Cells:
         self._noise_gain = np.linalg.norm(self._matrix, axis=0)
         aperture_m = setup.array.columns * setup.array.column_spacing(setup.radar.wavelength_m)
         half_beam_rad = 0.443 * setup.radar.wavelength_m / aperture_m
-        step_rad = float(np.median(np.diff(setup.beams.azimuth_rad))) if len(setup.beams) > 1 else np.inf
-        self._near_beams = int(half_beam_rad / abs(step_rad))
+        step_rad = float(np.median(np.abs(np.diff(setup.beams.azimuth_rad)))) if len(setup.beams) > 1 else np.inf
+        # beams may look twice in one direction
+        self._near_beams = int(min(half_beam_rad / max(step_rad, 1e-9), len(setup.beams)))
         self._near_azimuths = int(half_beam_rad / inversion.grid.azimuth_step_rad)
 
     def values(self, profiles: np.ndarray) -> np.ndarray:

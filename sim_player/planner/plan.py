@@ -29,7 +29,7 @@ import numpy as np
 
 from msgs.values.radar import RadarSetup
 from msgs.values.wording import counted
-from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, WEIGHTS, check_effects
+from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, WEIGHTS, check_effects, named_effects
 from sim_player.paths.conversion import as_paths, weights
 from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.paths.reach import reachable_snapshot
@@ -224,12 +224,7 @@ def resolve_plan(
         return None
     if effects == "auto":
         return plan_world(world, setup, budget_db, time_s, purpose=purpose)
-    if effects == "all":
-        return manual_plan(world, setup, ALL_EFFECTS, time_s)
-    names = frozenset(name.strip() for name in effects.split(",")) - {""}
-    if not names:
-        raise ValueError("effects: want auto, all, basic or names with commas between them, got nothing")
-    return manual_plan(world, setup, names, time_s)
+    return manual_plan(world, setup, named_effects(effects), time_s)
 
 
 def noisy_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:

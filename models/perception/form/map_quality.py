@@ -51,12 +51,18 @@ def changing_bits(samples: np.ndarray) -> np.ndarray:
 
 
 def converter_faults(changing: np.ndarray) -> tuple[str, ...]:
-    """Return the faults of the two converters by the bits [2] that change in a scan, names in `MAP_FAULTS`.
+    """Return the faults of the two converters by the bits that change in each beam [beams, 2], names in `MAP_FAULTS`.
 
-    A still bit between two that change is broken; low bits may be lacking, high ones unused.
+    In no beam does one channel alone change. A still bit of the scan between two that change is broken; low bits may be
+    lacking, high ones unused.
     """
-    filled = [int(bits) | (int(bits) - 1) if bits else 0 for bits in changing]
-    return tuple(f"{name}_bit_stuck" for name, bits in zip("iq", filled, strict=True) if bits & (bits + 1))
+    is_still = changing == 0
+    stuck = (is_still & ~is_still[:, ::-1]).any(axis=0)
+    filled = [int(bits) | (int(bits) - 1) if bits else 0 for bits in np.bitwise_or.reduce(changing)]
+    return (
+        *(f"{name}_stuck" for name, holds in zip("iq", stuck, strict=True) if holds),
+        *(f"{name}_bit_stuck" for name, bits in zip("iq", filled, strict=True) if bits & (bits + 1)),
+    )
 
 
 class ChannelTerms(NamedTuple):

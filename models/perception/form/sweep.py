@@ -204,10 +204,14 @@ class Sweep:
             missing_beams=_indices(self._used & ~usable),
             unused_beams=_indices(~self._used),
             saturated_share=int(beams.saturated.sum()) / samples,
-            faults=(
-                *(name for name, holds in faults.items() if holds),
-                *wiring_faults(beams.sides.sum(axis=0), beams.channel_power.sum(), beams.channel_product.sum()),
-                *converter_faults(np.bitwise_or.reduce(beams.changing_bits)),
+            faults=tuple(
+                dict.fromkeys(
+                    (
+                        *(name for name, holds in faults.items() if holds),
+                        *wiring_faults(beams.sides.sum(axis=0), beams.channel_power.sum(), beams.channel_product.sum()),
+                        *converter_faults(beams.changing_bits),
+                    )
+                )
             ),
             look_azimuth_rad=None if state is None else beams.look_azimuth_rad,
             radial_speed_mps=beams.radial_speed_mps if folder.measures_speed else None,

@@ -377,6 +377,11 @@ def test_a_file_that_goes_on_is_no_capture(tmp_path: Path, capsys: pytest.Captur
     assert "a_Raw_1.bin: goes on anywhere in a frame of the capture that begins with a_Raw_0.bin" in (
         capsys.readouterr().err
     )
+    (tmp_path / "a_Raw_1.bin").rename(tmp_path / "a_Raw_0.bin")
+    (tmp_path / "a_Raw_2.bin").write_bytes(FRAME)
+    words[2] = str(tmp_path / "a_Raw_0.bin")
+    assert main(words) == 2
+    assert "a_Raw_1.bin: is missing between files of one capture" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

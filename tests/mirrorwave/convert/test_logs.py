@@ -194,6 +194,20 @@ def test_sigmf_becomes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture
     assert json.loads(metadata["sigmf_global"])["core:datatype"] == "ci16_le"
 
 
+def test_sigmf_whose_clock_was_set_back_keeps_its_order(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As the player gives it: a recording is read in the order of its times."""
+    meta, _ = capture(tmp_path)
+    content, out = json.loads(meta.read_text()), tmp_path / "a.mcap"
+    for number, each in enumerate(content["captures"]):
+        each["mirrorwave:stamp_ns"] = 10**18 + 10**6 * number - (5 * 10**9 if number >= 2 else 0)
+    meta.write_text(json.dumps(content))
+    assert main(["import", "sigmf", str(meta), "--out", str(out)]) == 0
+    assert f"{meta}: the clock was set by -5.0 s after 2 beams" in caplog.text
+    with RecordingReader(out) as reader:
+        order = [(each.message.scan_id, each.message.beam_index) for each in reader.messages(["radar/beam"])]  # type: ignore[attr-defined]
+    assert order == [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
 @pytest.mark.parametrize(
     ("key", "value", "rule"),
     [

@@ -71,6 +71,14 @@ def test_stamps_that_are_off_lie_between_their_neighbours(away_s: float, count: 
     assert times_of(off_ns, late_ns) == stamps_ns
 
 
+def test_a_clock_that_was_off_for_seconds_leaves_no_gap() -> None:
+    stamps_ns = steady(200)
+    off_ns = [stamp + 3600 * S * (50 <= at < 150) for at, stamp in enumerate(stamps_ns)]
+    bridged = Bridged(off_ns, lambda stamp_ns: stamp_ns, "the clock", look_ahead=128)
+    assert [time_ns for _, time_ns in bridged] == stamps_ns
+    assert (bridged.steps, bridged.off, bridged.gaps) == (0, 100, 0)
+
+
 def test_two_clocks_in_turn_do_not_stretch_time() -> None:
     """Frames of a second interface whose clock is 6 s ahead."""
     stamps_ns = steady(39)
@@ -130,7 +138,8 @@ def test_an_error_comes_after_all_that_was_read_before_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step_s", "text"), [(6.02, "+6.0 s"), (-99.98, "-100 s"), (1e9, "+1000000000 s (31.7 years)")]
+    ("step_s", "text"),
+    [(6.02, "+6.0 s"), (-0.012, "-0.012 s"), (-99.98, "-100 s"), (1e9, "+1000000000 s (31.7 years)")],
 )
 def test_amounts(step_s: float, text: str) -> None:
     assert amount(round(step_s * S)) == text

@@ -298,7 +298,7 @@ def test_damaged_chunk_is_left_out_and_the_rest_read(tmp_path: Path) -> None:
     messages, loss = read(path)
     assert 7 <= len(messages) < 10
     assert loss is not None
-    assert f"1 damaged chunks, the first at byte {offset}" in loss
+    assert f"1 damaged chunk, the first at byte {offset}" in loss
     assert info(path).checksums_agree is False
 
 
@@ -331,6 +331,19 @@ for index in range(10_000):
     writer.write("vehicle/state", VehicleState(stamp_ns=index), publisher="car", sequence=index, sent_ns=index * 10**8)
     time.sleep(0.002)
 """
+
+
+@pytest.mark.parametrize("tail", ["a recording", "zeros"])
+def test_a_file_that_goes_on_after_its_end_says_what_is_not_read(tmp_path: Path, tail: str) -> None:
+    """As `cat a.mcap b.mcap` makes it: the first is read, the rest is named, and counts as loss."""
+    path = record(tmp_path / "a.mcap")
+    whole = path.read_bytes()
+    path.write_bytes(whole + (whole if tail == "a recording" else bytes(4096)))
+    with RecordingReader(path) as reader:
+        found = reader.info()
+    rest = f"another recording, {len(whole)} bytes" if tail == "a recording" else "what is no part of it, 4096 bytes"
+    assert found.loss == f"ends at byte {len(whole)} and is read so far; {rest}, follows and is not"
+    assert (found.complete, found.checksums_agree) == (False, True)
 
 
 def test_killed_recorder_leaves_a_readable_file(tmp_path: Path) -> None:

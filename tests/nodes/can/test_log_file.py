@@ -43,6 +43,11 @@ def test_channels_are_counted_as_in_the_file(tmp_path: Path, suffix: str, caplog
     assert "channels 1, 2 are read as one bus" in caplog.text
 
 
+def test_a_log_that_names_no_channels_says_so(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"two\.csv: holds no frames of channel 1; it names no channels$"):
+        list(read_log(bus_log(tmp_path / "two.csv"), "1"))
+
+
 def test_channels_of_a_trc_are_the_files_own(tmp_path: Path) -> None:
     path = tmp_path / "two.trc"
     rows = [f"{2 * k + c}) {k}.0 {c} Rx 0123 - 1 0{c}\n" for k in range(2) for c in (1, 2)]

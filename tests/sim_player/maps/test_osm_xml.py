@@ -123,12 +123,20 @@ def test_ways_that_bring_their_geometry(tmp_path: Path) -> None:
         ((way(10, (1, 99, 3, 1), HOUSE),), "way 10: must have all its nodes in the file, node 99 is missing"),
         ((way(10, (1, 2, 3), HOUSE),), "way 10: must be a closed ring of 4 points or more, got 3 points"),
         ((way(12, (1, 2, 3)), relation(21, {12: "outer"})), "relation 21: must be closed rings that do not cross"),
+        ((way(10, RING), relation(20, BOTH)), "relation 20: must have all its ways in the file, way 11 is missing"),
+        ((way(11, COURT), relation(20, BOTH)), "relation 20: must have all its ways in the file, way 10 is missing"),
     ],
 )
 def test_what_a_cut_left_of_a_building_is_named(tmp_path: Path, entities: tuple[str, ...], line: str) -> None:
     read_file = read(tmp_path, *entities)
     assert not read_file.footprints
     assert read_file.broken[0].startswith(line)
+
+
+def test_an_outline_whose_courtyard_was_cut_off_stands_and_is_named(tmp_path: Path) -> None:
+    read_file = read(tmp_path, way(10, RING, HOUSE), relation(20, BOTH, ""))
+    assert [each.field for each in read_file.footprints] == ["way 10"]
+    assert read_file.broken == ("relation 20: must have all its ways in the file, way 11 is missing",)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,13 @@ def test_a_single_beam_has_no_neighbour() -> None:
     np.testing.assert_allclose(floor[0], [1.0, 1.0, 1.0, 5.0, 5.0, 5.0, 1.0, 1.0])
 
 
+def test_beams_in_one_direction_are_neighbours() -> None:
+    profiles = np.zeros((2, 8))
+    profiles[0, 4] = 10.0
+    floor = cells_of(RadarSetup(beams=BeamGrid(azimuth_deg=(3.0, 3.0)))).floor(profiles, np.ones(8), 2.0, 3.0)
+    np.testing.assert_allclose(floor[:2, 4], 5.0)
+
+
 def test_peaks_stand_alone_over_the_threshold() -> None:
     """One strong cell: 10 - 2 - 3 in it; 13 dB over a noise rms of 1 everywhere else, next door too."""
     profiles = np.zeros((25, 8))

@@ -1,4 +1,4 @@
-"""When a radar meets a wall: straight on, in a turn, at a bent wall; and that nothing is simulated beyond."""
+"""When a radar meets a wall or an object: straight on, in a turn, at a bend; nothing is simulated beyond."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nodes.player import scene_events
 from sim_player.drive import Drive
 from sim_player.player import ScenePlayer
 from sim_player.scene.clear_path import ego_meeting, require_clear_path
-from sim_player.scene.description import Ego, Scene, SceneRadar, Surface, scene_to_yaml
+from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, scene_to_yaml
 
 CHIRPS = 1
 
@@ -51,7 +51,7 @@ def test_a_wall_is_met_when_the_path_says(met: Scene, time_s: float, surface: in
     """Tolerance: a circle is followed in chords of half a degree, an arc of wall to a millimetre."""
     found = ego_meeting(met)
     assert found is not None
-    assert found == (pytest.approx(time_s, abs=2e-3), surface)
+    assert found == (pytest.approx(time_s, abs=2e-3), f"the radar drives into the wall surfaces[{surface}]")
     require_clear_path(met, 0.9 * time_s)
     with pytest.raises(
         ValueError, match=rf"^ego.speed_mps: the radar drives into the wall surfaces\[{surface}\] after"
@@ -74,6 +74,30 @@ def test_a_wall_is_met_when_the_path_says(met: Scene, time_s: float, surface: in
 def test_a_path_that_meets_no_wall_is_free(free: Scene) -> None:
     assert ego_meeting(free) is None
     require_clear_path(free, 1e6)
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "ego", "time_s"),
+    [
+        # a car of 4.5 m about x = 10: its rear at 7.75 m
+        (0.0, {"speed_mps": 5.0}, 7.75 / 5.0),
+        # backwards, towards a radar that stands, and towards one that comes
+        (-10.0, {}, 0.775),
+        (-10.0, {"speed_mps": 5.0}, 7.75 / 15.0),
+        # a circle of 10 m about (0, 10) is at y = 3.7 where the car begins
+        (0.0, {"speed_mps": 10.0, "yaw_rate_dps": math.degrees(1.0)}, None),
+        (5.0, {"speed_mps": 4.0}, None),
+    ],
+    ids=["parked", "reversing", "both", "turning away", "ahead"],
+)
+def test_an_object_is_met_too(speed_mps: float, ego: dict[str, float], time_s: float | None) -> None:
+    car = SceneObject(class_="car", x_m=10.0, y_m=0.0, speed_mps=speed_mps)
+    met = None if time_s is None else (pytest.approx(time_s, abs=2e-3), "the radar and objects[0] (car) meet")
+    crowded = Scene(name="t", objects=(car,), ego=Ego(**ego))
+    assert ego_meeting(crowded) == met
+    if met is not None:
+        with pytest.raises(ValueError, match=rf"^{'ego.speed_mps' if ego else 'objects'}: the radar and objects\[0\]"):
+            require_clear_path(crowded, 2.0)
 
 
 def test_no_beam_and_no_truth_is_made_beyond_a_wall() -> None:

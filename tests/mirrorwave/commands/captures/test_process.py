@@ -19,7 +19,7 @@ from mirrorwave.convert.result_lines import bev_to_json, track_to_json
 from mirrorwave.replay.playback import Playback
 from msgs.files.shipped import SAMPLE
 from msgs.recording.mcap import RecordingReader, RecordingWriter, info
-from msgs.values.radar import BeamGrid
+from msgs.values.radar import ArrayParams, BeamGrid
 from msgs.values.vehicle import VehicleState
 from nodes.player import Params, scene_player, truth_beside
 from tests.builders import cfar_chain
@@ -178,6 +178,7 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
     setup, beams = player.setup, [player.beam(0, index) for index in range(3)]
     one = msgspec.structs.replace(setup, beams=BeamGrid(azimuth_deg=(0.0,)))
+    column = msgspec.structs.replace(setup, array=ArrayParams(columns=1))
     view = next(iter(views(capture, "cfar"))).frame
     other = tmp_path / "capture.bin"
     other.write_bytes(capture.read_bytes()[:100])
@@ -194,7 +195,10 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
             "holds no radar/setup, which says how to read its radar/beam"
         ),
         recording_of(tmp_path / "one.mcap", [("radar/setup", one), ("radar/beam", beams[0])]): (
-            "a scan must have 2 beams or more to tell directions apart, its radar has 1"
+            "its radar: beams.azimuth_deg must name at least 2 directions to tell echoes apart, got (0.0,)"
+        ),
+        recording_of(tmp_path / "column.mcap", [("radar/setup", column), ("radar/beam", beams[0])]): (
+            "its radar: array.columns must be at least 2 to tell directions apart, got 1"
         ),
         other: "must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",
         tmp_path: "is a folder, must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",

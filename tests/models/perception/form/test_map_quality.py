@@ -294,6 +294,7 @@ _SPOILED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], tuple[str, ...]]] 
     "I at zero": (lambda samples: _q(0)(samples)[..., ::-1], ("i_stuck",)),
     "I = Q": (lambda samples: samples[..., [0, 0]], ("i_equals_q",)),
     "I = -Q": (lambda samples: samples[..., [0, 0]] * np.array([1, -1], np.int16), ("i_equals_q",)),
+    "Q still in one beam": (lambda samples: np.stack([*samples[:5], _q(3)(samples[5])]), ("q_stuck",)),
     "both at zero": (np.zeros_like, ("i_stuck", "q_stuck")),
     "both at one code": (lambda samples: np.full_like(samples, 5), ("i_stuck", "q_stuck")),
     "bit 3 of I at one": (lambda samples: samples | np.array([8, 0], np.int16), ("i_bit_stuck",)),
