@@ -91,6 +91,12 @@ def print_rows(columns: Sequence[str], rows: Sequence[Mapping[str, object]], dro
     print_table(headings, [[row[name] for name in columns] for row in rows], least)
 
 
+def print_fields(fields: Mapping[str, object]) -> None:
+    """Print names and values, a line each, as cells of a table are."""
+    for name, value in fields.items():
+        print_line(f"{name}: {_cell(value)}")
+
+
 def print_picture(picture: RenderableType) -> None:
     """Print anything that rich can draw, on stdout."""
     with _printing():
@@ -222,10 +228,12 @@ class Progress:
         self._write(text)
 
     def line(self) -> str:
-        """Return what is done, how long it took, and how long the rest takes at this rate."""
+        """Return what is done, how long it took, and how long the rest takes at this rate; before that, what delays it."""
         elapsed_s, done = time.monotonic() - self._start_s, self.done - self._kept
         of = "" if self.total is None else f" of {self.total:.0f}"
-        left = ""
+        left, module = "", sys.modules.get("models.compiled")
+        if module is not None and module.KernelCache.compiled and not done:
+            left = f", {module.KernelCache.compiled} kernels compiled, which are kept"
         if self.total is not None and done > 0.0:
             left = f", {duration_text((self.total - self.done) * elapsed_s / done)} left"
         count = f"{self.done:.0f}{of}, " if self.done or of else ""
@@ -271,15 +279,6 @@ def _heartbeat(line: str) -> None:
     with suppress(OSError):
         sys.stderr.write(f"{printable(line)}\n")
         sys.stderr.flush()
-
-
-@contextmanager
-def compile_line() -> Iterator[None]:
-    """Say on stderr, once, that kernels are compiled, where the body is the first to need them."""
-    from nodes.process.compiling import compile_notice
-
-    with compile_notice(lambda text: typer.echo(text, err=True)):
-        yield
 
 
 def file_or_sample(file: Path | None, sample: bool, name: str) -> Path:

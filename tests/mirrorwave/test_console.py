@@ -158,7 +158,7 @@ PRINTED: dict[str, tuple[Callable[[], None], str, str]] = {
     "topic list": (_run("topic", "list"), "TOPIC TYPE NOMINAL HZ PUBLISHERS", "perception/hidden_objects"),
     "node types": (_run("node", "types"), "MODULE ABOUT", "nodes.dense_predictor"),
     "node list": (_run("node", "list"), "NODE STATE LOST SHED REASON", f"vehicle/geometry degraded 4321 {LONG}"),
-    "node info": (_run("node", "info", "vehicle/geometry"), "WAY TOPIC HZ LOST", "in out 4321"),
+    "node info": (_run("node", "info", "vehicle/geometry"), "WAY TOPIC HZ LOST", "in out 4321 12346"),
     "top": (_top, "NODE STATE LOST REASON", f"degraded vehicle/geometry {LONG}"),
     "scoreboard": (_scoreboard, "hidden object truth true error: centre nearest visible face [m] unmatched",
                    "pedestrian nothing missed"),

@@ -19,6 +19,7 @@ from mirrorwave.console import (
     AsJson,
     Domain,
     ExitCode,
+    print_fields,
     print_json,
     print_line,
     print_result,
@@ -157,8 +158,7 @@ def info(name: NodeName, window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DO
         rows = {key: [each for each in topics if each["way"] == direction] for key, direction in _DIRECTIONS.items()}
         print_json({**row, **rows, "stages": list(status.stages)})
         return
-    for key, value in {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}.items():
-        print_line(f"{key}: {value}")
+    print_fields({**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])})
     columns = ("way", "topic", "hz", "bytes_per_s", "messages", "bytes", "lost", "rejected", "outdated")
     print_rows(columns, topics, ("bytes", "messages", "bytes_per_s", "outdated", "rejected"))
     stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]

@@ -11,7 +11,7 @@ import typer
 
 from mirrorwave.commands.graph.topic_pub import pub
 from mirrorwave.completion import complete_topics
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_rows, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_fields, print_json, print_line, print_rows, print_table
 from mirrorwave.diagnose.running_graph import is_running, know_topics, no_graph, silence
 from mirrorwave.diagnose.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from mirrorwave.diagnose.topic_rates import are_foreign, awaited, ends_of, listen, measure, messages
@@ -82,8 +82,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
         return
     ends = [{"": side, **row} for side in ("publishers", "readers") for row in about.pop(side)]
     fields = about.pop("fields")
-    for name, value in about.items():
-        print_line(f"{name}: {value}")
+    print_fields(about)
     print_table(("FIELD", "TYPE"), fields.items())
     columns = ("", "node", "hz", "messages", "bytes", "lost", "rejected", "outdated")
     print_rows(columns, ends, ("bytes", "messages", "outdated"))
@@ -226,7 +225,7 @@ def bw(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN,
 def delay(
     topics: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[TOPIC]...", help="All but raw beams if none.", autocompletion=complete_topics),
+        typer.Argument(metavar="[TOPIC]...", help="All but raw beams and latched ones if none.", autocompletion=complete_topics),
     ] = None,
     duration: WindowS = 2.0,
     domain: Domain = DEFAULT_DOMAIN,
@@ -236,8 +235,8 @@ def delay(
     from mirrorwave.diagnose.topic_delay import DelayWatch
 
     know_topics(domain)
-    # raw beams only when asked for: listening to 350 MB/s changes what is measured
-    wanted = list(topics or (name for name in TOPICS if name != "radar/beam"))
+    # raw beams only when asked for: listening to 350 MB/s changes what is measured; what is latched has no delay
+    wanted = list(topics or (name for name in TOPICS if name != "radar/beam" and not TOPICS[name].latched))
     bus = listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup", "diagnostics/node"])))
     try:
         watch = DelayWatch(bus.now_ns())
@@ -256,8 +255,11 @@ def delay(
     if as_json:
         print_json(rows)
     elif rows:
-        shown = [{name: value or None for name, value in row.items()} for row in rows]
-        print_rows(list(rows[0]), shown, ("messages", "p90_ms", "p99_ms", "max_ms", "publisher"))
+        columns = [name for name in rows[0] if name != "remark"]
+        print_rows(columns, [row for row in rows if row["messages"]], ("messages", "p90_ms", "max_ms", "p99_ms"))
+        for row in rows:
+            if row["remark"]:
+                print_line(f"{row['topic']} of {row['publisher']}, {row['delay']}: {row['remark']}")
     if topics or not rows:
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 
