@@ -167,7 +167,7 @@ def info(name: NodeName, window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DO
 
 @app.command()
 def types(
-    name: Annotated[str | None, typer.Argument(help="One of them, with all its parameters.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One of them, with all its parameters.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Modules that a launch file can name: shipped ones, and those that installed packages bring; exit code 1 if a

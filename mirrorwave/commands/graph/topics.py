@@ -63,7 +63,7 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
         print_json(rows)
         return
     table = [(row["topic"], row["type"], row["rate_hz"] or None, ", ".join(row["publishers"]) or None) for row in rows]
-    print_table(("TOPIC", "TYPE", "NOMINAL HZ", "PUBLISHERS"), table)
+    print_table(("TOPIC", "TYPE", "NOMINAL HZ", "PUBLISHERS"), table, ("NOMINAL HZ",))
     _say_where_no_graph(domain)
 
 
