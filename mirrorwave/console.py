@@ -91,12 +91,6 @@ def print_rows(columns: Sequence[str], rows: Sequence[Mapping[str, object]], dro
     print_table(headings, [[row[name] for name in columns] for row in rows], least)
 
 
-def print_fields(fields: Mapping[str, object]) -> None:
-    """Print names and values, a line each, as cells of a table are."""
-    for name, value in fields.items():
-        print_line(f"{name}: {_cell(value)}")
-
-
 def print_picture(picture: RenderableType) -> None:
     """Print anything that rich can draw, on stdout."""
     with _printing():
@@ -228,7 +222,7 @@ class Progress:
         self._write(text)
 
     def line(self) -> str:
-        """Return what is done, how long it took, and how long the rest takes at this rate; before that, what delays it."""
+        """Return what is done, how long it took, and how long the rest takes at this rate, or what delays it."""
         elapsed_s, done = time.monotonic() - self._start_s, self.done - self._kept
         of = "" if self.total is None else f" of {self.total:.0f}"
         left, module = "", sys.modules.get("models.compiled")

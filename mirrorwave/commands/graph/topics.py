@@ -11,7 +11,7 @@ import typer
 
 from mirrorwave.commands.graph.topic_pub import pub
 from mirrorwave.completion import complete_topics
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_fields, print_json, print_line, print_rows, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_rows, print_table
 from mirrorwave.diagnose.running_graph import is_running, know_topics, no_graph, silence
 from mirrorwave.diagnose.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from mirrorwave.diagnose.topic_rates import are_foreign, awaited, ends_of, listen, measure, messages
@@ -30,7 +30,7 @@ app.command()(pub)
 
 Topics = Annotated[
     list[str],
-    typer.Argument(metavar="TOPIC...", help="Topics, as `topic list` names them.", autocompletion=complete_topics),
+    typer.Argument(metavar="TOPIC", help="Topics, as `topic list` names them.", autocompletion=complete_topics),
 ]
 TopicName = Annotated[
     str, typer.Argument(metavar="TOPIC", help="Topic, as `topic list` names it.", autocompletion=complete_topics)
@@ -82,7 +82,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
         return
     ends = [{"": side, **row} for side in ("publishers", "readers") for row in about.pop(side)]
     fields = about.pop("fields")
-    print_fields(about)
+    print_table(("TOPIC", about.pop("name")), about.items())
     print_table(("FIELD", "TYPE"), fields.items())
     columns = ("", "node", "hz", "messages", "bytes", "lost", "rejected", "outdated")
     print_rows(columns, ends, ("bytes", "messages", "outdated"))
@@ -225,7 +225,7 @@ def bw(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN,
 def delay(
     topics: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[TOPIC]...", help="All but raw beams and latched ones if none.", autocompletion=complete_topics),
+        typer.Argument(metavar="TOPIC", help="All but raw beams and set-ups if none.", autocompletion=complete_topics),
     ] = None,
     duration: WindowS = 2.0,
     domain: Domain = DEFAULT_DOMAIN,
@@ -255,11 +255,11 @@ def delay(
     if as_json:
         print_json(rows)
     elif rows:
-        columns = [name for name in rows[0] if name != "remark"]
-        print_rows(columns, [row for row in rows if row["messages"]], ("messages", "p90_ms", "max_ms", "p99_ms"))
-        for row in rows:
-            if row["remark"]:
-                print_line(f"{row['topic']} of {row['publisher']}, {row['delay']}: {row['remark']}")
+        print_rows(
+            [*rows[0]][:-1], [row for row in rows if row["messages"]], ("messages", "p90_ms", "max_ms", "p99_ms")
+        )
+        for row in (row for row in rows if row["remark"]):
+            print_line(f"{row['topic']} of {row['publisher']}, {row['delay']}: {row['remark']}")
     if topics or not rows:
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 
