@@ -195,7 +195,7 @@ def _block(columns: Sequence[str], row: list[str]) -> str:
 
 
 def _is_numeric(cells: list[list[str]], index: int) -> bool:
-    return bool(cells) and all(_is_number(row[index]) for row in cells)
+    return any(row[index] != "-" for row in cells) and all(_is_number(row[index]) for row in cells)
 
 
 class Progress:

@@ -103,9 +103,7 @@ def echo(
     once: Annotated[bool, typer.Option("--once", help="Stop after one message.")] = False,
     timeout: Annotated[float | None, typer.Option("--timeout", metavar="S", help="Give up after S seconds.")] = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="A line a message under one header line.")] = False,
-    full: Annotated[
-        bool, typer.Option("--full", help="With --json: arrays whole (base64) and not summarised.")
-    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="With --json: whole arrays, in base64.")] = False,
     npy: Annotated[Path | None, typer.Option("--npy", metavar="DIR", help="Write arrays to DIR as .npy files.")] = None,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
@@ -255,9 +253,8 @@ def delay(
     if as_json:
         print_json(rows)
     elif rows:
-        print_rows(
-            [*rows[0]][:-1], [row for row in rows if row["messages"]], ("messages", "p90_ms", "max_ms", "p99_ms")
-        )
+        least = ("messages", "p90_ms", "max_ms", "p99_ms")
+        print_rows([*rows[0]][:-1], [row for row in rows if row["messages"]], least)
         for row in (row for row in rows if row["remark"]):
             print_line(f"{row['topic']} of {row['publisher']}, {row['delay']}: {row['remark']}")
     if topics or not rows:
