@@ -29,9 +29,9 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
 	@echo "set-up 2 of 2: compiling kernels, on a slow machine for minutes"
 	@$(call beat,set-up 2 of 2: compiling kernels) ( $(BIN)/mirrorwave process --sample --out $(VENV)/compiled & perception=$$!; \
-	for scene in scenes/corner drives/side_street; do for choice in '--effects all' '--for objects'; do \
-	    $(BIN)/mirrorwave sim run launch/$$scene.yaml $$choice --chirps-per-beam 8 --out $(VENV)/compiled.mcap && rm $(VENV)/compiled.mcap || exit 1; \
-	done; done; wait $$perception && rm -r $(VENV)/compiled ) >$(VENV)/compiled.log 2>&1 || { cat $(VENV)/compiled.log; exit 1; }
+	for words in 'drives/side_street.yaml --for objects' 'scenes/corner.yaml --for objects' 'scenes/corner.yaml --effects all'; do \
+	    $(BIN)/mirrorwave sim run launch/$$words --chirps-per-beam 8 --out $(VENV)/compiled.mcap && rm $(VENV)/compiled.mcap || exit 1; \
+	done; wait $$perception && rm -r $(VENV)/compiled ) >$(VENV)/compiled.log 2>&1 || { cat $(VENV)/compiled.log; exit 1; }
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock

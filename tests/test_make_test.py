@@ -267,10 +267,9 @@ def load_overload(self, *words):
     return load(self, *words)
 KernelCache.load_overload = load_overload
 assert main(["process", "--sample", "--out", sys.argv[1]]) == 0
-for scene in ("scenes/corner", "drives/side_street"):
-    for choice in (["--effects", "all"], ["--for", "objects"]):
-        words = ["sim", "run", f"launch/{scene}.yaml", *choice, "--chirps-per-beam", "8"]
-        assert main([*words, "--out", f"{sys.argv[1]}/{len(loaded)}.mcap"]) == 0
+for words in sys.argv[2:]:
+    words = f"sim run launch/{words} --chirps-per-beam 8 --out {sys.argv[1]}/{len(loaded)}.mcap"
+    assert main(words.split()) == 0
 loaded.clear()
 from nodes import player
 params = player.Params(scene="launch/scenes/facade_across_lane.yaml", scans=1)
@@ -280,10 +279,11 @@ print("first loaded:", *loaded)
 
 
 def test_set_up_compiles_what_the_demo_needs(tmp_path: Path) -> None:
-    rule = (ROOT / "Makefile").read_text().split("$(VENV)/.installed-dev:")[0]
-    for words in ("process --sample", "scenes/corner drives/side_street", "'--effects all' '--for objects'"):
-        assert words in rule
-    run = subprocess.run([sys.executable, "-c", FIRST_LOADED, tmp_path], cwd=ROOT, capture_output=True, text=True)
+    rule = (ROOT / "Makefile").read_text()
+    assert "mirrorwave process --sample" in rule
+    scenes = shlex.split(re.findall(r"for words in (.*); do", rule)[0])
+    command = [sys.executable, "-c", FIRST_LOADED, tmp_path, *scenes]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert run.stdout.splitlines()[-1:] == ["first loaded:"], run.stderr[-2000:]
 
 
