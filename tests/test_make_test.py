@@ -282,6 +282,8 @@ def test_set_up_compiles_what_the_demo_needs(tmp_path: Path) -> None:
     rule = (ROOT / "Makefile").read_text()
     assert "mirrorwave process --sample" in rule
     scenes = shlex.split(re.findall(r"for words in (.*); do", rule)[0])
+    image = (ROOT / "Containerfile").read_text()
+    assert all(f"mirrorwave sim run launch/{words} " in image for words in scenes)
     command = [sys.executable, "-c", FIRST_LOADED, tmp_path, *scenes]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert run.stdout.splitlines()[-1:] == ["first loaded:"], run.stderr[-2000:]
