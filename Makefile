@@ -27,11 +27,11 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 	@$(call beat,set-up 1 of 2: Python packages) $(call install_locked,requirements.lock)
 	@$(call beat,set-up 1 of 2: mirrorwave itself) $(call install_here,.)
 	@# compiles the kernels of perception and simulator once, so that no node does when it starts
-	@echo "set-up 2 of 2: compiling kernels, a minute or a few"
-	@$(call beat,set-up 2 of 2: compiling kernels) $(BIN)/python -c "from mirrorwave.node_chain import SharedParts; from mirrorwave.profiles import read_profile; from msgs.values.radar import RadarSetup; SharedParts.of(read_profile('default'), RadarSetup()).chain()" & perception=$$!; \
-	for scene in scenes/corner drives/side_street; do \
-	    $(BIN)/mirrorwave sim run launch/$$scene.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && rm $(VENV)/compiled.mcap || exit 1; \
-	done && wait $$perception
+	@echo "set-up 2 of 2: compiling kernels, on a slow machine for minutes"
+	@$(call beat,set-up 2 of 2: compiling kernels) ( $(BIN)/mirrorwave process --sample --out $(VENV)/compiled & perception=$$!; \
+	for words in 'drives/side_street.yaml --for objects' 'scenes/corner.yaml --for objects' 'scenes/corner.yaml --effects all'; do \
+	    $(BIN)/mirrorwave sim run launch/$$words --chirps-per-beam 8 --out $(VENV)/compiled.mcap && rm $(VENV)/compiled.mcap || exit 1; \
+	done; wait $$perception && rm -r $(VENV)/compiled ) >$(VENV)/compiled.log 2>&1 || { cat $(VENV)/compiled.log; exit 1; }
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock

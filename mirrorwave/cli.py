@@ -45,7 +45,7 @@ _PANELS = {
         "calibrate": "calibrate background field.mcap --out background.npy",
         "annotate": "annotate scene.yaml --out labelled",
     },
-    "Simulate": {"sim": "sim run launch/scenes/corner.yaml --out corner.mcap --scans 5"},
+    "Simulate": {"sim": "sim run launch/scenes/corner.yaml --out corner.mcap"},
     "Train and measure": {
         "train": "train dense --data data/places --out runs/dense",
         "export": "export runs/dense --out dense.onnx",

@@ -195,7 +195,7 @@ def _block(columns: Sequence[str], row: list[str]) -> str:
 
 
 def _is_numeric(cells: list[list[str]], index: int) -> bool:
-    return bool(cells) and all(_is_number(row[index]) for row in cells)
+    return any(row[index] != "-" for row in cells) and all(_is_number(row[index]) for row in cells)
 
 
 class Progress:
@@ -222,10 +222,12 @@ class Progress:
         self._write(text)
 
     def line(self) -> str:
-        """Return what is done, how long it took, and how long the rest takes at this rate."""
+        """Return what is done, how long it took, and how long the rest takes at this rate, or what delays it."""
         elapsed_s, done = time.monotonic() - self._start_s, self.done - self._kept
         of = "" if self.total is None else f" of {self.total:.0f}"
-        left = ""
+        left, module = "", sys.modules.get("models.compiled")
+        if module is not None and module.KernelCache.compiled and not done:
+            left = f", {module.KernelCache.compiled} kernels compiled, which are kept"
         if self.total is not None and done > 0.0:
             left = f", {duration_text((self.total - self.done) * elapsed_s / done)} left"
         count = f"{self.done:.0f}{of}, " if self.done or of else ""
@@ -271,15 +273,6 @@ def _heartbeat(line: str) -> None:
     with suppress(OSError):
         sys.stderr.write(f"{printable(line)}\n")
         sys.stderr.flush()
-
-
-@contextmanager
-def compile_line() -> Iterator[None]:
-    """Say on stderr, once, that kernels are compiled, where the body is the first to need them."""
-    from nodes.process.compiling import compile_notice
-
-    with compile_notice(lambda text: typer.echo(text, err=True)):
-        yield
 
 
 def file_or_sample(file: Path | None, sample: bool, name: str) -> Path:
@@ -328,7 +321,7 @@ def _cell(value: object) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+        return f"{value:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
     return printable(str(value))
 
 

@@ -80,8 +80,8 @@ class KernelCache(FunctionCache):
     """The compiled forms of one function on disk."""
 
     _impl_class = KernelFile
-    #: Whether this process has compiled a kernel, and so holds the compiler.
-    has_compiled: ClassVar[bool] = False
+    #: Kernels that this process has compiled: with one it holds the compiler.
+    compiled: ClassVar[int] = 0
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the function as it was compiled for a signature, or None."""
@@ -91,7 +91,7 @@ class KernelCache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what has been compiled."""
-        KernelCache.has_compiled = True
+        KernelCache.compiled += 1
         super().save_overload(sig, data)
 
     @functools.cached_property

@@ -256,6 +256,39 @@ def test_graphs_run_one_at_a_time_and_the_longest_of_the_others_first(tmp_path: 
     assert sorted(files) == [["test_graphs.py", "test_graph.py"], ["test_slower.py", "test_slow.py", "test_short.py"]]
 
 
+#: Print the kernels that the demo's player loads beyond those of what set-up runs; its other nodes are the chain.
+FIRST_LOADED = """
+import sys
+from mirrorwave.cli import main
+from models.compiled import KernelCache
+loaded, load = [], KernelCache.load_overload
+def load_overload(self, *words):
+    loaded.append(self._py_func.__qualname__)
+    return load(self, *words)
+KernelCache.load_overload = load_overload
+assert main(["process", "--sample", "--out", sys.argv[1]]) == 0
+for words in sys.argv[2:]:
+    words = f"sim run launch/{words} --chirps-per-beam 8 --out {sys.argv[1]}/{len(loaded)}.mcap"
+    assert main(words.split()) == 0
+loaded.clear()
+from nodes import player
+params = player.Params(scene="launch/scenes/facade_across_lane.yaml", scans=1)
+assert sum(event.outgoing.topic == "radar/beam" for event in player.events_of(params)) == 25
+print("first loaded:", *loaded)
+"""
+
+
+def test_set_up_compiles_what_the_demo_needs(tmp_path: Path) -> None:
+    rule = (ROOT / "Makefile").read_text()
+    assert "mirrorwave process --sample" in rule
+    scenes = shlex.split(re.findall(r"for words in (.*); do", rule)[0])
+    image = (ROOT / "Containerfile").read_text()
+    assert all(f"mirrorwave sim run launch/{words} " in image for words in scenes)
+    command = [sys.executable, "-c", FIRST_LOADED, tmp_path, *scenes]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert run.stdout.splitlines()[-1:] == ["first loaded:"], run.stderr[-2000:]
+
+
 def test_the_fast_run_leaves_out_what_is_slow_or_starts_processes(tmp_path: Path) -> None:
     marks = ("graph", "slow", "parametrize('number', [1])")
     for mark in marks:

@@ -13,7 +13,7 @@ from msgs.values.wording import counted
 
 def sensors(
     sources: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="A ROS bag; directories of clouds or images.")
+        list[Path], typer.Argument(metavar="SOURCE", help="A ROS bag; directories of clouds or images.")
     ],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of lidar/points and camera/image.")],
     topic: Annotated[

@@ -15,7 +15,10 @@ app = typer.Typer(help="Keys for links between machines; what of a graph is open
 
 @app.command()
 def keygen(
-    name: Annotated[str, typer.Argument(help="Of the peer that the keys are for: letters, digits, '_', '-', '.'.")],
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME", help="Of the peer that the keys are for: letters, digits, '_', '-', '.'."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the keys; made where it is missing.")] = Path("keys"),
     as_json: AsJson = False,
 ) -> None:

@@ -90,6 +90,7 @@ def _print_answer(wall: Wall, result: Answer) -> None:
             [float(angle), *(_rounded(level[index]) for level in levels)]
             for index, angle in enumerate(result.angles_deg)
         ],
+        ("te_t_db", "tm_t_db"),
     )
 
 

@@ -129,7 +129,7 @@ def _rows(frame: BevFrame, truth: SceneTruth | None) -> list[tuple[object, ...]]
 
 def _report_cells(hidden: HiddenObject) -> tuple[object, ...]:
     std_m = math.sqrt(0.5 * (hidden.cov_m2[0][0] + hidden.cov_m2[1][1]))
-    return f"{hidden.object_class or 'object'} {hidden.id}", hidden.x_m, hidden.y_m, std_m, hidden.score
+    return f"{hidden.object_class or 'object'} {hidden.id}", *hidden.box_centre_m, std_m, hidden.score
 
 
 def _truth_cells(true_object: TruthObject) -> tuple[object, ...]:

@@ -1,7 +1,4 @@
-"""Notice that kernels are being compiled: after an installation or an update this takes half a minute, once.
-
-On a slow machine it takes minutes: a line every ten seconds says how many are done.
-"""
+"""Notice that kernels are being compiled; a line every ten seconds says how many are done."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from numba.core import event
 
 #: numba's event for a kernel that is not in its cache.
 _COMPILE = "numba:compile"
-NOTICE = "compiling kernels, which are kept: it takes half a minute after an installation or an update"
+NOTICE = "compiling kernels, once after an installation or an update: half a minute, on a slow machine minutes"
 
 
 #: Least time between two lines.

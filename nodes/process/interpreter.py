@@ -23,7 +23,7 @@ def start_again_if_compiled(words: Sequence[str], close: Callable[[], None]) -> 
     gigabyte, cannot be unloaded.
     """
     compiled = sys.modules.get("models.compiled")
-    if compiled is None or not compiled.KernelCache.has_compiled or COMPILED in os.environ:
+    if compiled is None or not compiled.KernelCache.compiled or COMPILED in os.environ:
         return
     close()
     os.environ[COMPILED] = "1"

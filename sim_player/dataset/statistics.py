@@ -92,7 +92,8 @@ def series_of(folder: Path) -> dict[str, Any]:
     try:
         series: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
     except (OSError, msgspec.DecodeError) as error:
-        raise ValueError(f"{path}: must say which data set the folder holds: {error}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"{path}: must say which data set the folder holds: {reason}") from None
     return series
 
 

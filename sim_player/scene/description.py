@@ -333,7 +333,7 @@ def load_scene(path: Path) -> Scene:
         path = shipped_path(path)
         # check before reading: a foreign scene must not exhaust the memory of a graph
         if path.stat().st_size > MAX_BYTES:
-            raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")
+            raise ValueError(f"a scene is YAML of at most {MAX_BYTES} bytes, got {path.stat().st_size}")
         return scene_from_yaml(decode_text(path.read_bytes()), path.parent)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such scene file") from None

@@ -134,7 +134,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def _language(text: str) -> str:
-    programs = "mirrorwave|python|pip|pytest|make|alias|ssh|scp|npm|mkdir|jupyter"
+    programs = "mirrorwave|python|pip|pytest|make|source|ssh|scp|npm|mkdir|jupyter"
     if re.search(rf"^([A-Z_]+=\S+ )?({programs}) \S", text, re.MULTILINE):
         return "sh"
     if re.search(r"^(import|from) \w", text, re.MULTILINE):
@@ -146,12 +146,12 @@ def _language(text: str) -> str:
 
 
 def commands_of(text: str) -> Iterator[tuple[int, str]]:
-    """(line, command) of a shell block: comments off, continued lines joined, aliases and settings left out."""
+    """(line, command) of a shell block: comments off, continued lines joined, activation left out."""
     joined = re.sub(r"\\\n", lambda _match: " \0", text)
     line = 1
     for raw in joined.split("\n"):
         command = " ".join(shlex.join(_words(raw)).split()) if raw.strip() else ""
-        if command and not command.startswith("alias "):
+        if command and not command.startswith("source "):
             yield line, _raw_words(raw)
         line += 1 + raw.count("\0")
 

@@ -138,8 +138,10 @@ def _used(command: str) -> Iterator[int]:
         command = changed
 
 
-def test_comments_continued_lines_and_aliases() -> None:
-    text = "alias mirrorwave=x\n# words\nmirrorwave top \\\n    --once   # now\n\nmirrorwave sim run 'a b.yaml' &\n"
+def test_comments_continued_lines_and_activation() -> None:
+    text = (
+        "source .venv/bin/activate\n# words\nmirrorwave top \\\n    --once   # now\n\nmirrorwave sim run 'a b.yaml' &\n"
+    )
     assert list(commands_of(text)) == [(3, "mirrorwave top --once"), (6, "mirrorwave sim run 'a b.yaml' &")]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -82,6 +83,7 @@ def test_the_whole_help_lists_each_verb_once_with_an_example_that_its_parser_tak
     assert main(["--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert set(cli._EXAMPLES) == set(cli._VERBS) | set(cli._GROUPS)
+    assert max(map(len, lines)) <= 80
     for verb, example in cli._EXAMPLES.items():
         assert sum(line.startswith(f"  {verb} ") for line in lines) == 1
         assert f"$ mirrorwave {example}" in {line.strip() for line in lines}
@@ -259,6 +261,14 @@ def test_no_help_is_cut(width: int) -> None:
             assert unwrapped(one) in unwrapped(text), (words, one)
         seen += len(wanted)
     assert seen > 300
+
+
+def test_arguments_are_named_in_capitals_and_the_parser_says_how_many() -> None:
+    arguments = {
+        str(part.metavar) for verb in verbs().values() for part in verb.params if part.param_type_name == "argument"
+    }
+    assert all(re.fullmatch(r"[A-Z_=|]+(\.yaml)?", name) for name in arguments), arguments
+    assert {"RECORDING", "SCENE", "TOPIC", "LAUNCH_FILE"} < arguments
 
 
 def test_every_inspecting_verb_has_json() -> None:

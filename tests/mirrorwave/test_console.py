@@ -16,8 +16,9 @@ from lab.tradeoff import row_report as tradeoff
 from mirrorwave import console
 from mirrorwave.cli import main
 from mirrorwave.commands.graph import nodes, top
-from mirrorwave.console import console_table, print_table, progress_bar
+from mirrorwave.console import Progress, console_table, print_table, progress_bar
 from mirrorwave.plots.scoreboard import Scoreboard
+from models.compiled import KernelCache
 from msgs.files.shipped import LAUNCH, SAMPLE
 from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
 from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, TruthObject
@@ -63,6 +64,12 @@ def test_no_heading_and_no_cell_of_a_kept_column_is_lost_at_any_width(seed: int)
         if column not in drop:
             cells = [console._cell(row[index]) for row in rows]
             assert all(word in words or len(word) > 20 for cell in cells for word in cell.split()), cells
+
+
+def test_no_figure_below_a_million_has_an_exponent() -> None:
+    assert [console._cell(value) for value in (9.996, 999.4, 999.7, 1000.4, 123456.7)] == [
+        "10", "999", "1000", "1000", "123457",
+    ]  # fmt: skip
 
 
 def test_columns_leave_in_their_order_and_are_named() -> None:
@@ -158,7 +165,7 @@ PRINTED: dict[str, tuple[Callable[[], None], str, str]] = {
     "topic list": (_run("topic", "list"), "TOPIC TYPE NOMINAL HZ PUBLISHERS", "perception/hidden_objects"),
     "node types": (_run("node", "types"), "MODULE ABOUT", "nodes.dense_predictor"),
     "node list": (_run("node", "list"), "NODE STATE LOST SHED REASON", f"vehicle/geometry degraded 4321 {LONG}"),
-    "node info": (_run("node", "info", "vehicle/geometry"), "WAY TOPIC HZ LOST", "in out 4321"),
+    "node info": (_run("node", "info", "vehicle/geometry"), "WAY TOPIC HZ LOST", "in out 4321 12346"),
     "top": (_top, "NODE STATE LOST REASON", f"degraded vehicle/geometry {LONG}"),
     "scoreboard": (_scoreboard, "hidden object truth true error: centre nearest visible face [m] unmatched",
                    "pedestrian nothing missed"),
@@ -202,3 +209,11 @@ def test_progress_off_a_terminal_is_a_line_of_what_is_done_and_left(
     assert lines[-2] == "places: 140 of 240, 50 s, 50 s left", "what was kept took no time"
     assert lines[-1] == "epoch 1"
     assert capsys.readouterr().out == "", "stdout is for results"
+
+
+def test_progress_says_that_kernels_are_compiled_until_something_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(KernelCache, "compiled", 31)
+    progress = Progress("scans", 12, 0, print)
+    assert progress.line() == "scans: 0 of 12, 0 s, 31 kernels compiled, which are kept"
+    progress(3)
+    assert "kernels" not in progress.line()

@@ -63,7 +63,7 @@ def _selected(held: Collection[str], kept: list[str], left_out: list[str], file:
 
 
 def merge(
-    files: Annotated[list[Path], typer.Argument(metavar="RECORDING RECORDING...", help="Recordings of one clock.")],
+    files: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="Recordings of one clock.")],
     out: Annotated[Path, typer.Option("--out", metavar="OUT", help="New recording.")],
 ) -> None:
     """Copy recordings into one, by time; messages that several hold come once."""

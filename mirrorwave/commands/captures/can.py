@@ -48,7 +48,7 @@ _POLL_S, _KEPT_GAPS = 0.005, 1000
 
 @app.command()
 def decode(
-    log: Annotated[Path, typer.Argument(help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
     dbc: Dbc = DBC,
     mapping: Mapping = MAPPING,
     channel: Channel = None,

@@ -62,7 +62,7 @@ def xradarnlos(
 def dca1000(
     capture: Annotated[
         list[Path],
-        typer.Argument(metavar="SOURCE...", help="Raw samples as the DCA1000 stored them, in one file or several."),
+        typer.Argument(metavar="SOURCE", help="Raw samples as the DCA1000 stored them, in one file or several."),
     ],
     config: Annotated[
         Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg or .json, or a .lua of mmWave Studio.")

@@ -9,7 +9,7 @@ import typer
 
 from mirrorwave.commands.captures.view import DEFAULT_PORT, NoBrowser, Port, Sample
 from mirrorwave.completion import Overrides, Profile
-from mirrorwave.console import AsJson, ExitCode, compile_line, file_or_sample, print_json, print_line, progress_bar
+from mirrorwave.console import AsJson, ExitCode, file_or_sample, print_json, print_line, progress_bar
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def process(
         raise ValueError("--json and --view exclude each other: the page's address would follow the JSON")
     path = file_or_sample(capture, sample, "RECORDING")
     out = Path("out") / path.name.split(".")[0] if out is None else out
-    with compile_line(), progress_bar("scans") as advance:
+    with progress_bar("scans") as advance:
         results = run_capture(path, out, profile, param, advance, records=view)
     _report(results, path, out, as_json)
     if view:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mirrorwave.console import compile_line, file_or_sample, print_line, progress_bar
+from mirrorwave.console import file_or_sample, print_line, progress_bar
 
 Sample = Annotated[
     bool, typer.Option("--sample", help="Take the drive past two hidden cars that ships (no RECORDING).")
@@ -38,6 +38,6 @@ def view(
 
     with TemporaryDirectory(prefix="mirrorwave-") as folder:
         print_line(f"{path}: processing the sample")
-        with compile_line(), progress_bar("scans") as advance:
+        with progress_bar("scans") as advance:
             run_capture(path, Path(folder), on_scan=advance, records=True)
         serve_recording(Path(folder) / RECORDING, port, not no_browser, print_line, title="sample")

@@ -15,7 +15,7 @@ import typer
 from mirrorwave import early_start
 from mirrorwave.commands.captures.bag_options import Raw, command_line, recorder_params, require_new_recording
 from mirrorwave.completion import Overrides, complete_launch_files, complete_profiles
-from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
+from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable, progress_bar
 from mirrorwave.exit_signals import stopped_by_signal
 from msgs.values.wording import counted
 
@@ -77,7 +77,8 @@ def launch(
         # the profile that a budget picks here; says which and why
         from lab.tradeoff.latency_budget import pick, reason
 
-        timed = pick(latency_budget_ms, remeasure, print_line)
+        with progress_bar("trying profiles") as progress:
+            timed = pick(latency_budget_ms, remeasure, progress.print)
         print_line(reason(latency_budget_ms, timed))
         profile = timed[-1].profile
     graph = over_default(graph) if profile is None else with_profile(graph, profile)

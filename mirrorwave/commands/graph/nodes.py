@@ -157,8 +157,8 @@ def info(name: NodeName, window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DO
         rows = {key: [each for each in topics if each["way"] == direction] for key, direction in _DIRECTIONS.items()}
         print_json({**row, **rows, "stages": list(status.stages)})
         return
-    for key, value in {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}.items():
-        print_line(f"{key}: {value}")
+    about = {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}
+    print_table(("NODE", about.pop("node")), about.items())
     columns = ("way", "topic", "hz", "bytes_per_s", "messages", "bytes", "lost", "rejected", "outdated")
     print_rows(columns, topics, ("bytes", "messages", "bytes_per_s", "outdated", "rejected"))
     stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
@@ -167,7 +167,7 @@ def info(name: NodeName, window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DO
 
 @app.command()
 def types(
-    name: Annotated[str | None, typer.Argument(help="One of them, with all its parameters.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One of them, with all its parameters.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Modules that a launch file can name: shipped ones, and those that installed packages bring; exit code 1 if a

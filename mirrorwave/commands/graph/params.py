@@ -17,7 +17,7 @@ app = typer.Typer(help="Read and change parameters of running nodes.", no_args_i
 @app.command("list")
 def list_params(
     node: Annotated[
-        str | None, typer.Argument(metavar="[NODE]", help="Only this node.", autocompletion=complete_nodes)
+        str | None, typer.Argument(metavar="NODE", help="Only this node.", autocompletion=complete_nodes)
     ] = None,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
@@ -37,7 +37,7 @@ def list_params(
 @app.command("get")
 def get_param(
     node: NodeName,
-    key: Annotated[str | None, typer.Argument(metavar="[KEY]", help="Dotted name; all if left out.")] = None,
+    key: Annotated[str | None, typer.Argument(metavar="KEY", help="Dotted name; all if left out.")] = None,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
 ) -> None:
@@ -62,7 +62,7 @@ def get_param(
 @app.command("set")
 def set_params(
     node: NodeName,
-    changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE...", help="Dotted name and YAML value.")],
+    changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE", help="Dotted name and YAML value.")],
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
 ) -> None:

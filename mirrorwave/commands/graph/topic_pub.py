@@ -26,7 +26,7 @@ def pub(
         str, typer.Argument(metavar="TOPIC", help="Topic, as `topic list` names it.", autocompletion=complete_topics)
     ],
     value: Annotated[
-        str | None, typer.Argument(metavar="[VALUE]", help="Fields as YAML, e.g. '{speed_mps: 3}'; the rest: defaults.")
+        str | None, typer.Argument(metavar="VALUE", help="Fields as YAML, e.g. '{speed_mps: 3}'; the rest: defaults.")
     ] = None,
     file: Annotated[
         Path | None, typer.Option("--file", metavar="FILE", help="The same from a YAML or JSON file.")

@@ -30,7 +30,7 @@ app.command()(pub)
 
 Topics = Annotated[
     list[str],
-    typer.Argument(metavar="TOPIC...", help="Topics, as `topic list` names them.", autocompletion=complete_topics),
+    typer.Argument(metavar="TOPIC", help="Topics, as `topic list` names them.", autocompletion=complete_topics),
 ]
 TopicName = Annotated[
     str, typer.Argument(metavar="TOPIC", help="Topic, as `topic list` names it.", autocompletion=complete_topics)
@@ -63,7 +63,7 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
         print_json(rows)
         return
     table = [(row["topic"], row["type"], row["rate_hz"] or None, ", ".join(row["publishers"]) or None) for row in rows]
-    print_table(("TOPIC", "TYPE", "NOMINAL HZ", "PUBLISHERS"), table)
+    print_table(("TOPIC", "TYPE", "NOMINAL HZ", "PUBLISHERS"), table, ("NOMINAL HZ",))
     _say_where_no_graph(domain)
 
 
@@ -82,8 +82,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
         return
     ends = [{"": side, **row} for side in ("publishers", "readers") for row in about.pop(side)]
     fields = about.pop("fields")
-    for name, value in about.items():
-        print_line(f"{name}: {value}")
+    print_table(("TOPIC", about.pop("name")), about.items())
     print_table(("FIELD", "TYPE"), fields.items())
     columns = ("", "node", "hz", "messages", "bytes", "lost", "rejected", "outdated")
     print_rows(columns, ends, ("bytes", "messages", "outdated"))
@@ -104,9 +103,7 @@ def echo(
     once: Annotated[bool, typer.Option("--once", help="Stop after one message.")] = False,
     timeout: Annotated[float | None, typer.Option("--timeout", metavar="S", help="Give up after S seconds.")] = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="A line a message under one header line.")] = False,
-    full: Annotated[
-        bool, typer.Option("--full", help="With --json: arrays whole (base64) and not summarised.")
-    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="With --json: whole arrays, in base64.")] = False,
     npy: Annotated[Path | None, typer.Option("--npy", metavar="DIR", help="Write arrays to DIR as .npy files.")] = None,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
@@ -226,7 +223,7 @@ def bw(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN,
 def delay(
     topics: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[TOPIC]...", help="All but raw beams if none.", autocompletion=complete_topics),
+        typer.Argument(metavar="TOPIC", help="All but raw beams and set-ups if none.", autocompletion=complete_topics),
     ] = None,
     duration: WindowS = 2.0,
     domain: Domain = DEFAULT_DOMAIN,
@@ -236,8 +233,8 @@ def delay(
     from mirrorwave.diagnose.topic_delay import DelayWatch
 
     know_topics(domain)
-    # raw beams only when asked for: listening to 350 MB/s changes what is measured
-    wanted = list(topics or (name for name in TOPICS if name != "radar/beam"))
+    # raw beams only when asked for: listening to 350 MB/s changes what is measured; what is latched has no delay
+    wanted = list(topics or (name for name in TOPICS if name != "radar/beam" and not TOPICS[name].latched))
     bus = listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup", "diagnostics/node"])))
     try:
         watch = DelayWatch(bus.now_ns())
@@ -256,8 +253,10 @@ def delay(
     if as_json:
         print_json(rows)
     elif rows:
-        shown = [{name: value or None for name, value in row.items()} for row in rows]
-        print_rows(list(rows[0]), shown, ("messages", "p90_ms", "p99_ms", "max_ms", "publisher"))
+        least = ("messages", "p90_ms", "max_ms", "p99_ms")
+        print_rows([*rows[0]][:-1], [row for row in rows if row["messages"]], least)
+        for row in (row for row in rows if row["remark"]):
+            print_line(f"{row['topic']} of {row['publisher']}, {row['delay']}: {row['remark']}")
     if topics or not rows:
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 

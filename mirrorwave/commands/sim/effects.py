@@ -60,7 +60,8 @@ def effects(
     from sim_player.scene.world import prepare
 
     loaded = load_scene(scene)
-    world = prepare(loaded, seed)
+    with progress_bar("walls and objects"):
+        world = prepare(loaded, seed)
     if loaded.radar.preset == "spad":
         if (budget_db, choice, purpose) != (-20.0, "auto", "samples"):
             raise ValueError(

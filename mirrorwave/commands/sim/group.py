@@ -12,7 +12,7 @@ from mirrorwave.commands.sim.dataset import dataset, statistics
 from mirrorwave.commands.sim.effects import Budget, Effects, For, SceneFile, effects, paths
 from mirrorwave.commands.sim.map_import import app as import_app
 from mirrorwave.commands.verbs import loaded
-from mirrorwave.console import compile_line, print_line, progress_bar, require_new_file
+from mirrorwave.console import print_line, progress_bar, require_new_file
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def run(
         purpose=purpose,
         walls=walls,
     )
-    with compile_line():
+    with progress_bar("tracing and planning"):
         source = player.scene_player(params)
     radars, total = dict[str, ScenePlayer](), 0
     if not player.is_lidar(source):
@@ -82,7 +82,7 @@ def run(
         require_room(out, sum(scans * radar.setup.scan_bytes for radar in radars.values()))
     if not any(len(each.paths(0)) for each in ([source] if player.is_lidar(source) else radars.values())):
         typer.echo(f"{scene}: no echo of a wall or an object reaches the sensor", err=True)
-    with compile_line(), progress_bar("messages", total or None) as advance:
+    with progress_bar("messages", total or None) as advance:
         sent = player.with_walls(player.scene_events(source, scans), source, params)
         events = _counted_by(advance, (event.outgoing for event in sent))
         origin = {"scene": source.scene.name, "seed": str(seed)}

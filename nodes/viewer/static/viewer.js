@@ -397,7 +397,8 @@ function showOldPicture(age, isOld) {
 
 function cell(text, className) {
   const td = document.createElement("td");
-  td.textContent = text;
+  // a number keeps its unit on its line
+  td.textContent = String(text).replace(/(\d) (?=%|(?:m|s|min|days|km|Hz)\b)/g, "$1\u00a0");
   if (className) td.className = className;
   return td;
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 from lab.tradeoff import latency_budget
 from lab.tradeoff.latency_budget import ProfileLoss, ProfileLosses, Trial, pick, reason, run_live
 from lab.tradeoff.rows import profile_setting, profiles
+from mirrorwave import console
 from mirrorwave.commands.graph.launch import launch
 from mirrorwave.profiles import profile_names
 from msgs.files.checksums import json_lines
@@ -127,6 +129,21 @@ def test_budgets_that_are_none_are_refused_before_anything_is_measured(budget: s
             app, ["launch/corner.yaml", "--latency-budget-ms", budget], catch_exceptions=False, standalone_mode=False
         )
     assert computer.tried == []
+
+
+def test_a_long_trial_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines, said = [], threading.Event()
+    monkeypatch.setattr(console, "BEAT_S", 0.01)
+    monkeypatch.setattr(console, "_heartbeat", lambda line: (lines.append(line), said.set()))
+
+    def tried(*words: object) -> list[object]:
+        assert said.wait(60.0)
+        raise ValueError("no profile fits")
+
+    monkeypatch.setattr(latency_budget, "pick", tried)
+    with pytest.raises(ValueError, match="no profile fits"):
+        CliRunner().invoke(app, ["launch/corner.yaml", "--latency-budget-ms", "5"], catch_exceptions=False)
+    assert lines[0] == "trying profiles: 0 s"
 
 
 def test_budget_and_profile_exclude_each_other() -> None:

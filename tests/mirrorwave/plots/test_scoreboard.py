@@ -59,6 +59,17 @@ def test_the_error_of_the_centre_stands_before_that_of_the_nearest_visible_face(
     assert "error: from the centre of the report to the centre of the true box" in text
 
 
+def test_a_row_shows_the_centre_that_its_error_is_of(capsys: pytest.CaptureFixture[str]) -> None:
+    """A report whose face is at x = 9.5 and centre at x = 9 is 1 m from the true centre at x = 10."""
+    (seen,) = frame(0, (9.5, 5.0)).objects
+    board = Scoreboard()
+    board.add_truth(truth(0))
+    board.add_frame(example_view(scan_id=0, objects=(msgspec.structs.replace(seen, centre_m=(9.0, 5.0)),)))
+    board.print_table()
+    row = capsys.readouterr().out.splitlines()[1].split()
+    assert (row[2:4], row[-2:]) == (["9", "5"], ["1", "0.5"])
+
+
 def test_without_truth_nothing_is_claimed() -> None:
     board = Scoreboard()
     board.add_frame(frame(0, (1.0, 1.0)))

@@ -121,7 +121,7 @@ def test_the_hidden_car_stands_within_a_metre_of_the_truth(
     distances = object_distances([seen], corner[3], [car])
     errors_m = distances.centre_m[0, 0], distances.error_m[0, 0]
     assert page.locator("#objects tbody td").nth(4).inner_text() == car.object_class
-    assert page.locator("#objects tbody td").nth(5).inner_text() == f"{errors_m[0]:.1f}, {errors_m[1]:.1f} m"
+    assert page.locator("#objects tbody td").nth(5).inner_text() == f"{errors_m[0]:.1f}, {errors_m[1]:.1f}\xa0m"
     assert car.object_class in page.locator("#objects tbody tr").inner_text()
 
 
@@ -406,6 +406,7 @@ def test_only_a_picture_of_now_is_called_live(
     assert (page.evaluate(f"{LINK}.dataset.state"), page.evaluate(f"{LINK}.textContent")) == (state, words)
     assert page.evaluate(f"!{BANNER}.hidden") == bool(banner)
     assert page.evaluate(f"{BANNER}.textContent").startswith(banner)
+    assert page.evaluate(f"getComputedStyle({BANNER}).backgroundColor") == "rgb(179, 38, 30)", "red"
     assert (page.evaluate("ageOf(mirrorwave.state.view, mirrorwave.state.viewAt)") or -5e3) >= 1e3 * age_s
 
 
@@ -583,10 +584,10 @@ def test_a_track_stands_at_its_place_with_its_trail_and_its_way(
         assert not page.evaluate(PIXEL, list(place)), place
     rows = page.locator("#tracks tbody tr")
     assert rows.count() == 2
-    text = rows.first.inner_text()
+    text = rows.first.inner_text().replace("\xa0", " ")
     for part in ("T3 97 %", "25.0, 10.0 m", "4.0 ± 1.4 m/s, 14 km/h", "90° right", "in 0.9 s", "3.0 s"):
         assert part in text
-    assert "16667 min" in rows.nth(1).inner_text()
+    assert "16667\xa0min" in rows.nth(1).inner_text()
 
 
 BOXES_OF_URGENT = """() => {

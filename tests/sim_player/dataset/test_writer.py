@@ -535,7 +535,7 @@ def test_histograms_keep_what_lies_outside() -> None:
 
 
 def test_statistics_of_no_data_set(tmp_path: Path, streets: Path) -> None:
-    with pytest.raises(ValueError, match=r"series\.json: must say which data set"):
+    with pytest.raises(ValueError, match=r"series\.json: must say which data set the folder holds: No such"):
         dataset_statistics(tmp_path)
     with pytest.raises(ValueError, match="must hold shards"):
         list(read_records(tmp_path))

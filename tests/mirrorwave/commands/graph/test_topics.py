@@ -304,7 +304,9 @@ def test_delay_info_and_rates_of_a_living_topic(speaker: Callable, capsys: pytes
     assert rows["acquired to sent"]["p50_ms"] >= 5.0
     assert rows["sent to received"]["p50_ms"] >= 0.0
     assert main(["topic", "delay", "--duration", "0.6"]) == 0
-    assert "vehicle/state" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "speaker" in shown.split()
+    assert "REMARK" not in shown, "figures alone: remarks are lines below"
     assert main(["topic", "info", "vehicle/state", "--duration", "0.6", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["type"], found["fields"]["speed_mps"]) == ("VehicleState", "float")
