@@ -28,6 +28,8 @@ from contrib.boards.config_file import read_config
 from contrib.imports import detection_tables
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
+from models.perception.cards import read_card
+from models.perception.onnx_session import ArrayCard
 from msgs.bus.codec import encode_inline
 from msgs.files import array_files, yaml_loader
 from msgs.files.array_files import load_arrays
@@ -177,9 +179,10 @@ def test_a_scene_of_too_many_values_is_refused(text: str, monkeypatch: pytest.Mo
     [
         ("zeros.gltf", {"accessors": [{"componentType": 5126, "count": 1 << 28, "type": "VEC3"}]}, "without data"),
         ("copies.gltf", {"nodes": [{"mesh": 0}] * 100_000}, "nodes: at most 1000 are read, got 100000"),
+        ("parts.gltf", {"meshes": [{"primitives": [{}] * 100_000}]}, "primitives: at most 1000 are read, got 100000"),
         ("parts.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "usemtl a\nf 1 2 3\n" * 2000, "1000 changes of material"),
     ],
-    ids=["zeros", "copies", "parts"],
+    ids=["zeros", "copies", "primitives", "parts"],
 )
 def test_a_mesh_may_not_promise_more_than_it_holds(tmp_path: Path, name: str, content: Any, rule: str) -> None:
     """Less than 3 MB each: they would take gigabytes or minutes."""
@@ -342,6 +345,12 @@ def test_honest_chunks_of_every_compression_are_read(tmp_path: Path, compression
 
 
 # archives
+
+
+def test_a_card_nested_without_end_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "net.json").write_text('{"name": ' + "[" * 100_000)
+    with pytest.raises(ValueError, match=r"net\.json: maximum recursion depth exceeded"):
+        read_card(tmp_path / "net.json", ArrayCard)
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
