@@ -23,15 +23,21 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from contrib.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from contrib.annotate.manifest import load_manifest
+from contrib.boards import mmwave_studio
 from contrib.boards.config_file import read_config
+from contrib.imports import detection_tables
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
+from models.perception.cards import read_card
+from models.perception.onnx_session import ArrayCard
+from msgs.bus.codec import encode_inline
 from msgs.files import array_files, yaml_loader
 from msgs.files.array_files import load_arrays
 from msgs.files.shipped import CHECKOUT
 from msgs.recording import mcap as recording
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture
+from msgs.values.radar import RadarBeam
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import MAX_DBC_BYTES, load_dbc
 from nodes.can.log_file import MAX_LINE, MAX_OBJECT_BYTES, read_log
@@ -102,6 +108,14 @@ def test_an_object_of_a_blf_may_not_promise_gigabytes(tmp_path: Path) -> None:
         list(read_log(blf(tmp_path / "long.blf", b"", claimed=2**32 - 1)))
 
 
+@pytest.mark.parametrize("size", [0, 15])
+def test_an_object_of_no_size_does_not_hold_up_a_blf(tmp_path: Path, size: int) -> None:
+    """200 bytes gave frames without end."""
+    path = blf(tmp_path / "none.blf", struct.pack("<4sHHLL", b"LOBJ", 32, 1, size, 1) + bytes(64))
+    with pytest.raises(ValueError, match=r"none\.blf.* an object must be of at least 16 bytes"):
+        list(read_log(path))
+
+
 def test_an_object_without_end_in_containers_of_a_blf(tmp_path: Path) -> None:
     """Each container holds some more of an object that says to be 4 GiB long."""
     head = struct.pack("<4sHHLL", b"LOBJ", 32, 1, 2**32 - 1, 1)
@@ -122,6 +136,19 @@ def test_a_cloud_may_not_have_any_number_of_points(tmp_path: Path, suffix: str, 
     path.write_bytes(content)
     with pytest.raises(ValueError, match=rf"crowd.*points must be at most {MAX_POINTS}, got \d+"):
         read_cloud(path)
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".pcd"])
+def test_a_number_without_end_takes_the_time_of_its_digits(tmp_path: Path, suffix: str) -> None:
+    """Each digit was tried as the last: an hour."""
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3\n"
+    path = tmp_path / f"digits{suffix}"
+    path.write_text((head if suffix == ".pcd" else "") + "1" * 500_000 + "x\n")
+    with pytest.raises(ValueError, match=r"digits.*must be numbers with blanks between them"):
+        read_cloud(path)
+    assert not detection_tables._NUMBER.fullmatch("1" * 60_000 + "x")
+    for odd in ("--[[\n", 'x = "' + "\\" + '"' * 3):
+        assert len(mmwave_studio._TEXT_OR_COMMENT.sub("", odd * 100_000)) <= 5 * 100_000
 
 
 def test_a_scene_may_not_repeat_itself_by_reference() -> None:
@@ -152,9 +179,10 @@ def test_a_scene_of_too_many_values_is_refused(text: str, monkeypatch: pytest.Mo
     [
         ("zeros.gltf", {"accessors": [{"componentType": 5126, "count": 1 << 28, "type": "VEC3"}]}, "without data"),
         ("copies.gltf", {"nodes": [{"mesh": 0}] * 100_000}, "nodes: at most 1000 are read, got 100000"),
+        ("parts.gltf", {"meshes": [{"primitives": [{}] * 100_000}]}, "primitives: at most 1000 are read, got 100000"),
         ("parts.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "usemtl a\nf 1 2 3\n" * 2000, "1000 changes of material"),
     ],
-    ids=["zeros", "copies", "parts"],
+    ids=["zeros", "copies", "primitives", "parts"],
 )
 def test_a_mesh_may_not_promise_more_than_it_holds(tmp_path: Path, name: str, content: Any, rule: str) -> None:
     """Less than 3 MB each: they would take gigabytes or minutes."""
@@ -212,6 +240,12 @@ def test_a_chunk_of_another_size_than_its_head_promises_is_refused(compression: 
         tracemalloc.stop()
 
 
+def test_a_chunk_of_a_million_frames_takes_the_time_of_its_bytes() -> None:
+    """Each frame took that of all that follow: an hour."""
+    packed = lz4.frame.compress(b"") * 200_000
+    assert recording._unpacked(chunk("lz4", packed, 0)) == b""
+
+
 @pytest.mark.parametrize("compression", PACKERS)
 def test_a_chunk_may_be_of_several_frames_and_none_of_them_cut(compression: str) -> None:
     halves = np.random.default_rng(0).bytes(1000), bytes(MIB)
@@ -247,7 +281,52 @@ def test_a_chunk_of_a_million_empty_messages_is_refused(tmp_path: Path) -> None:
     empty = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
     with RecordingReader(_written(tmp_path / "a.mcap", "zstd", empty * 1_000_000)) as reader:
         assert list(reader.messages()) == []
-        assert "more records than bytes" in str(reader.loss)
+        assert "too many records for its size" in str(reader.loss)
+
+
+def _of_a_topic(path: Path, topic: str, data: bytes, copies: int = 0) -> Path:
+    """A recording of one message, whose chunk an index names `copies` times behind a record that is cut off."""
+    lead = bytes([3]) + struct.pack("<QH", 14 + len("x"), 1) + struct.pack("<I", 1) + b"x" + bytes(8)
+    lead += struct.pack("<BQHHI", 4, 16 + len(topic) + 7, 1, 1, len(topic)) + topic.encode()
+    lead += struct.pack("<I", 7) + b"msgpack" + bytes(4) + struct.pack("<BQHIQQ", 5, 22 + len(data), 1, 0, 1, 1)
+    if not copies:
+        return _written(path, "zstd", lead + data)
+    content = lead + data
+    chunk_ = struct.pack("<QQQIIQ", 0, 1, len(content), 0, 0, len(content)) + content
+    start = 8 + 9 + len(chunk_) + 20
+    entry = struct.pack("<BQQQQQIQIQQ", 8, 64, 0, 1, 8, 9 + len(chunk_), 0, 0, 0, len(content), len(content))
+    index = entry * copies + struct.pack("<BQQQ", 2, 20, start, 0)
+    path.write_bytes(
+        MCAP0_MAGIC + struct.pack("<BQ", 6, len(chunk_)) + chunk_ + b"\xff" * 20 + index
+        + struct.pack("<I", zlib.crc32(index)) + MCAP0_MAGIC
+    )  # fmt: skip
+    return path
+
+
+def test_a_message_may_not_unpack_to_more_values_than_one_on_the_bus(tmp_path: Path) -> None:
+    """16 MiB of empty mappings took 1.2 GB; a beam of 4 MiB is read."""
+    bomb = b"\x81\xa5walls\xdd" + struct.pack(">I", 16 * MIB) + b"\x80" * (16 * MIB)
+    tracemalloc.start()
+    try:
+        with RecordingReader(_of_a_topic(tmp_path / "a.mcap", "perception/hidden_objects", bomb)) as reader:
+            assert list(reader.messages()) == []
+            assert reader.skipped == {"perception/hidden_objects": 1}
+        assert tracemalloc.get_traced_memory()[1] < 100 * MIB
+    finally:
+        tracemalloc.stop()
+    samples = np.zeros((1024, 1024, 2), np.int16)
+    beam = RadarBeam(
+        stamp_ns=0, scan_id=0, beam_index=0, beam_count=1, azimuth_rad=0.0, samples=samples, full_scale_dbm=0.0
+    )
+    with RecordingReader(_of_a_topic(tmp_path / "b.mcap", "radar/beam", encode_inline(beam))) as reader:
+        assert [each.message.samples.shape for each in reader.messages()] == [samples.shape]
+
+
+def test_an_index_may_not_name_a_chunk_again_and_again(tmp_path: Path) -> None:
+    path = _of_a_topic(tmp_path / "a.mcap", "other/topic", bytes(10), copies=1000)
+    with RecordingReader(path) as reader:
+        assert "all chunks found by the index" in str(reader.loss)
+        assert len(list(reader.raw_messages(None, None))) == 1
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -266,6 +345,12 @@ def test_honest_chunks_of_every_compression_are_read(tmp_path: Path, compression
 
 
 # archives
+
+
+def test_a_card_nested_without_end_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "net.json").write_text('{"name": ' + "[" * 100_000)
+    with pytest.raises(ValueError, match=r"net\.json: maximum recursion depth exceeded"):
+        read_card(tmp_path / "net.json", ArrayCard)
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,7 +431,7 @@ def _size(count: int) -> str:
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from contrib.annotate import clouds as annotate_clouds
     from contrib.boards import config_file
-    from contrib.imports import detection_tables, recorded_sensors
+    from contrib.imports import detection_sets, recorded_sensors
     from contrib.ros2 import ros2_link, ros2_topics
     from contrib.two_machines import curve as curve_link
     from contrib.two_machines import exporter as curve_exporter
@@ -420,10 +505,17 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
             f"{_size(recording._MAX_UNPACKED_CHUNK_BYTES)}; {_size(recording._FREE_UNPACKED_BYTES)}, "
             f"or {recording._MAX_UNPACKED_RATIO} times the file"
         ),
-        "message of a recording": _size(codec.MAX_INLINE_BYTES),
+        "message of a recording; beside its arrays": (
+            f"{_size(codec.MAX_INLINE_BYTES)}; {_size(codec.MAX_HEADER_BYTES)}"
+        ),
         "card of a network": _size(cards.MAX_CARD_BYTES),
         "network; its memory to load and run once": (
-            f"{_size(onnx_session.MAX_MODEL_BYTES)}; {_size(onnx_session.MAX_RUN_BYTES)} beside eight times its file"
+            f"{_size(onnx_session.MAX_MODEL_BYTES)}; {_size(onnx_session.MAX_RUN_BYTES)} beside eight times its file, "
+            f"{onnx_session.MAX_RUN_S:g} s of processor time"
+        ),
+        "table of a drive (HDF5)": (
+            f"{_size(detection_sets._MAX_DRIVE_BYTES)}; at most {_size(unpacking.Budget.FREE_BYTES)} plus "
+            f"{unpacking.Budget.RATIO} times the file"
         ),
         "archive of arrays, unpacked": (
             f"{_size(array_files.MAX_UNPACKED_BYTES)}; beyond {_size(array_files.FREE_UNPACKED_BYTES)} "

@@ -41,7 +41,8 @@ _FILLER = "_"
 PLY_WORDS = {"ply", "format", "comment", "obj_info", "element", "property", "end_header"}
 #: open3d cuts lines of a PCD here.
 LONGEST_LINE = 1000
-_NUMBER = rb"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf(?:inity)?)"
+#: Digits are taken once: a line of them would be tried at each.
+_NUMBER = rb"[-+]?(?:(?:\d++\.?\d*+|\.\d+)(?:e[-+]?\d+)?|nan|inf(?:inity)?)"
 #: A line of text that is not three numbers and more, nor a remark; and one that is not numbers alone.
 _NO_POINT = re.compile(
     rb"^(?![ \t\r]*(?:$|#|//|" + rb"[ \t]+".join([_NUMBER] * 3) + rb"(?:[ \t\r]|$)))[^\n]+",

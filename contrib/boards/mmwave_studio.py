@@ -18,7 +18,10 @@ from typing import Any, NamedTuple
 from contrib.boards.dca1000_capture import DEVICES, ChirpCfg, Dca1000Config, DeviceName, ProfileCfg, configured
 
 #: A text, kept, or a comment, which goes.
-_TEXT_OR_COMMENT = re.compile(r"""("(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|--\[\[.*?\]\]|--[^\n]*""", re.DOTALL)
+#: One without end reaches as far as it could: it is looked for once.
+_TEXT_OR_COMMENT = re.compile(
+    r"""("(?:\\.|[^"\\\n])*+"?|'(?:\\.|[^'\\\n])*+'?)|--\[\[.*?(?:\]\]|\Z)|--[^\n]*""", re.DOTALL
+)
 #: Calls that leave layout and timing of the samples alone.
 _WITHOUT_EFFECT = frozenset(
     {

@@ -23,7 +23,8 @@ from msgs.values.detections import MAX_DETECTIONS
 MAX_LINE, MAX_COLUMNS = 1 << 16, 1 << 10
 #: Cells of what was not measured, as tools write them; anything else that is no number is refused.
 _NOTHING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "null", "none", "-"))
-_NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|inf(?:inity)?)", re.IGNORECASE)
+#: Digits are taken once: a line of them would be tried at each.
+_NUMBER = re.compile(r"[-+]?(?:(?:[0-9]++\.?[0-9]*+|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|inf(?:inity)?)", re.IGNORECASE)
 
 
 class ScanRows(NamedTuple):

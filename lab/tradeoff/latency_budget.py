@@ -140,8 +140,8 @@ def reason(budget_ms: float, timed: list[Timed]) -> str:
     slower = ", ".join(f"{candidate.profile} would {_need(candidate)}" for candidate in better)
     return (
         f"profile {picked.profile}: expected {picked.expected_ms:.0f} of {budget_ms:g} ms from the last beam, "
-        f"loss {picked.loss:.2f}; {slower or 'none is more accurate'}; trials are kept in {cache_path()}, --remeasure "
-        "repeats them"
+        f"loss {picked.loss:.2f}; {slower or 'none is more accurate'}; trials of an idle "
+        f"machine are kept in {cache_path()}, --remeasure repeats them"
     )
 
 

@@ -15,12 +15,15 @@ from typing import Any
 import numpy as np
 
 from lab.transients.scan import ConfocalTransients, require_layout
+from msgs.files.unpacking import limited_memory
 
 DEFAULT_BIN_S = 4e-12
 COUNTS, HALF_WIDTH = "rect_data", "width"
 #: Bytes of a file, which may be packed.
 MAX_FILE_BYTES = 1 << 28
 MAX_COUNT = (1 << 32) - 1
+#: Memory to read one: what a variable unpacks to is not bounded, its counts as doubles are 128 MiB.
+MAX_READ_BYTES = 1 << 29
 
 
 def read_confocal(path: Path, bin_s: float = DEFAULT_BIN_S) -> ConfocalTransients:
@@ -56,7 +59,8 @@ def _parsed(path: Path, parse: Callable[[], Any]) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            return parse()
+            with limited_memory(MAX_READ_BYTES):
+                return parse()
         except Exception as error:
             # scipy's parser documents no errors: cut and foreign bytes raise what they happen to break, an OSError
             # without a number where they end too early

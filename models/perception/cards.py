@@ -49,7 +49,10 @@ def read_card(path: Path, kind: type[Card]) -> Card:
 
 def _wrong_fields(text: str, kind: Any) -> list[str]:
     """Return all errors of a card, field by field: msgspec stops at the first."""
-    values = msgspec.json.decode(text)
+    try:
+        values = msgspec.json.decode(text)
+    except RecursionError as error:
+        return [str(error)]
     if not isinstance(values, dict):
         return []
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -18,13 +21,18 @@ from msgs.files.unpacking import limited_memory
 #: Errors that a session raises for bytes that are no network.
 _NO_NETWORK = tuple(
     getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
-    for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
+    for name in (
+        *("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "ModelLoadCanceled", "NotImplemented"),
+        "RuntimeException",
+    )
 )
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
 #: Memory that a network may take to be loaded and to run, beside eight times its file: those of this project take a
 #: tenth, and a file of a hundred bytes may ask for all that there is.
 MAX_RUN_BYTES = 1 << 30
+#: Processor time that it may take for both: those of this project take seconds.
+MAX_RUN_S = 60.0
 #: ONNX Runtime logs what it also raises.
 _FATAL_ONLY = 4
 
@@ -105,19 +113,50 @@ def wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
 
 
 def session_of(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
-    """Return a warm session of a file's bytes, within `MAX_RUN_BYTES`; `ValueError` names the file."""
+    """Return a warm session of a file's bytes, within `MAX_RUN_BYTES` and `MAX_RUN_S`; `ValueError` names the file."""
     try:
         with limited_memory(MAX_RUN_BYTES + 8 * len(model)):
-            session = onnxruntime.InferenceSession(model, _options(threads), providers=["CPUExecutionProvider"])
-            shapes = {each.name: each.shape for each in session.get_inputs() if each.type == "tensor(float)"}
-            is_known = all(isinstance(size, int) for shape in shapes.values() for size in shape)
-            if shapes and is_known and len(shapes) == len(session.get_inputs()):
-                session.run(None, {name: np.zeros(shape, np.float32) for name, shape in shapes.items()})
-            return session
+            return _warm_session(model, threads)
     except (*_NO_NETWORK, MemoryError) as error:
         reason = " ".join(str(error).split())[:300] or type(error).__name__
-        limit = f"it may take {MAX_RUN_BYTES >> 20} MiB to run"
+        limit = f"it may take {MAX_RUN_BYTES >> 20} MiB and {MAX_RUN_S:g} s of processor time to run"
         raise ValueError(f"{model_path} must be a whole ONNX file: {reason} ({limit})") from None
+
+
+def _warm_session(model: bytes, threads: int) -> onnxruntime.InferenceSession:
+    options, run = _options(threads), onnxruntime.RunOptions()
+    with _stopped_after(MAX_RUN_S, lambda: options.set_load_cancellation_flag(True), lambda: _terminate(run)):
+        session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        shapes = {each.name: each.shape for each in session.get_inputs() if each.type == "tensor(float)"}
+        is_known = all(isinstance(size, int) for shape in shapes.values() for size in shape)
+        if shapes and is_known and len(shapes) == len(session.get_inputs()):
+            session.run(None, {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}, run)
+    return session
+
+
+def _terminate(run: onnxruntime.RunOptions) -> None:
+    run.terminate = True
+
+
+@contextlib.contextmanager
+def _stopped_after(cpu_s: float, *stops: Callable[[], None]) -> Iterator[None]:
+    """Call `stops` once the body has taken so much processor time: loops and nested functions have no end."""
+    is_done, end_s = threading.Event(), time.process_time() + cpu_s
+
+    def watch() -> None:
+        while not is_done.wait(0.2):
+            if time.process_time() > end_s:
+                for stop in stops:
+                    stop()
+                return
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        is_done.set()
+        watcher.join()
 
 
 def _options(threads: int) -> onnxruntime.SessionOptions:

@@ -7,6 +7,8 @@ trusted: sizes, names, types, array layouts and unknown fields are checked befor
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeVar
@@ -24,9 +26,12 @@ StructType = TypeVar("StructType", bound=msgspec.Struct)
 
 PROTOCOL = 1
 MAX_HEADER_BYTES = 1 << 20
-#: An inline message has all its arrays inside. No message of this project comes near the limit.
+#: An inline message has all its arrays inside, and beside them no more than a header: a byte there may become a
+#: value of a hundred. No message of this project comes near the limit.
 MAX_INLINE_BYTES = 1 << 28
 _MAX_REASON = 300
+#: First bytes of binary values in msgpack.
+_BINARY = (b"\xc4", b"\xc5", b"\xc6")
 #: Values of an array that are given one by one.
 MAX_VALUES = 1024
 #: A hundred thousand years of beams.
@@ -61,6 +66,12 @@ class _ArrayInline(msgspec.Struct, forbid_unknown_fields=True):
     dtype: str
     shape: tuple[int, ...]
     data: bytes
+
+
+class _ArrayData(msgspec.Struct):
+    """An inline array without its description."""
+
+    data: msgspec.Raw
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
@@ -136,6 +147,8 @@ def decode_inline(message_type: type[StructType], data: Buffer) -> StructType:
         return _view(inline.dtype, inline.shape, inline.data)
 
     try:
+        if len(data) > MAX_HEADER_BYTES:
+            _require_arrays(message_type, data)
         return _convert(message_type, msgspec.msgpack.decode(data), array)
     except _TROUBLE as error:
         raise CodecError(f"{message_type.__name__}: {error}") from error
@@ -160,6 +173,24 @@ def to_builtins(message: msgspec.Struct, arrays: Literal["summary", "numbers", "
     """
     forms = {"summary": _array_summary, "numbers": _array_numbers, "full": _inline_array}
     return _finite_or_none(msgspec.to_builtins(message, enc_hook=_encoder_hook(forms[arrays])))
+
+
+def _require_arrays(message_type: type[msgspec.Struct], data: Buffer) -> None:
+    """Raise `ValueError` unless all of an inline message but a header's size is bytes of its arrays."""
+    rest = len(data)
+    for value in msgspec.structs.astuple(msgspec.msgpack.decode(data, type=_unread(message_type))):
+        with contextlib.suppress(msgspec.MsgspecError):
+            array = bytes(msgspec.msgpack.decode(value, type=_ArrayData).data)
+            rest -= len(array) * (array[:1] in _BINARY)
+    if rest > MAX_HEADER_BYTES:
+        raise ValueError(f"{rest} bytes beside arrays exceed {MAX_HEADER_BYTES}")
+
+
+@functools.cache
+def _unread(message_type: type[msgspec.Struct]) -> type[msgspec.Struct]:
+    """Return a message type whose fields stay bytes, or are empty."""
+    fields = [(name, msgspec.Raw, msgspec.Raw()) for name in message_type.__struct_fields__]
+    return msgspec.defstruct(f"_{message_type.__name__}", fields)
 
 
 def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Received:

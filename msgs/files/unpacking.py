@@ -26,7 +26,7 @@ def unpack(data: bytes, method: str, limit: int) -> bytes:
     May raise any of `UNPACKING_ERRORS`, and `ValueError` for another method or data that end within a frame: of zstd
     whole frames are taken then.
     """
-    if method == "":
+    if method == "" or not data:
         return data
     if method == "zstd":
         # one call unpacks the first frame alone
@@ -40,14 +40,11 @@ def unpack(data: bytes, method: str, limit: int) -> bytes:
         return unpacked
     if method != "lz4":
         raise ValueError(f"compression must be zstd, lz4 or none, got {method[:20]!r}")
-    unpacked = b""
-    while data and len(unpacked) <= limit:
-        frame = lz4.frame.LZ4FrameDecompressor()
-        unpacked += frame.decompress(data, max_length=limit + 1 - len(unpacked))
-        if not frame.eof and len(unpacked) <= limit:
-            raise ValueError("ends within an lz4 frame")
-        data = frame.unused_data or b""
-    return unpacked
+    with lz4.frame.open(BytesIO(data)) as frames:
+        try:
+            return bytes(frames.read(limit + 1))
+        except EOFError:
+            raise ValueError("ends within an lz4 frame") from None
 
 
 class Budget:

@@ -6,6 +6,7 @@ import gzip
 import io
 import logging
 import math
+import re
 import struct
 from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
@@ -45,6 +46,8 @@ _COUNTED_FROM_1 = (".asc", ".blf")
 #: Object of a BLF: signature, size of its head, version, size, type. A container's data begin with its compression.
 _OBJECT_HEAD, _CONTAINER_HEAD = struct.Struct("<4sHHLL"), struct.Struct("<H6xL4x")
 _CONTAINER, _ZLIB = 10, 2
+#: Head of an object that says to be shorter than itself: python-can would read it for ever.
+_NO_OBJECT = re.compile(rb"LOBJ.{4}[\x00-\x0f]\x00{3}", re.DOTALL)
 
 
 def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
@@ -177,6 +180,8 @@ class _BoundedContainers(can.BLFReader):
                 yield from self._parse_container(content)
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        if _NO_OBJECT.search(self._tail + data):
+            raise ValueError(f"an object must be of at least {_OBJECT_HEAD.size} bytes")
         yield from super()._parse_container(data)
         if len(self._tail) > MAX_OBJECT_BYTES:
             raise ValueError(f"an object must be of at most {MAX_OBJECT_BYTES} bytes, {len(self._tail)} so far")

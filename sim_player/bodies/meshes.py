@@ -26,7 +26,7 @@ UP_AXIS: dict[str, UpAxis] = {".obj": "z", ".ply": "z", ".stl": "z", ".glb": "y"
 EXTENT_M = (0.05, 40.0)
 MAX_FACES = 1_000_000
 MAX_BYTES = 256 * 2**20
-#: Placements of parts in a glTF, and changes of material in an OBJ.
+#: Placements of parts in a glTF and its parts, and changes of material in an OBJ.
 MAX_PARTS = 1000
 #: Vertices nearer than this share of the longest extent are one.
 WELD_SHARE = 1e-7
@@ -256,9 +256,10 @@ def _refuse_promises(path: Path) -> None:
             raise ValueError(f"at most {MAX_PARTS} changes of material are read, got {parts}")
     elif path.suffix.lower() in (".gltf", ".glb"):
         tree = _gltf_tree(path)
-        nodes = len(tree.get("nodes", ()))
-        if nodes > MAX_PARTS:
-            raise ValueError(f"nodes: at most {MAX_PARTS} are read, got {nodes}")
+        primitives = sum(len(mesh["primitives"]) for mesh in tree.get("meshes", ()))
+        for name, parts in (("nodes", len(tree.get("nodes", ()))), ("primitives", primitives)):
+            if parts > MAX_PARTS:
+                raise ValueError(f"{name}: at most {MAX_PARTS} are read, got {parts}")
         for number, accessor in enumerate(tree.get("accessors", ())):
             # zeros that no buffer holds
             count = accessor.get("count", 0)

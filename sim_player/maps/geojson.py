@@ -83,6 +83,8 @@ class _Reader:
             features = content.get("features")
             if not isinstance(features, list):
                 raise ValueError(f"features: expected a list, got {in_words(features)}")
+            # each outline has points
+            check_count(len(features))
             for index, feature in enumerate(features):
                 if not isinstance(feature, dict):
                     raise ValueError(f"features[{index}]: expected a Feature, got {in_words(feature)}")

@@ -167,7 +167,9 @@ def code_of_recordings(files: list[Path]) -> int:
             losses = reader.losses or Losses()
             if reader.loss or losses.ended or losses.total:
                 missing = counted(losses.total, "message is missing", "messages are missing")
-                print_line(f"{path}: {reader.loss or losses.ended or missing}")
+                said = reader.loss or losses.ended or missing
+                # a recorder names its file itself
+                print_line(said if said.startswith(f"{path}: ") else f"{path}: {said}")
                 code = ExitCode.DONE_WITH_LOSS
     return code
 

@@ -64,7 +64,7 @@ def computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
 def test_the_most_accurate_that_fits_is_taken_and_says_why(computer: Machine) -> None:
     picked = {budget_ms: pick(budget_ms)[-1].profile for budget_ms in (500.0, 119.0, 60.0, 30.0)}
     assert picked == {500.0: "accurate", 119.0: "default", 60.0: "default", 30.0: "fast"}
-    kept = f"trials are kept in {latency_budget.cache_path()}, --remeasure repeats them"
+    kept = f"trials of an idle machine are kept in {latency_budget.cache_path()}, --remeasure repeats them"
     assert reason(80.0, pick(80.0)) == (
         f"profile default: expected 60 of 80 ms from the last beam, loss 1.10; accurate would need 120 ms; {kept}"
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,20 @@ def test_a_huge_file_and_huge_arrays_are_refused_before_they_are_read(tmp_path: 
     savemat(tmp_path / "b.mat", {"rect_data": np.zeros((64, 64, 4097), np.uint8), "width": 0.2}, do_compression=True)
     with pytest.raises(ValueError, match="rect_data must hold at most 16777216 counts"):
         read_confocal(tmp_path / "b.mat")
+
+
+def test_a_name_of_a_gigabyte_is_refused(tmp_path: Path) -> None:
+    """A megabyte of packed zeros took two gigabytes."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data
+
+    numbers = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<ii", 1, 1))
+    packed = zlib.compress(element(14, numbers + element(1, b"a" * (800 << 20)) + element(9, bytes(8))))
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
+    (tmp_path / "a.mat").write_bytes(head + element(15, packed))
+    with pytest.raises(ValueError, match=r"a\.mat: must be a whole MATLAB file of version 5 to 7: MemoryError"):
+        read_confocal(tmp_path / "a.mat")
 
 
 @needs(CHART)

@@ -15,6 +15,7 @@ import onnx
 import pytest
 from scipy.special import expit
 
+from models.perception import onnx_session
 from models.perception.onnx_session import session_of
 from msgs.files.shipped import WEIGHTS
 
@@ -94,3 +95,29 @@ def compare(python: list[str], names: tuple[str, ...], tolerances: dict[str, flo
             as_shares = expit if name.startswith("evidence") else np.asarray
             tolerance = tolerances.get(name, 0.01)
             np.testing.assert_allclose(as_shares(there[name]), as_shares(here), atol=tolerance, err_msg=name)
+
+
+def test_a_network_may_not_run_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop of 10^18 rounds in 200 bytes."""
+    scalar = [onnx.helper.make_tensor_value_info(name, kind, []) for name, kind in (("i", 7), ("c", 9), ("a", 1))]
+    ends = [onnx.helper.make_tensor_value_info(name, kind, None) for name, kind in (("d", 9), ("b", 1))]
+    steps = [onnx.helper.make_node("Identity", ["c"], ["d"]), onnx.helper.make_node("Neg", ["a"], ["b"])]
+    body = onnx.helper.make_graph(steps, "body", scalar, ends)
+    start = [onnx.numpy_helper.from_array(np.array(10**18), "n"), onnx.numpy_helper.from_array(np.array(True), "t")]
+    loop = onnx.helper.make_node("Loop", ["n", "t", "x"], ["y"], body=body)
+    x, y = (onnx.helper.make_tensor_value_info(name, 1, []) for name in "xy")
+    graph = onnx.helper.make_graph([loop], "endless", [x], [y], start)
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
+    monkeypatch.setattr(onnx_session, "MAX_RUN_S", 0.5)
+    with pytest.raises(
+        ValueError, match=r"endless\.onnx must be a whole ONNX file: .*terminate.*0\.5 s of processor time"
+    ):
+        session_of(tmp_path / "endless.onnx", model.SerializeToString(), 1)
+
+
+@pytest.mark.parametrize("module", ["models.perception.find.onnx_model", "lab.training.export.onnx"])
+def test_the_runtime_reports_nothing(tmp_path: Path, module: str) -> None:
+    """It would keep a number of the machine and a queue of reports in the user's home."""
+    home = {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache"), "PATH": os.environ["PATH"]}
+    subprocess.run([sys.executable, "-c", f"import {module}"], cwd=ROOT, env=home, check=True)
+    assert not list(tmp_path.rglob("*onnxruntime*"))

@@ -134,8 +134,9 @@ def test_a_broken_footprint_is_named_and_the_others_are_read(tmp_path: Path, rin
 
 def test_a_map_of_more_points_than_a_map_may_have_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(footprints, "MAX_POINTS", 9)
-    with pytest.raises(ValueError, match="must hold at most 9 points of outlines"):
-        read(tmp_path, collection(feature(polygon(SQUARE)), feature(polygon(SQUARE))))
+    for features in ([feature(polygon(SQUARE))] * 2, [{}] * 10):
+        with pytest.raises(ValueError, match="must hold at most 9 points of outlines"):
+            read(tmp_path, collection(*features))
 
 
 def test_a_larger_file_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -204,8 +204,12 @@ def test_recover_has_the_exit_codes_of_mcap(tmp_path: Path, capsys: pytest.Captu
 def test_a_launch_tells_what_its_recording_lacks(
     tmp_path: Path, losses: Losses, code: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert code_of_recordings([state(tmp_path / "a.mcap", losses)]) == code
-    assert capsys.readouterr().out.endswith(said)
+    path = tmp_path / "a.mcap"
+    assert code_of_recordings([state(path, losses)]) == code
+    assert capsys.readouterr().out == (f"{tmp_path}/{said}" if said else "")
+    path.unlink()
+    assert code_of_recordings([state(path, Losses(ended=f"{path}: no room"))]) == 3
+    assert capsys.readouterr().out == f"{path}: no room\n"
 
 
 @pytest.mark.parametrize(

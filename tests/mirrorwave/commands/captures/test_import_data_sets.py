@@ -296,6 +296,15 @@ def test_drives_that_do_not_fit_are_refused_in_one_line(
     refused(path, rule, capsys, *(["--topic", topic] if topic else []))
 
 
+def test_a_drive_may_not_promise_more_than_a_hundred_times_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What was never written reads as zeros: two kilobytes took seven gigabytes."""
+    with pytest.importorskip("h5py").File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("radar_data", shape=(50_000_000,), dtype=scenes().dtype, chunks=(1 << 20,))
+    refused(tmp_path / "a.h5", "radar_data must be at most 8", capsys, "--topic", "2")
+
+
 def test_drives_need_their_library(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
