@@ -25,7 +25,7 @@ from sim_player.scene.description import Ego, Scene
 from sim_player.scene.world import RadarState, prepare, scene_radar, snapshot
 from sim_player.signal.clutter import Clutter, drawn_cells, profile_power_mw, with_clutter
 from sim_player.signal.fmcw import noise_bank
-from sim_player.signal.levels import Terms, echo_terms, group_beats, record_beam, with_electronics
+from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN
@@ -181,10 +181,9 @@ class ScenePlayer:
 
     def _all_beats(self) -> np.ndarray:
         """Return the echoes of every beam of a scene at rest, complex [beams, samples]."""
-        plan, front_end = self.plan, self.scene.radar.front_end
-        if plan is None:
-            return group_beats(self.setup, [(self.paths(0.0), self.signal)], front_end, precision="float64")
-        return group_beats(self.setup, plan.groups(), front_end, precision=plan.precision)
+        if self.plan is None:
+            return beam_beats(self.setup, self.paths(0.0), self.signal, self.scene.radar.front_end)
+        return self.plan.beats()
 
     def beam_paths(self, scan: int, index: int) -> Paths:
         """Return the paths of one beam, frozen at its middle, from where slow time counts."""

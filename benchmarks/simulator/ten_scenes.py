@@ -37,7 +37,7 @@ from sim_player.planner.purposes import Purpose
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, Weather, load_scene
 from sim_player.scene.world import prepare
-from sim_player.signal.levels import group_beats, noise_profiles, noise_rms
+from sim_player.signal.levels import noise_profiles, noise_rms
 from sim_player.signal.literal import literal_echoes
 
 BUDGET_DB = -20.0
@@ -152,10 +152,8 @@ class Row:
         return {"all_ms": 1e3 * all_s, "kernel": all_s / auto_s, "planning": max(ask_s - trace_s, 0.0) / all_s}
 
     def _beats(self) -> dict[str, float]:
-        def beats(plan: Plan) -> np.ndarray:
-            return group_beats(self._setup, plan.groups(), self._front_end, precision=plan.precision)
-
-        all_s, auto_s = in_turn(min(self._rounds, 2), lambda: beats(self._everything()), lambda: beats(self._planned()))
+        rounds = min(self._rounds, 2)
+        all_s, auto_s = in_turn(rounds, lambda: self._everything().beats(), lambda: self._planned().beats())
         return {"beats_all_ms": 1e3 * all_s, "beats": all_s / auto_s}
 
     def _literal(self) -> dict[str, float]:

@@ -71,9 +71,11 @@ class LabelledPlace:
         if self.world == "foreign":
             return ForeignPlayer(scene, seed, setup)
         if self.shift == "none":
-            return ScenePlayer(scene, seed, setup, effects=self.effects, walls_stop=False)
+            return ScenePlayer(scene, seed, setup, effects=self.effects, purpose="objects", walls_stop=False)
         faults = draw_faults(shift_rng(self.seed, self.index, 1), len(setup.beams))
-        return FaultyBoardPlayer(scene, seed, setup, effects=self.effects, walls_stop=False, faults=faults)
+        return FaultyBoardPlayer(
+            scene, seed, setup, effects=self.effects, purpose="objects", walls_stop=False, faults=faults
+        )
 
     def beams(self, scan: int = 0) -> Iterator[RadarBeam]:
         """Yield the beams of one scan that come, in order."""

@@ -22,7 +22,7 @@ from sim_player.paths.ray_tracing import trace
 from sim_player.planner.cells import Cells, cells_of
 from sim_player.planner.plan import clean_profiles, manual_plan, noisy_profiles, plan_world
 from sim_player.scene.world import prepare
-from sim_player.signal.levels import beam_beats, group_beats, hann_profiles, kernel_profiles, noise_profiles, noise_rms
+from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles, noise_profiles, noise_rms
 from sim_player.signal.literal import literal_profiles
 from sim_player.signal.switches import PLAIN
 
@@ -179,7 +179,7 @@ class _Planned(_Place):
         with clock.part("signal"):
             clean = clean_profiles(plan, self.setup, self.index)
         with clock.aside("beats"):
-            group_beats(self.setup, plan.groups(), self.front_end, precision=plan.precision)
+            plan.beats()
         return clean + noise_profiles(self.setup, self.index, plan.signal, self.front_end)
 
     def _basic(self, clock: Clock) -> np.ndarray:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar, cast
 
-import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
@@ -18,7 +18,7 @@ from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.wording import counted
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, manual_plan, plan_world
-from sim_player.signal.levels import kernel_profiles, noise_profiles, noise_rms
+from sim_player.signal.levels import noise_profiles, noise_rms
 
 T = TypeVar("T")
 #: Level of the maps over the noise, and of what is changed, in dB.
@@ -36,7 +36,7 @@ def write_plan(out: Path, plan: Plan, seed: int = 0) -> None:
     everything, _ = _everything(plan)
     all_s, (everything, wanted) = _timed(lambda: _everything(plan))
     parts, planned = _planned(plan)
-    noise = noise_profiles(setup, seed, msgspec.structs.replace(everything.signal, motion=False), front_end)
+    noise = noise_profiles(setup, seed, everything.signal, front_end)
     rms = noise_rms(setup, everything.signal, front_end)
     cells = cells_of(setup)
     off = cells.off(wanted + noise, planned + noise, rms, plan.purpose)[len(setup.beams) :]
@@ -69,12 +69,15 @@ def _timed(call: Callable[[], T]) -> tuple[float, T]:
     return time.process_time() - start, answer
 
 
+def _still(plan: Plan) -> Plan:
+    """Return a plan without motion, as maps of one instant have it."""
+    return replace(plan, effects=tuple(effect for effect in plan.effects if effect.name != "motion"))
+
+
 def _everything(plan: Plan) -> tuple[Plan, np.ndarray]:
     """Return the plan of everything and its profiles, at one instant."""
-    everything = manual_plan(plan.view.world, plan.setup)
-    still = msgspec.structs.replace(everything.signal, motion=False)
-    front_end = plan.view.world.scene.radar.front_end
-    return everything, kernel_profiles(plan.setup, everything.paths, still, front_end, precision="float32")
+    everything = _still(manual_plan(plan.view.world, plan.setup))
+    return everything, clean_profiles(everything, plan.setup)
 
 
 def _planned(plan: Plan) -> tuple[dict[str, float], np.ndarray]:
@@ -86,19 +89,14 @@ def _planned(plan: Plan) -> tuple[dict[str, float], np.ndarray]:
             return manual_plan(world, setup, plan.used)
         return plan_world(world, setup, plan.budget_db, purpose=plan.purpose, profiles_only=True)
 
-    def signal() -> np.ndarray:
-        if not world.scene.moves:
-            return clean_profiles(again, setup)
-        still = msgspec.structs.replace(again.signal, motion=False)
-        return kernel_profiles(setup, again.paths.take(kept), still, world.scene.radar.front_end, precision="float32")
-
     asked()
     plan_s, again = _timed(asked)
-    kept = np.ones(len(again.echoes), bool)
+    still = _still(again)
     if again.weakest is not None:
         kept = np.any([again.weakest.selected(again.paths, beam)[0] for beam in range(len(setup.beams))], axis=0)
-    signal()
-    signal_s, planned = _timed(signal)
+        still = replace(still, echoes=again.echoes.take(kept))
+    clean_profiles(still, setup)
+    signal_s, planned = _timed(lambda: clean_profiles(still, setup))
     whole_s = sum(again.timing_s.values())
     parts = {PARTS[name]: taken_s / whole_s * plan_s for name, taken_s in again.timing_s.items()}
     parts[PARTS["evaluate"]] = parts.get(PARTS["evaluate"], 0.0) + signal_s

@@ -76,7 +76,7 @@ class StrictLoader(BoundedLoader):
         return super().construct_mapping(node, deep)
 
 
-class PlainDumper(yaml.SafeDumper):
+class PlainDumper(yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper):  # type: ignore[misc]
     """`SafeDumper` that quotes text which YAML 1.1 or 1.2 would read as another value, and writes no aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:

@@ -54,7 +54,7 @@ class Effect:
     about: str
     #: Why a scene has none of it; None where it may have.
     absent: Callable[[World], str | None]
-    #: Cost of a path that has it, in a signal.
+    #: Cost of a path that has it, in a signal; of the air's echoes, of all.
     cost_s: float = field(default=0.0, kw_only=True)
 
 
@@ -124,7 +124,7 @@ SIGNAL: dict[str, SignalEffect] = {
     "mutual_coupling": ArrayEffect("columns couple into each other", absences.no_coupling),
     "squint": SignalEffect("the beam turns with the frequency of the sweep", always, cost_s=30e-6),
     "chirp_overlap": SignalEffect("a chirp begins before the last one's echoes are in", always, cost_s=60e-6),
-    "rain_clutter": SignalEffect("echoes of rain, snow and fog in the beam", absences.no_rain),
+    "rain_clutter": SignalEffect("echoes of rain, snow and fog in the beam", absences.no_rain, cost_s=6e-3),
     "thermal_noise": SignalEffect("it is the floor", always),
     "flicker": SignalEffect("1/f noise of the receiver at short range", absences.no_flicker),
     "leakage": SignalEffect("transmitter straight into the receiver", absences.no_leakage),

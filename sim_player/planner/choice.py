@@ -29,7 +29,7 @@ from sim_player.signal.switches import SignalEffects
 
 #: Shares of the budget: of what goes by phases, half of it whole paths at most; of overlap; of all weights that go. The
 #: errors of an evaluated map, and of beats in single precision, have what is left.
-PHASE_SHARE, OVERLAP_SHARE, WEIGHT_SHARE = 0.45, 0.1, 0.05
+PHASE_SHARE, OVERLAP_SHARE, WEIGHT_SHARE = 0.55, 0.1, 0.05
 #: The strongest bin stands so far over the root of the power that is guessed, and so often a guess is made.
 PEAK, GUESSES = 1.4, 3
 #: Fewer paths that would go, whole or their squint, cost less than to evaluate what they change.

@@ -43,7 +43,7 @@ from sim_player.planner.sweep_terms import sweep_terms
 from sim_player.planner.weakest import Weakest
 from sim_player.scene.world import Snapshot, World
 from sim_player.signal.clutter import clutter_profiles, profile_power_mw
-from sim_player.signal.levels import kernel_profiles, noise_profiles
+from sim_player.signal.levels import group_beats, kernel_profiles, noise_profiles
 from sim_player.signal.rain_volume import clutter_at
 from sim_player.signal.receiver import dither_objection
 from sim_player.signal.switches import SignalEffects
@@ -58,8 +58,8 @@ FEWEST = 64
 RAIN_SHARE = 0.05
 #: Share that the terms along the sweep of all paths of a range bin may leave out.
 TERMS_SHARE = 0.1
-#: What a beat in single precision misses in a range bin, of the sum of its echoes at the array's peak.
-SINGLE = 3e-6
+#: What beats in single precision miss in a range bin, of the sum of their echoes at the array's peak; measured: 7e-7.
+SINGLE = 1.5e-6
 #: Why nothing is left out that a scene has.
 MOVES = "kept, the scene moves"
 WEAKEST = "kept, the scene moves; each beam leaves out its weakest paths"
@@ -95,6 +95,8 @@ class Plan:
     #: Which echoes squint and which overlap, bool [E].
     squints: np.ndarray
     overlaps: np.ndarray
+    #: Which of them keep the law in single precision where their beats are made, bool [E].
+    single: np.ndarray
     #: Paths traced before any was dropped.
     traced: int
     #: Bound of the whole difference in any cell, in dB; None: no difference.
@@ -108,8 +110,6 @@ class Plan:
     #: The answer at the kernel level, found on the way to the plan: profiles of its echoes with all effects but leakage
     #: and spurs; None where nothing was evaluated or the error is over the budget; complex64 [beams, bins].
     evaluated: np.ndarray | None = None
-    #: Precision in which the beats of a scene at rest keep the law.
-    precision: str = "float64"
     #: What chooses the paths of each beam of a scene that moves; None: all of them.
     weakest: Weakest | None = None
 
@@ -138,12 +138,25 @@ class Plan:
         whole_s = self.saved_s + sum(other.cost_s for other in self.effects)
         return 100.0 * effect.cost_s / whole_s if whole_s else 0.0
 
-    def groups(self) -> list[tuple[Paths, SignalEffects]]:
-        """Paths that share the same effects of the sweep, up to four groups; a few go with those that have them all."""
+    def beats(self) -> np.ndarray:
+        """Return the echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex [beams, samples]."""
+        front_end = self.view.world.scene.radar.front_end
+        parts = [(mask, precision) for mask, precision in ((self.single, "float32"), (~self.single, "float64"))]
+        made = [
+            group_beats(self.setup, self.groups(mask), front_end, precision=precision)
+            for mask, precision in parts
+            if mask.any() or not len(mask)
+        ]
+        return made[0] if len(made) == 1 else made[0] + made[1]
+
+    def groups(self, among: np.ndarray | bool = True) -> list[tuple[Paths, SignalEffects]]:
+        """Paths (of a mask, bool [E]) that share the same effects of the sweep, up to four groups; a few go with those
+        that have them all.
+        """
         whole = self.signal.squint, self.signal.chirp_overlap
         kinds: dict[tuple[bool, bool], np.ndarray] = {}
         for squints, overlaps in itertools.product((False, True), repeat=2):
-            mask = (self.squints == squints) & (self.overlaps == overlaps)
+            mask = (self.squints == squints) & (self.overlaps == overlaps) & among
             kind = (squints, overlaps) if mask.sum() >= FEWEST else whole
             kinds[kind] = kinds.get(kind, np.zeros_like(mask)) | mask
         return [
@@ -200,6 +213,7 @@ def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFE
         labels=echoes,
         squints=every & ("squint" in used),
         overlaps=every & ("chirp_overlap" in used),
+        single=~every,
         traced=len(echoes),
         spent_db=None,
         saved_s=0.0,
@@ -290,7 +304,6 @@ class _Planner:
         self.profiles: np.ndarray | None = None
         self.limit: Limit | None = None
         self.spent = self.saved_s = 0.0
-        self.precision = "float64"
 
     def run(self) -> None:
         """All questions."""
@@ -303,7 +316,7 @@ class _Planner:
         self._timed("trace", self._trace)
         every = np.ones(len(self.echoes), bool)
         self.choice = Choice(every, every & self.flags.squint, every & self.flags.chirp_overlap, 0.0)
-        self.truth = every
+        self.truth, self.single = every, ~every
         if dither_objection(self.setup, self.front_end, thermal=True) is not None:
             self._take_all(MOVES if world.scene.moves else ROUNDS)
             return
@@ -341,13 +354,13 @@ class _Planner:
             labels=self.echoes if truth.all() else self.echoes.take(truth),
             squints=self.choice.squints[kept],
             overlaps=self.choice.overlaps[kept],
+            single=self.single[kept],
             traced=len(kept),
             spent_db=_decibel(self.budget * self.spent),
             timing_s=self.timing_s,
             saved_s=self.saved_s,
             present=self.present,
             evaluated=self.profiles,
-            precision=self.precision,
             weakest=Weakest(self.setup, self.flags, self.front_end, self.purpose, self.budget) if selects else None,
         )
 
@@ -402,7 +415,7 @@ class _Planner:
         fits = float(most.max()) <= RAIN_SHARE
         self.spent += RAIN_SHARE if fits else 0.0
         text = f"draws reach {float(most.max()):.2g} of what may change: {EFFECTS['rain_clutter'].about}"
-        self._row("rain_clutter", not fits, 0, text)
+        self._row("rain_clutter", not fits, int(not fits), text, 1)
 
     def _row_of_weights(self, name: str, paths: Paths) -> None:
         """Skip a weight that changes too little, whatever phases are."""
@@ -427,11 +440,14 @@ class _Planner:
             self.profiles, self.spent = answer.profiles, self.spent + answer.spent
 
     def _round_beats(self) -> None:
-        """Have beats in single precision where that fits what is left of the budget."""
+        """Have the beats of all but the strongest paths in single precision, as far as the budget goes."""
         assert self.limit is not None
-        missed = SINGLE * float(self.terms.full[self.choice.kept].sum() / self.limit.each_beam.min())
-        if missed <= 1.0 - self.spent:
-            self.precision, self.spent = "float32", self.spent + missed
+        missed = SINGLE * self.terms.full * self.choice.kept / float(self.limit.each_beam.min())
+        order = np.argsort(missed)
+        self.single[order] = np.cumsum(missed[order]) <= 1.0 - self.spent
+        if np.count_nonzero(self.single & self.choice.kept) < FEWEST and not self.single.all():
+            self.single = np.zeros_like(self.single)
+        self.spent += float(missed[self.single].sum())
 
     @property
     def used(self) -> frozenset[str]:
@@ -444,6 +460,8 @@ class _Planner:
             count = len(self.echoes)
             if name in PATHS:
                 count = int(((self.echoes.needs >> np.uint32(int(math.log2(bit(name))))) == 1).sum())
+            elif name == "rain_clutter":
+                count = 1
             self._row(name, True, count, f"{why}: {EFFECTS[name].about}")
 
     def _row(self, name: str, used: bool, count: int, text: str, of: int = 0) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from models.physics.waveform import window_noise_gain
+from msgs.values.radar import RadarSetup
 from sim_player.dataset.labelled_scan import LABELS, label_points
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL, WEIGHTS
 from sim_player.generate.places import random_place
@@ -28,7 +29,7 @@ from sim_player.planner.purposes import Purpose
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
-from sim_player.signal.levels import noise_density_mw, noise_profiles
+from sim_player.signal.levels import hann_profiles, noise_density_mw, noise_profiles
 from sim_player.trace.effect_names import PATH_EFFECTS
 from tests.sim_player.planner.plans import plan_effects
 
@@ -138,6 +139,21 @@ def test_profiles_are_evaluated_on_the_way() -> None:
         assert plan.spent_db is not None
         assert 0.0 < off(asked, plan, 0, clean_profiles) <= 10.0 ** (plan.spent_db / 20.0) <= 0.1
     assert plan_world(prepare(place, 0), place.setup, -60.0, purpose=purpose, profiles_only=True).evaluated is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("purpose", Purpose)
+def test_beats_of_the_strongest_alone_are_double(purpose: Purpose) -> None:
+    """The beats of a place, most of its echoes in single precision, keep the law and the plan's own bound."""
+    asked = random_place(21, 0)
+    plan = plan_world(prepare(asked, 0), asked.setup, purpose=purpose)
+    assert plan.spent_db is not None
+    assert 0.5 * len(plan.single) < plan.single.sum() < len(plan.single)
+
+    def profiles(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:
+        return hann_profiles(plan.beats(), setup.radar.samples_per_chirp)
+
+    assert off(asked, plan, 0, profiles) <= 10.0 ** (plan.spent_db / 20.0) + 1e-3 <= 0.101
 
 
 @pytest.mark.slow

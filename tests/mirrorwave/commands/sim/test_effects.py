@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 from collections import Counter
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -14,6 +16,7 @@ from matplotlib.figure import Figure
 from mirrorwave.cli import main
 from mirrorwave.commands.sim.effects import effects
 from mirrorwave.commands.sim.group import run
+from mirrorwave.plots import plan as picture_of_plans
 from nodes.player import Params, scene_player
 from sim_player.dataset.labelled_scan import labelled_scan
 from sim_player.dataset.shards import Recipe
@@ -21,7 +24,7 @@ from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import resolve_plan
 from sim_player.planner.purposes import Purpose
 from sim_player.player import ScenePlayer
-from sim_player.scene.description import load_scene
+from sim_player.scene.description import Ego, Weather, load_scene
 from sim_player.scene.world import prepare
 from tests.figures import assert_readable_at_page_width
 
@@ -73,6 +76,27 @@ def test_effects_as_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path
     assert main(["sim", "effects", SCENE, "--for", "objects", "--plot", str(picture)]) == 0
     assert f"picture: {picture}" in capsys.readouterr().out
     assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 4.0])
+def test_a_picture_shows_the_rain_on_both_maps(speed_mps: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In rain of 25 mm/h what a plan changes stays under its budget at rest and in motion: -20 dB, not +25."""
+    shown: list[str] = []
+    monkeypatch.setattr(picture_of_plans, "save", lambda figure, out: shown.extend(title_of(figure)))
+    rain = msgspec.structs.replace(
+        load_scene(Path(SCENE)), weather=Weather(rain_mm_per_h=25.0), ego=Ego(speed_mps=speed_mps)
+    )
+    plan = resolve_plan(prepare(rain), rain.setup, "auto", purpose=Purpose.OBJECTS)
+    assert plan is not None
+    picture_of_plans.write_plan(Path("unused.png"), plan)
+    worst_db = next(int(match[1]) for title in shown if (match := re.search(r"worst (-?\d+), budget -20", title)))
+    assert worst_db <= -20
+    assert {effect.name for effect in plan.effects if effect.cost_s >= 6e-3} >= {"rain_clutter"}
+
+
+def title_of(figure: Figure) -> list[str]:
+    """Return the titles of a figure's panels."""
+    return [axis.get_title() for axis in figure.axes]
 
 
 def test_effects_for_people_say_why(capsys: pytest.CaptureFixture[str]) -> None:
