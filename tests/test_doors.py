@@ -217,8 +217,11 @@ def test_a_chunk_may_be_of_several_frames_and_none_of_them_cut(compression: str)
     halves = np.random.default_rng(0).bytes(1000), bytes(MIB)
     packed = b"".join(map(PACKERS[compression], halves))
     assert recording._unpacked(chunk(compression, packed, 1000 + MIB)) == b"".join(halves)
-    with pytest.raises(ValueError, match=r"does not unpack|ends within"):
-        recording._unpacked(chunk(compression, packed[:-5], 1000 + MIB))
+    # of what unpacks to the limit neither another frame nor the end of the last may be missed
+    eight = PACKERS[compression](bytes(8))
+    for data, size in ((packed[:-5], 1000 + MIB), (eight + PACKERS[compression](b"x"), 8), (eight[:-4], 8)):
+        with pytest.raises(ValueError, match=r"does not unpack|ends within"):
+            recording._unpacked(chunk(compression, data, size))
 
 
 def _written(path: Path, compression: str, *chunks: bytes) -> Path:

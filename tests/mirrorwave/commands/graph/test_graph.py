@@ -113,11 +113,13 @@ def test_the_drawing_is_xml_and_its_boxes_lie_apart() -> None:
         for rect in root.iter(f"{SVG}rect")
     ]
     width, height = (float(side) for side in root.get("viewBox", "0 0 0 0").split()[2:])
+    # 28 free around the outer boxes, and a line of title above
+    left, above, right, below = zip(
+        *((x, y, width - x - wide, height - y - tall) for x, y, wide, tall in boxes), strict=True
+    )
+    assert (min(left), min(right), min(above)) == pytest.approx((28, 28, 48), abs=0.1)
+    assert min(below) >= 28
     for at, (x, y, wide, tall) in enumerate(boxes):
-        assert x >= 0
-        assert y >= 0
-        assert x + wide <= width
-        assert y + tall <= height
         for other_x, other_y, other_wide, other_tall in boxes[at + 1 :]:
             apart_x = x + wide <= other_x or other_x + other_wide <= x
             apart_y = y + tall <= other_y or other_y + other_tall <= y
