@@ -20,6 +20,8 @@ from msgs.values.radar import (
     RadarSetup,
     RangeAzimuthGrid,
     RangeAzimuthMap,
+    mps_from_speed_codes,
+    speed_codes,
 )
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
 from msgs.values.vehicle import VehicleState
@@ -197,3 +199,10 @@ def test_peaks_are_taken_with_all_their_columns() -> None:
     assert peaks.take(np.array([2, 0])).radial_speed_mps.tolist() == [2.0, 0.0]  # type: ignore[union-attr]
     masked = peaks.take(count > 0.5)
     assert (masked.range_m.tolist(), masked.radial_speed_std_mps) == ([1.0, 2.0], None)
+
+
+def test_radial_speeds_are_whole_centimetres_a_second() -> None:
+    """Beyond int16 the nearest, and its least number alone is none."""
+    codes = speed_codes(np.array([1.234, -1.236, 400.0, -400.0, np.nan]))
+    assert codes.tolist() == [123, -124, 32767, -32767, -32768]
+    np.testing.assert_allclose(mps_from_speed_codes(codes), [1.23, -1.24, 327.67, -327.67, np.nan])

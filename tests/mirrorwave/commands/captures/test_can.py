@@ -226,14 +226,17 @@ def test_monitor_shows_every_signal_of_any_dbc(capsys: pytest.CaptureFixture) ->
 
 
 def test_a_log_whose_time_goes_back_has_no_negative_period(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """A clock that was set back between two drives in one file: the gaps of either count, the step does not."""
+    """A clock that was set back between two drives in one file: the gaps of either count, the step does not.
+
+    A gap of 100 ms among those of 20 ms is the longest, and no period.
+    """
     log = tmp_path / "back.log"
     frame = "can0 100#0000000000000000"
-    log.write_text("".join(f"({at:.6f}) {frame}\n" for at in (100.0, 100.02, 50.0, 50.02, 50.04)))
+    log.write_text("".join(f"({at:.6f}) {frame}\n" for at in (100.0, 100.02, 100.12, 50.0, 50.02)))
     code, report = run_json(capsys, str(log), "--signals")
     (row,) = report["messages"]
     assert (code, row["frames"]) == (0, 5)
-    assert (row["period_ms"], row["longest_gap_ms"]) == (pytest.approx(20.0), pytest.approx(20.0))
+    assert (row["period_ms"], row["longest_gap_ms"]) == (pytest.approx(20.0), pytest.approx(100.0))
 
 
 def test_monitor_of_a_silent_bus_fails(capsys: pytest.CaptureFixture) -> None:
