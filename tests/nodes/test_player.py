@@ -264,6 +264,10 @@ def test_speeds_override_the_scene() -> None:
     assert {thing.speed_mps for thing in scene.objects} == {5.0}
     assert scene.ego.speed_mps == 8.0
     assert not scene_of(params()).moves
+    with pytest.raises(
+        ValueError, match=r"facade_across_lane\.yaml: ego\.speed_mps: must lie in -100\.\.100, got 9000\.0"
+    ):
+        scene_of(params(ego_speed_mps=9000.0))
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.cli import main
+from mirrorwave.commands.captures.bag_options import require_new_recording
 from mirrorwave.commands.graph.launch import code_of_recordings
 from msgs.bus.zmq import ZmqBus
 from msgs.recording.mcap import Losses, RecordingReader, RecordingWriter, TopicLoss, info
@@ -64,6 +65,14 @@ def state(path: Path, losses: Losses) -> Path:
         writer.write("vehicle/state", VehicleState(stamp_ns=0), publisher="car", sequence=0, sent_ns=0)
         writer.write_losses(losses)
     return path
+
+
+@pytest.mark.parametrize("option", ["split_bytes", "split_s", "snapshot_s"])
+def test_what_was_recorded_in_parts_is_not_written_over(tmp_path: Path, option: str) -> None:
+    (tmp_path / "out-00007.mcap").touch()
+    require_new_recording(tmp_path / "out.mcap", {option: None})
+    with pytest.raises(FileExistsError, match=r"exists already.*out-00007"):
+        require_new_recording(tmp_path / "out.mcap", {option: 1.0})
 
 
 @pytest.mark.slow

@@ -152,6 +152,16 @@ def test_directions_are_turned_into_the_vehicle() -> None:
     assert np.array(moved.cov_m2) == pytest.approx(np.diag([0.25, 0.04]))
 
 
+@pytest.mark.parametrize(("radar_x_m", "offset_m", "sign"), [(0.0, 2.0, 1.0), (5.0, 3.0, -1.0)])
+def test_an_arc_turns_its_hollow_side_with_its_normal(radar_x_m: float, offset_m: float, sign: float) -> None:
+    """Two metres before a radar that looks back: behind the vehicle it stays hollow, before it it bulges."""
+    arc = msgspec.structs.replace(wall_between((2.0, -1.0), (2.0, 1.0)), curvature_per_m=0.05)
+    pose = Pose2(radar_x_m, 0.0, math.pi)
+    (wall,) = FusionStage().view([RadarView(example_view(walls=(arc,)), pose)]).walls
+    assert wall.normal == pytest.approx((sign, 0.0))
+    assert (wall.offset_m, wall.curvature_per_m) == pytest.approx((offset_m, sign * 0.05))
+
+
 @pytest.mark.parametrize("apart_s", [0.0, 0.2])
 def test_objects_are_paired_within_their_errors(apart_s: float) -> None:
     """Sure objects 3 m apart are two, with an unsure one they are one, and so are those of other times: it may have
