@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
+import psutil
 import pytest
 
 from mirrorwave.diagnose.doctor_graph import graph_findings
-from mirrorwave.diagnose.doctor_machine import check_packages, check_run_dir, check_weights
+from mirrorwave.diagnose.doctor_machine import check_packages, check_processor, check_run_dir, check_weights
 from mirrorwave.diagnose.findings import Status
 
 
@@ -31,3 +33,12 @@ def test_weights_must_be_what_their_card_says(tmp_path: Path, card: dict | None,
     if card is not None:
         (tmp_path / "net.json").write_text(json.dumps(card))
     assert [finding.status for finding in check_weights(tmp_path)] == [status]
+
+
+@pytest.mark.parametrize(("free_mib", "status"), [(1023, Status.WARNING), (1024, Status.OK)])
+def test_a_graph_needs_a_gibibyte_that_is_free(free_mib: int, status: Status, monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = SimpleNamespace(available=free_mib << 20, free=0, total=1 << 36)
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: memory)
+    found = {finding.check: (finding.status, finding.detail) for finding in check_processor()}
+    assert found["memory"] == (status, f"{free_mib} MiB available")
+    assert found["compiler"][0] is Status.OK

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.cli import main
+from mirrorwave.commands.graph import nodes
 from mirrorwave.commands.graph.nodes import node_process, node_row, topic_rows
 from mirrorwave.reference import node_modules
 from msgs.files.plugins import NODES
@@ -53,6 +55,15 @@ def test_the_command_of_a_node_is_what_one_would_type(words: tuple[str, ...]) ->
         }
         process.communicate(b"\n")
     assert node_process("a", process.pid) == {"command": None, "params": None}
+
+
+def test_the_process_that_is_killed_is_the_one_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    killed: list[tuple[int, int]] = []
+    monkeypatch.setattr(nodes, "_heartbeats", lambda *_: {"a": [_beat(9.0, 9.0, 9, pid=1), _beat(1.0, 1.0, 1)]})
+    monkeypatch.setattr(nodes.os, "kill", lambda *words: killed.append(words))
+    assert main(["node", "kill", "a"]) == 0
+    assert main(["node", "kill", "b"]) == 2
+    assert killed == [(2, signal.SIGKILL)]
 
 
 def test_node_types_lists_shipped_and_plugged_in_nodes(
