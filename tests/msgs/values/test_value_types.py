@@ -24,7 +24,7 @@ from msgs.values.radar import (
     speed_codes,
 )
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
-from msgs.values.vehicle import VehicleState
+from msgs.values.vehicle import VehicleState, ego_motion
 
 METRES = st.floats(-200.0, 200.0)
 ANGLES = st.floats(-3.1, 3.1)
@@ -206,3 +206,13 @@ def test_radial_speeds_are_whole_centimetres_a_second() -> None:
     codes = speed_codes(np.array([1.234, -1.236, 400.0, -400.0, np.nan]))
     assert codes.tolist() == [123, -124, 32767, -32767, -32768]
     np.testing.assert_allclose(mps_from_speed_codes(codes), [1.23, -1.24, 327.67, -327.67, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("turns", "x_m", "y_m", "yaw_rad"),
+    [(0.25, 10.0, 10.0, 0.5 * math.pi), (-0.75, -10.0, -10.0, 0.5 * math.pi), (1.25, 10.0, 10.0, 0.5 * math.pi)],
+)
+def test_a_vehicle_drives_circles_and_heads_along_them(turns: float, x_m: float, y_m: float, yaw_rad: float) -> None:
+    """A circle of 10 m radius, to the left or, where the turns are negative, to the right."""
+    pose = ego_motion(10.0, math.copysign(1.0, turns), 2.0 * math.pi * abs(turns))
+    assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((x_m, y_m, yaw_rad), abs=1e-9)

@@ -136,6 +136,19 @@ def test_restarts_wait_longer_and_end_after_so_many_in_the_window() -> None:
     assert made._exit_code == 1
 
 
+def test_a_closed_terminal_is_written_to_once_and_the_log_goes_on() -> None:
+    made, written, shown = graph(a={}), list[Any](), list[Any]()
+
+    def show(entry: Any) -> None:
+        shown.append(entry)
+        raise BrokenPipeError
+
+    made._log, made._on_log = SimpleNamespace(write=written.append), show  # type: ignore[assignment]
+    for text in ("first", "second"):
+        made._write({"text": text})
+    assert ([entry["text"] for entry in written], len(shown)) == (["first", "second"], 1)
+
+
 def test_a_restart_on_request_has_the_new_parameters_and_waits_for_nothing() -> None:
     made = graph(a={}, b={})
     for now_s in (0.0, 10.0):

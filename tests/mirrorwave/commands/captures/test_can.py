@@ -235,7 +235,7 @@ def test_monitor_shows_every_signal_of_any_dbc(capsys: pytest.CaptureFixture) ->
 def test_a_log_whose_time_goes_back_has_no_negative_period(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """A clock that was set back between two drives in one file: the gaps of either count, the step does not.
 
-    A gap of 100 ms among those of 20 ms is the longest, and no period; the last frame is 5 ms older than the one before.
+    A gap of 100 ms among those of 20 ms is the longest, and no period; the last frame is older than the one before.
     """
     log = tmp_path / "back.log"
     frame = "can0 100#0000000000000000"
