@@ -32,6 +32,7 @@ from nodes.node import (
     run_process,
 )
 from nodes.player import SENSED_TOPICS
+from nodes.process.group import Group, Member
 from nodes.process.logs import BusLogHandler, LineSplitter, parse_line
 from tests.graph import toy_nodes
 from tests.plugins import NODE, write_package
@@ -264,6 +265,19 @@ def test_files_of_a_process_are_its_users_alone_and_its_failure_is_a_line(
     assert [record.getMessage() for record in caplog.records] == [
         "ValueError: invalid literal for int() with base 10: 'seven'"
     ]
+
+
+def test_a_group_ends_at_once_with_the_member_that_fails(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Its members are made in their own names, and the thread that makes them keeps its own."""
+    name, stop = threading.current_thread().name, Stop()
+    members = {kind: Member(module=TOY, params={"kind": kind}) for kind in ("echo", "crash")}
+    handlers = logging.getLogger().handlers[:]
+    try:
+        assert Group(members, tmp_path, stop, []).run() == EXIT_FAILED
+    finally:
+        logging.getLogger().handlers[:] = handlers
+    assert (stop.at_once, threading.current_thread().name) == (True, name)
+    assert {record.threadName for record in caplog.records if record.levelname == "CRITICAL"} == {"crash"}
 
 
 def test_a_node_of_another_package_goes_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -231,6 +231,7 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
 def test_moving_scenes_leave_out_only_what_they_have_nothing_of() -> None:
     """One instant says nothing of the next: a weak effect stays, one without a cause goes at any time."""
     moves = plan_effects(scene(WALL, msgspec.structs.replace(CAR, speed_mps=5.0)))
+    assert {effect.bound_db for effect in moves.effects} == {None}
     assert used(moves, "atmosphere")
     assert "the scene moves" in reason(moves, "atmosphere")
     assert not used(moves, "curved_wall")
