@@ -11,6 +11,7 @@ import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -34,6 +35,7 @@ from msgs.bus.codec import encode_inline
 from msgs.files import array_files, yaml_loader
 from msgs.files.array_files import load_arrays
 from msgs.files.shipped import CHECKOUT
+from msgs.files.unpacking import UnpackedFile
 from msgs.recording import mcap as recording
 from msgs.recording.mcap import RecordingReader
 from msgs.recording.sigmf import SigmfCapture
@@ -251,8 +253,17 @@ def test_a_chunk_may_be_of_several_frames_and_none_of_them_cut(compression: str)
     halves = np.random.default_rng(0).bytes(1000), bytes(MIB)
     packed = b"".join(map(PACKERS[compression], halves))
     assert recording._unpacked(chunk(compression, packed, 1000 + MIB)) == b"".join(halves)
-    with pytest.raises(ValueError, match=r"does not unpack|ends within"):
-        recording._unpacked(chunk(compression, packed[:-5], 1000 + MIB))
+    # of what unpacks to the limit neither another frame nor the end of the last may be missed
+    eight = PACKERS[compression](bytes(8))
+    for data, size in ((packed[:-5], 1000 + MIB), (eight + PACKERS[compression](b"x"), 8), (eight[:-4], 8)):
+        with pytest.raises(ValueError, match=r"does not unpack|ends within"):
+            recording._unpacked(chunk(compression, data, size))
+
+
+def test_what_comes_in_small_pieces_spends_no_more_than_it_is() -> None:
+    pieces = iter((b"ab", b"c"))
+    file = UnpackedFile(SimpleNamespace(read1=lambda size: next(pieces, b"")), io.BytesIO())  # type: ignore[arg-type]
+    assert [file.readinto(bytearray(8 * MIB)) for _ in range(3)] == [2, 1, 0]
 
 
 def _written(path: Path, compression: str, *chunks: bytes) -> Path:

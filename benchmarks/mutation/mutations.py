@@ -2,10 +2,10 @@
 
 `benchmarks/mutation/mutations.yaml` lists the mutations: text of a file that stands there exactly once, what takes its
 place, and the tests that should notice. A mutant meets those tests, then the test files that name its module, then all
-that mirror its room. It is killed by the first test that fails on it and passes on the unchanged copy. Tests that start
-processes of the graph are left out. Verdicts are kept in a log, from which the next run goes on. Exit code 1 where a
-mutant survives. Usage: python -m benchmarks.mutation.mutations [--group reviewed] [--only NAME ...] [--limit 900]
-[--fresh] [--json]
+that mirror its room. It is killed by the first test that fails on it and passes on the unchanged copy. Those of whole
+graphs (`tests/graph`) are left out unless they are named. Verdicts are kept in a log, from which the next run goes on.
+Exit code 1 where a mutant survives.
+Usage: python -m benchmarks.mutation.mutations [--group reviewed] [--only NAME ...] [--limit 900] [--fresh] [--json]
 """
 
 from __future__ import annotations
@@ -48,8 +48,6 @@ class Mutation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     group: Literal["guard", "reviewed", "drawn"]
     #: Test files or single tests that should notice, run first.
     tests: tuple[str, ...] = ()
-    #: Why nothing observable changes; such a mutation is listed and not run.
-    equivalent: str = ""
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,7 +86,7 @@ def stages_of(root: Path, mutation: Mutation) -> Iterator[list[str]]:
     path, texts = Path(mutation.file), _test_texts(root)
     word = re.compile(rf"\b{path.stem}\b")
     # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
-    readers = [file for file in texts if not file.startswith(("tests/docs/", "tests/fuzz/"))]
+    readers = [file for file in texts if not file.startswith(("tests/docs/", "tests/fuzz/", "tests/graph/"))]
     naming = [file for file in readers if path.stem in file or word.search(texts[file])]
     room = "/".join(("tests", *path.parts[: 2 if path.parts[0] == "models" else 1], ""))
     taken = set[str]()
@@ -127,7 +125,7 @@ def judge(copy: Path, mutation: Mutation, limit_s: float) -> Verdict:
 
 def first_failure(copy: Path, tests: list[str], skipped: list[str], until_s: float, more: dict[str, str]) -> str:
     """Name of the first test that fails; empty: none. A file that cannot be read as tests counts as one."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", "not graph"]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider"]
     command += [*(f"--deselect={name}" for name in skipped), *tests]
     environment = os.environ | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"} | more
     # a mutant as long as the original and of the same second would be run from the original's bytecode
@@ -181,8 +179,7 @@ def main() -> int:
     wanted = [
         one
         for one in load_list()
-        if not one.equivalent
-        and arguments.group in (None, one.group)
+        if arguments.group in (None, one.group)
         and (not arguments.only or any(text in one.name for text in arguments.only))
     ]
     verdicts = run(wanted, arguments.log, limit_s=arguments.limit)

@@ -293,7 +293,7 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
         return yaml.load(text, Loader=StrictLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"{where}: {_yaml_reason(error, text)}") from None
-    except (ValueError, RecursionError, UnicodeError) as error:
+    except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
 

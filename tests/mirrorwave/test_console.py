@@ -209,6 +209,7 @@ def test_progress_off_a_terminal_is_a_line_of_what_is_done_and_left(
     assert lines[-2] == "places: 140 of 240, 50 s, 50 s left", "what was kept took no time"
     assert lines[-1] == "epoch 1"
     assert capsys.readouterr().out == "", "stdout is for results"
+    assert console._bar("places", 240).console.stderr, "on a terminal too"
 
 
 def test_progress_says_that_kernels_are_compiled_until_something_is_done(monkeypatch: pytest.MonkeyPatch) -> None:

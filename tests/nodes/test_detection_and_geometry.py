@@ -231,6 +231,9 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
     assert [(count.what, count.reason, count.count) for count in node.shed.counts()] == [
         ("view", "made without a map", 1)
     ]
+    # four maps wait for their peaks, whatever comes
+    node.step([map_of(scan) for scan in range(20, 26)], 0)
+    assert [item.scan_id for item in node._maps] == [22, 23, 24, 25]
 
 
 def test_a_missing_object_network_shows_at_start() -> None:

@@ -18,11 +18,18 @@ def received(topic: str, message: msgspec.Struct) -> Received:
 
 
 def test_detections_become_peaks_and_these_a_hidden_car() -> None:
-    """The vehicle's state, which came beside them, counts for them: what stands has no speed over ground."""
+    """The vehicle's state, which came beside them, counts for them: what stands has no speed over ground.
+
+    Where it says 2 m/s more than the street shows, all drives ahead so fast.
+    """
     node = detection_peaks.create(detection_peaks.Params(sensor=SENSOR))
     message = detections(street_points(), scan_id=4)
     message = msgspec.structs.replace(message, radial_speed_mps=standing_speeds(message, np.array([12.0, 0.0])))
     state = VehicleState(stamp_ns=0, speed_mps=12.0)
+    faster = detection_peaks.create(detection_peaks.Params(sensor=SENSOR))
+    ahead = received("vehicle/state", msgspec.structs.replace(state, speed_mps=14.0))
+    (out,) = faster.step([received("radar/detections", message), ahead], 0)
+    np.testing.assert_allclose(out.message.radial_speed_mps, 2.0 * np.cos(out.message.azimuth_rad), atol=1e-3)
     (out,) = node.step([received("radar/detections", message), received("vehicle/state", state)], 0)
     assert (out.topic, out.message.scan_id, out.message.sensor) == ("perception/peaks", 4, SENSOR.limits)
     np.testing.assert_allclose(out.message.radial_speed_mps, 0.0, atol=1e-9)

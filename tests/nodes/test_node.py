@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,8 +18,21 @@ from msgs.files.plugins import NODES
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.vehicle import VehicleState
-from nodes.node import SETTLE_S, Heartbeat, InProcessGraph, Node, StageClock, Stop, _outputs_of, load_node, run_loop
+from nodes.node import (
+    EXIT_FAILED,
+    SETTLE_S,
+    Heartbeat,
+    InProcessGraph,
+    Node,
+    StageClock,
+    Stop,
+    _outputs_of,
+    load_node,
+    run_loop,
+    run_process,
+)
 from nodes.player import SENSED_TOPICS
+from nodes.process.group import Group, Member
 from nodes.process.logs import BusLogHandler, LineSplitter, parse_line
 from tests.graph import toy_nodes
 from tests.plugins import NODE, write_package
@@ -148,8 +163,8 @@ def test_an_undeclared_output_is_refused() -> None:
         run_loop(_toy(kind="undeclared"), bus, Stop(), Heartbeat(bus, "x"))
 
 
-@pytest.mark.parametrize(("at_once", "total"), [(False, 3.0), (True, 1.0)])
-def test_stop_answers_what_waits_unless_at_once(at_once: bool, total: float) -> None:
+@pytest.mark.parametrize(("at_once", "again", "total"), [(False, False, 3.0), (True, False, 1.0), (False, True, 1.0)])
+def test_stop_answers_what_waits_unless_at_once_or_asked_again(at_once: bool, again: bool, total: float) -> None:
     network = LocalNetwork()
     stop = Stop()
     node = _StopAfter(stop, at_once)
@@ -167,8 +182,8 @@ def test_stop_answers_what_waits_unless_at_once(at_once: bool, total: float) -> 
     node = _Refill(stop, at_once)
     sender.publish("vehicle/state", VehicleState(stamp_ns=0, speed_mps=1.0))
     if not at_once:
-        # a second request means "at once": this one asks a single time
-        node.stop = Stop()
+        # the node's own request is a second one
+        node.stop = stop if again else Stop()
         stop.request()
     run_loop(node, bus, stop, Heartbeat(bus, "echo"))
     assert node.total == total
@@ -234,6 +249,35 @@ def test_lines_are_cut_cleaned_and_parsed() -> None:
     entry = parse_line("n", '\x1e{"text": "t", "level": "info"}')
     assert (entry["node"], entry["level"], entry["text"]) == ("n", "info", "t")
     assert parse_line("n", '\x1e{"text": 1}')["level"] == "output"
+
+
+def test_files_of_a_process_are_its_users_alone_and_its_failure_is_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)
+    before = os.umask(0o022)
+    try:
+        assert run_process(lambda: (tmp_path / "written").touch() or 7) == 7  # type: ignore[func-returns-value]
+        assert run_process(lambda: int("seven")) == EXIT_FAILED
+    finally:
+        os.umask(before)
+    assert (tmp_path / "written").stat().st_mode & 0o777 == 0o600
+    assert [record.getMessage() for record in caplog.records] == [
+        "ValueError: invalid literal for int() with base 10: 'seven'"
+    ]
+
+
+def test_a_group_ends_at_once_with_the_member_that_fails(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Its members are made in their own names, and the thread that makes them keeps its own."""
+    name, stop = threading.current_thread().name, Stop()
+    members = {kind: Member(module=TOY, params={"kind": kind}) for kind in ("echo", "crash")}
+    handlers = logging.getLogger().handlers[:]
+    try:
+        assert Group(members, tmp_path, stop, []).run() == EXIT_FAILED
+    finally:
+        logging.getLogger().handlers[:] = handlers
+    assert (stop.at_once, threading.current_thread().name) == (True, name)
+    assert {record.threadName for record in caplog.records if record.levelname == "CRITICAL"} == {"crash"}
 
 
 def test_a_node_of_another_package_goes_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ has done with the last. Nothing is timed: cost is counted in folded beams.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,7 +17,10 @@ import pytest
 from msgs.bus.interface import Bus, Envelope, Received
 from msgs.bus.local import Faults, LocalNetwork
 from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
+from nodes.bev_viewer import Params as ViewerParams
+from nodes.bev_viewer import create as create_viewer
 from nodes.inputs.view_latency import DEADLINE_S, last_beam_ns
 from nodes.node import _turn
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
@@ -230,44 +234,42 @@ def test_the_limit_of_holes_counts_the_beams_that_are_looked_at(lost: int, publi
 # what is shed before any scan: pictures
 
 
-def late_views(late_ms: float, sheds_maps: bool) -> tuple[Assembly, Board]:
-    board = Board()
-    assembly = Assembly(board, sheds_maps)
-    for scan in range(30):
+def show(take: Callable[[RangeAzimuthMap | BevFrame, int], object], *late_ms: float) -> None:
+    """Maps and views of scans that come so late."""
+    for scan, late in enumerate(late_ms):
         stamp_ns = scan * 300 * MS
-        now_ns = stamp_ns + last_beam_ns() + round(late_ms * MS)
-        assembly.take(msgspec.structs.replace(ra_map(scan), stamp_ns=stamp_ns), now_ns)
-        assembly.take(msgspec.structs.replace(frame(scan), stamp_ns=stamp_ns), now_ns)
-    return assembly, board
+        for message in (ra_map(scan), frame(scan)):
+            take(msgspec.structs.replace(message, stamp_ns=stamp_ns), stamp_ns + last_beam_ns() + round(late * MS))
 
 
 def posts(board: Board) -> dict[str, int]:
-    return {kind: posted.version for kind, posted in board.newer({}).items()}
+    posted = {kind: posted.version for kind, posted in board.newer({}).items()}
+    return {kind: posted[kind] for kind in ("view", "map")}
 
 
 def test_pictures_are_shed_first_while_views_come_late_and_views_never() -> None:
-    """The former of the same graph sheds nothing by a late view: pictures go first."""
-    assembly, board = late_views(late_ms=301.0, sheds_maps=True)
-    period_scans = -(-LATE_MAP_PERIOD_NS // (300 * MS))
-    assert posts(board) == {"view": 30, "warnings": 30, "map": -(-30 // period_scans)}
-    assert posts(board)["map"] + assembly.maps_shed == 30
+    """The former of the same graph sheds nothing by a late view: pictures go first, and the viewer counts them."""
+    maps = -(-30 // -(-LATE_MAP_PERIOD_NS // (300 * MS)))
+    with contextlib.closing(create_viewer(ViewerParams(port=0))) as viewer:
+        envelope = Envelope(publisher="a", topic="radar/ra_map", sequence=0, sent_ns=0)
+        show(lambda message, now_ns: viewer.step([Received("", message, envelope)], now_ns), *[301.0] * 30)
+        assert posts(viewer.server._board) == {"view": 30, "map": maps}
+        assert [(one.what, one.reason, one.count) for one in viewer.shed.counts()] == [
+            ("picture", "views late", 30 - maps)
+        ]
 
 
 @pytest.mark.parametrize(("late_ms", "sheds_maps"), [(299.0, True), (301.0, False)], ids=["in time", "played back"])
 def test_in_time_every_picture_is_posted(late_ms: float, sheds_maps: bool) -> None:
-    assembly, board = late_views(late_ms, sheds_maps)
-    assert posts(board) == {"view": 30, "warnings": 30, "map": 30}
+    assembly = Assembly(board := Board(), sheds_maps)
+    show(assembly.take, *[late_ms] * 30)
+    assert posts(board) == {"view": 30, "map": 30}
     assert assembly.maps_shed == 0
 
 
 def test_pictures_come_back_with_the_first_view_in_time() -> None:
-    board = Board()
-    assembly = Assembly(board, sheds_maps=True)
-    for scan, late_ms in enumerate([301, 301, 301, 50, 50]):
-        stamp_ns = scan * 300 * MS
-        now_ns = stamp_ns + last_beam_ns() + late_ms * MS
-        assembly.take(msgspec.structs.replace(ra_map(scan), stamp_ns=stamp_ns), now_ns)
-        assembly.take(msgspec.structs.replace(frame(scan), stamp_ns=stamp_ns), now_ns)
+    assembly = Assembly(board := Board(), sheds_maps=True)
+    show(assembly.take, 301, 301, 301, 50, 50)
     assert (posts(board)["map"], assembly.maps_shed) == (3, 2)
 
 

@@ -37,6 +37,7 @@ from nodes.player import (
     scene_events,
     scene_of,
     scene_player,
+    truth_beside,
     with_walls,
 )
 from nodes.process.fork_server import environment
@@ -111,6 +112,15 @@ def test_what_moves_has_its_kernels_loaded_before_the_player_is_ready() -> None:
     assert later == []
 
 
+def test_each_radar_of_a_scene_has_topics_of_its_own() -> None:
+    """Set-ups of both, then every beam of both, each stamped and sent by its own."""
+    source = scene_player(params(scene="launch/scenes/two_front_corners.yaml", effects="basic"))
+    sent = [event.outgoing for event in scene_events(source, 1)]
+    assert [outgoing.topic for outgoing in sent[:2]] == ["radar/left/setup", "radar/right/setup"]
+    counts = Counter(outgoing.topic for outgoing in sent)
+    assert counts["radar/left/beam"] == counts["radar/right/beam"] == 25
+
+
 def test_a_beam_is_sent_before_the_next_one_is_made() -> None:
     """To make one takes milliseconds, by which every beam would be late."""
     source = scene_player(params())
@@ -145,6 +155,14 @@ def written(source: ScenePlayer, path: Path) -> Path:
     else:
         write_sigmf(path, source.setup, events, {})
     return path
+
+
+def test_a_capture_whose_truth_cannot_be_written_is_not_left_behind(tmp_path: Path) -> None:
+    path = tmp_path / "capture.sigmf-meta"
+    truth_beside(path).mkdir()
+    with pytest.raises(OSError, match="truth"):
+        written(scene_player(params()), path)
+    assert list(tmp_path.iterdir()) == [truth_beside(path)]
 
 
 @pytest.mark.parametrize("name", ["capture.mcap", "capture.sigmf-meta"])
@@ -264,6 +282,10 @@ def test_speeds_override_the_scene() -> None:
     assert {thing.speed_mps for thing in scene.objects} == {5.0}
     assert scene.ego.speed_mps == 8.0
     assert not scene_of(params()).moves
+    with pytest.raises(
+        ValueError, match=r"facade_across_lane\.yaml: ego\.speed_mps: must lie in -100\.\.100, got 9000\.0"
+    ):
+        scene_of(params(ego_speed_mps=9000.0))
 
 
 @pytest.mark.parametrize(

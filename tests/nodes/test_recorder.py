@@ -303,6 +303,18 @@ def test_too_little_room_ends_the_recording_before_it_is_used(
     assert sum(missed.values()) == bench.recorder.missed
 
 
+@pytest.mark.parametrize(("size", "missed"), [(100, 0), (20_000, 1)])
+def test_a_message_finds_room_for_itself_or_is_missed(
+    size: int, missed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path / "a.mcap", topics=("log",), min_free_bytes=1_000_000)
+    free = 1_000_000 + bench.recorder._writer.growth_bytes() + 10_000
+    monkeypatch.setattr("nodes.recorder.free_bytes", lambda folder: free)
+    bench.say("log", LogRecord(stamp_ns=0, node="a", level="info", text=secrets.token_hex(size // 2)))
+    assert bench.recorder.missed == missed
+    bench.recorder.close()
+
+
 def test_what_came_after_the_end_is_in_the_file_where_there_is_room_for_that(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -197,11 +197,10 @@ def _joined_walls(walls: Sequence[Sequence[Wall]]) -> tuple[list[Wall], list[lis
     kept: list[Wall] = []
     wall_of: list[list[int]] = []
     for own in walls:
-        # two walls of one view are two
-        before = len(kept)
         numbers: list[int] = []
         for wall in own:
-            same = next((at for at in range(before) if at not in numbers and _is_one(kept[at], wall)), None)
+            # two walls of one view are two
+            same = next((at for at, each in enumerate(kept) if at not in numbers and _is_one(each, wall)), None)
             if same is None:
                 kept.append(wall)
             else:

@@ -41,7 +41,7 @@ def test_that_never_passes():
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A module with a test file, one test of which fails whatever the module does."""
     files = {"models/__init__.py": "", "models/shapes.py": SOURCE, "tests/test_shapes.py": TEST}
-    files["pytest.ini"] = "[pytest]\naddopts = --import-mode=importlib\nmarkers = graph\n"
+    files["pytest.ini"] = "[pytest]\naddopts = --import-mode=importlib\n"
     for name, text in files.items():
         (tmp_path / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "tree" / name).write_text(text)

@@ -224,6 +224,28 @@ def test_wrong_keys_are_refused_and_counted(
     assert [record for record in caplog.records if "refused" in record.message]
 
 
+def test_who_says_nothing_takes_half_of_the_descriptors_at_most(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of six, three connections may wait without a word; a fourth is closed and those before it stay."""
+    monkeypatch.setattr("contrib.two_machines.exporter.raise_open_files", lambda: 6)
+    monkeypatch.setattr("contrib.two_machines.exporter._STRANGER_NS", 10**12)
+    exporter = bench.exporter("vehicle/state")
+    host, port = exporter.address.removeprefix("tcp://").split(":")
+    with contextlib.ExitStack() as stack:
+        silent = [stack.enter_context(socket.create_connection((host, int(port)))) for _ in range(4)]
+        for connection in silent:
+            connection.setblocking(False)
+
+        def is_closed(connection: socket.socket) -> bool:
+            with contextlib.suppress(BlockingIOError):
+                while connection.recv(64):
+                    pass
+                return True
+            return False
+
+        bench.until(lambda: is_closed(silent[3]))
+        assert [is_closed(connection) for connection in silent] == [False, False, False, True]
+
+
 def test_zmtp_1_0_injects_nothing_into_an_end_without_keys(bench: Bench) -> None:
     """Without a ZAP domain that protocol, which knows no security, would be spoken to."""
     exporter = bench.exporter("vehicle/state", own=None, allowed=None)

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from msgs.bus import codec
 from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
 from msgs.bus.interface import Envelope
 from msgs.bus.topics import TOPICS
@@ -208,6 +209,7 @@ def test_a_text_that_is_no_utf8_travels_as_one_that_is() -> None:
     status = NodeStatus(stamp_ns=1, node="a", pid=2, state=NodeState.DEGRADED, reason=name, shed=shed)
     found = decode(encode(envelope("diagnostics/node"), status)).message
     assert (found.reason, found.shed[0].what) == (plain, plain)
+    assert codec._with_utf8({name: [name, 1]}) == {plain: [plain, 1]}
     seen = msgspec.structs.replace(EXAMPLES["radar/detections"][0], sensor=name)
     expected = msgspec.structs.replace(seen, sensor=plain)
     assert_same(decode(encode(envelope("radar/detections"), seen)).message, expected)

@@ -141,6 +141,11 @@ def test_a_forwarded_message_is_decoded_for_those_within(pair: tuple[ZmqBus, Zmq
     # a second time it comes to nothing
     head.forward(Forwarded(STATE, envelope, frames))
     assert until(tail, 1) == [decode(frames)]
+    # one of a latched topic waits for who joins later
+    envelope, frames = Tally("far").pack(SETUP, RadarSetup(), time.monotonic_ns())
+    head.forward(Forwarded(SETUP, envelope, frames))
+    tail.subscribe(SETUP)
+    assert [received.envelope for received in until(tail, 1)] == [envelope]
 
 
 def test_a_closed_bus_gets_nothing_and_leaves_no_descriptor(run_dir: Path) -> None:

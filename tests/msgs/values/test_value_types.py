@@ -20,9 +20,11 @@ from msgs.values.radar import (
     RadarSetup,
     RangeAzimuthGrid,
     RangeAzimuthMap,
+    mps_from_speed_codes,
+    speed_codes,
 )
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
-from msgs.values.vehicle import VehicleState
+from msgs.values.vehicle import VehicleState, ego_motion
 
 METRES = st.floats(-200.0, 200.0)
 ANGLES = st.floats(-3.1, 3.1)
@@ -197,3 +199,20 @@ def test_peaks_are_taken_with_all_their_columns() -> None:
     assert peaks.take(np.array([2, 0])).radial_speed_mps.tolist() == [2.0, 0.0]  # type: ignore[union-attr]
     masked = peaks.take(count > 0.5)
     assert (masked.range_m.tolist(), masked.radial_speed_std_mps) == ([1.0, 2.0], None)
+
+
+def test_radial_speeds_are_whole_centimetres_a_second() -> None:
+    """Beyond int16 the nearest, and its least number alone is none."""
+    codes = speed_codes(np.array([1.234, -1.236, 400.0, -400.0, np.nan]))
+    assert codes.tolist() == [123, -124, 32767, -32767, -32768]
+    np.testing.assert_allclose(mps_from_speed_codes(codes), [1.23, -1.24, 327.67, -327.67, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("turns", "x_m", "y_m", "yaw_rad"),
+    [(0.25, 10.0, 10.0, 0.5 * math.pi), (-0.75, -10.0, -10.0, 0.5 * math.pi), (1.25, 10.0, 10.0, 0.5 * math.pi)],
+)
+def test_a_vehicle_drives_circles_and_heads_along_them(turns: float, x_m: float, y_m: float, yaw_rad: float) -> None:
+    """A circle of 10 m radius, to the left or, where the turns are negative, to the right."""
+    pose = ego_motion(10.0, math.copysign(1.0, turns), 2.0 * math.pi * abs(turns))
+    assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((x_m, y_m, yaw_rad), abs=1e-9)

@@ -10,5 +10,5 @@ def main(words: list[str]) -> int:
     sys.stdout.write(f"{words[0]} of {len(sys.argv) + 1} words\n")
     sys.stdout.flush()
     os.read(0, 1)
-    sys.stdout.write("begins\n")
+    sys.stderr.write("begins\n")
     return 7

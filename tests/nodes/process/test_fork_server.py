@@ -66,6 +66,7 @@ def test_a_forked_process_is_as_one_that_was_started(server: ForkServer) -> None
         assert (process.ppid(), os.getpgid(pid)) == (os.getpid(), pid)
         assert process.environ()["OPENBLAS_NUM_THREADS"] == "1"
         os.close(begin)
+        # by its standard error, which is the same
         assert output.read() == b"begins\n"
     assert _code(pid) == 7
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 
 from nodes.process import supervisor
@@ -133,6 +134,29 @@ def test_restarts_wait_longer_and_end_after_so_many_in_the_window() -> None:
     assert ended(made, "a", -signal.SIGSEGV, 69.9).phase is Phase.FAILED
     assert ("error", "a was ended by SIGSEGV; 3 restarts in 60 s") in made.said  # type: ignore[attr-defined]
     assert made._exit_code == 1
+
+
+def test_a_closed_terminal_is_written_to_once_and_the_log_goes_on() -> None:
+    made, written, shown = graph(a={}), list[Any](), list[Any]()
+
+    def show(entry: Any) -> None:
+        shown.append(entry)
+        raise BrokenPipeError
+
+    made._log, made._on_log = SimpleNamespace(write=written.append), show  # type: ignore[assignment]
+    for text in ("first", "second"):
+        made._write({"text": text})
+    assert ([entry["text"] for entry in written], len(shown)) == (["first", "second"], 1)
+
+
+def test_a_restart_on_request_has_the_new_parameters_and_waits_for_nothing() -> None:
+    made = graph(a={}, b={})
+    for now_s in (0.0, 10.0):
+        assert ended(made, "a", 1, now_s).start_at_s >= now_s
+    entry = msgspec.structs.replace(made._launch.nodes["a"], params={"new": 1})
+    made._start_again(SimpleNamespace(node="a", entry=entry, has_ended=False))  # type: ignore[arg-type]
+    node = made._nodes["a"]
+    assert (node.phase, node.start_at_s, node.entry.params) == (Phase.WAITING, 0.0, {"new": 1})
 
 
 def test_a_node_that_was_never_ready_or_ends_the_graph_stops_all() -> None:

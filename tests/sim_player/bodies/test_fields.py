@@ -150,7 +150,7 @@ def test_hollow_meshes_are_those_of_shot_rays(mesh: Mesh, up_deg: float, rays_pe
 
 
 @pytest.mark.parametrize(
-    ("primitive", "size_m"), [("plate", (2.0, 2.0)), ("plate", (0.3, 0.3)), ("box", (1.0, 0.6, 0.5))]
+    ("primitive", "size_m"), [("plate", (2.0, 2.0)), ("plate", (2.0, 0.3)), ("box", (1.0, 0.6, 0.5))]
 )
 @pytest.mark.parametrize("range_m", [5.0, 60.0])
 def test_near_and_far_are_the_plain_integral(primitive: str, size_m: tuple[float, ...], range_m: float) -> None:

@@ -173,7 +173,9 @@ def test_shards_of_drives_hold_what_they_say(drives: Path) -> None:
     assert shard["stamp_ns"].tolist() == [0, 300_000_000]
     scene = scene_from_yaml(str(shard["scene_yaml"][1]))
     assert scene == draw_drive(3, 1, "xband", 0.6).scene
-    pose = ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), 0.3)
+    motion = scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)
+    np.testing.assert_allclose(shard["motion"], [motion, motion])
+    pose = ego_motion(*motion, 0.3)
     np.testing.assert_allclose(shard["pose"], [[0.0, 0.0, 0.0], [pose.x_m, pose.y_m, pose.yaw_rad]], atol=1e-12)
     assert shard["offset"][-1] == len(shard["range_m"]) == len(shard["velocity_mps"]) == len(shard["elapsed_s"])
     assert shard["gain_db"][0] == draw_gain_db(3, 1)

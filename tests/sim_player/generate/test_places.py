@@ -12,6 +12,7 @@ import pytest
 
 from msgs.values.perception import PathClass
 from sim_player.generate import wall_kinds as relays
+from sim_player.generate.layouts import draw_layout
 from sim_player.generate.placement import Boxes, Walls, chords, hidden, images, indoors
 from sim_player.generate.places import (
     CLASS_SHARE,
@@ -19,6 +20,7 @@ from sim_player.generate.places import (
     MAX_SPEED_MPS,
     PLACE_KINDS,
     Place,
+    _faulty,
     draw_place,
     random_place,
 )
@@ -182,10 +184,31 @@ def test_radars_and_weather_vary(places: list[Place]) -> None:
     assert 0.17 < np.mean([radar.separation_m > 0.0 for radar in radars]) < 0.43
     assert 0.12 < np.mean([place.scene.weather.rain_mm_per_h > 0.0 for place in places]) < 0.38
     assert all(0.5 <= radar.height_m <= 1.5 and radar.separation_m <= 0.3 for radar in radars)
-    faulty = [radar.front_end for radar in radars if radar.front_end != clean]
-    assert any(end.coupling_db is not None and end.spurs for end in faulty)
-    assert all(spur.power_dbm <= -95.0 for end in faulty for spur in end.spurs)
-    assert all(end.coupling_db is None or -30.0 <= end.coupling_db <= -18.0 for end in faulty)
+
+
+def test_front_ends_have_each_fault_alike_and_one_spur_or_two() -> None:
+    """Shares of 0.6 among 1000, to within 3 sigma = 0.05; of those with spurs half have two."""
+    ends = [_faulty(np.random.default_rng(seed)) for seed in range(1000)]
+    has = [(end.coupling_db, end.iq_gain_db, end.flicker_corner_hz, end.leakage_dbm, end.spurs) for end in ends]
+    assert [np.mean([bool(fault) for fault in faults]) for faults in zip(*has, strict=True)] == pytest.approx(
+        [0.6] * 5, abs=0.05
+    )
+    assert np.bincount([len(end.spurs) for end in ends]) / 1000 == pytest.approx([0.4, 0.3, 0.3], abs=0.05)
+    assert all(-120.0 <= spur.power_dbm <= -95.0 and 1e6 <= spur.frequency_hz <= 90e6 for e in ends for spur in e.spurs)
+    assert all(end.coupling_db is None or -30.0 <= end.coupling_db <= -18.0 for end in ends)
+
+
+def test_a_bent_road_runs_a_metre_beside_its_wall() -> None:
+    """It begins there where its wall does, on its left, and turns with it."""
+    streets = [draw_layout(np.random.default_rng(seed), "street") for seed in range(60)]
+    bends = [(street.lines[-1], zone) for street in streets for zone in street.zones if zone.turn_deg]
+    assert len(bends) > 10
+    for wall, zone in bends:
+        turn = math.radians(zone.turn_deg)
+        along, left = np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)])
+        foot = np.array([zone.x_m[0], zone.y_m[0]]) - np.array(wall.start)
+        assert (foot @ along, foot @ left) == pytest.approx((0.0, 1.0), abs=1e-9)
+        assert (np.array(wall.end) - np.array(wall.start)) @ left == pytest.approx(0.0, abs=1e-9)
 
 
 def test_77ghz_places_have_only_materials_measured_there() -> None:

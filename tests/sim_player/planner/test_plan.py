@@ -236,6 +236,7 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
     """A car behind the radar returns nothing: the plan holds no path and the map is noise."""
     asked = scene(SceneObject(class_="car", x_m=-30.0, y_m=0.0))
     plan = plan_effects(asked)
+    assert plan.precision == "float32"
     profiles = noisy_profiles(plan, asked.setup, seed=1)
     assert profiles.shape == (25, 512)
     rms = np.sqrt(np.mean(np.abs(profiles) ** 2))
@@ -246,10 +247,12 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
 def test_moving_scenes_leave_out_only_what_they_have_nothing_of() -> None:
     """One instant says nothing of the next: a weak effect stays, one without a cause goes at any time."""
     moves = plan_effects(scene(WALL, msgspec.structs.replace(CAR, speed_mps=5.0)))
+    assert {effect.bound_db for effect in moves.effects} == {None}
     assert used(moves, "atmosphere")
     assert "the scene moves" in reason(moves, "atmosphere")
     assert not used(moves, "curved_wall")
     assert len(moves.echoes) == moves.traced
+    assert sum(effect.cost_s for effect in moves.effects) == pytest.approx((6e-6 + 30e-6 + 60e-6) * moves.traced)
 
 
 def test_peaks_need_less_than_samples_and_objects_less_than_peaks() -> None:
@@ -261,7 +264,7 @@ def test_peaks_need_less_than_samples_and_objects_less_than_peaks() -> None:
 
 @pytest.mark.parametrize("index", range(3))
 def test_labels_are_those_of_all_effects(index: int) -> None:
-    """Truth points of places as planned for objects, at a wide budget: the same numbers as of all."""
+    """Truth points of places as planned for objects, at a wide budget: the same numbers as of all. And its costs."""
     asked = random_place(21, index)
     world = prepare(asked, index)
     everything = manual_plan(world, asked.setup)
@@ -271,6 +274,13 @@ def test_labels_are_those_of_all_effects(index: int) -> None:
     for name in LABELS:
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
     assert hidden_objects(plan.labelled) == hidden_objects(everything.labelled)
+    # a path costs once, at the last effect that it needs; what is left and what is saved come to what was traced
+    cost_s = {effect.name: effect.cost_s for effect in plan.effects}
+    last = np.bincount(np.log2(plan.echoes.needs).astype(int), minlength=len(PATH_EFFECTS))
+    np.testing.assert_allclose([cost_s[name] for name in PATH_EFFECTS], 6e-6 * last)
+    whole_s = (6e-6 + 30e-6 + 60e-6) * len(everything.echoes)
+    assert sum(cost_s.values()) + plan.saved_s == pytest.approx(whole_s)
+    assert sum(map(plan.share_of, plan.effects)) == pytest.approx(100.0 * sum(cost_s.values()) / whole_s)
 
 
 def test_bounds_change_no_decision() -> None:

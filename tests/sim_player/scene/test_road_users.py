@@ -47,12 +47,16 @@ def test_centres_stand_on_the_outline(name: str) -> None:
     assert (np.einsum("ki,kfi->kf", centres.position_m[:, :2], centres.normals[..., :2]) > 0.0).all()
 
 
-def test_only_faces_turned_to_the_radar_scatter() -> None:
+def test_faces_scatter_their_peak_along_their_normal_a_lobe_beside_it_and_nothing_behind() -> None:
+    """Sixty degrees off: a tenth without a lobe, the rest by cos^12; a corner, of both faces, keeps its peak."""
     car = scattering_centres("car", 0, 0)
+    front, corner = car.position_m[:, 0] == 2.25, np.abs(car.position_m[:, 1]) == 0.9
+    for aspect_deg, face in ((0.0, 1.0), (60.0, 0.1 + 0.9 * 0.5**12)):
+        seen = seen_rcs_m2(car.peak_rcs_m2, car.normals, car.lobe_exponent, towards(aspect_deg)) / car.peak_rcs_m2
+        assert seen[front & ~corner] == pytest.approx(face)
+        assert seen[front & corner] == pytest.approx(1.0)
     seen = seen_rcs_m2(car.peak_rcs_m2, car.normals, car.lobe_exponent, towards(0.0))
-    x = car.position_m[:, 0]
-    assert (x[seen > 0.0] > 0.0).all()
-    assert (seen[x == 2.25] > 0.0).all()
+    assert (car.position_m[seen > 0.0, 0] > 0.0).all()
 
 
 def test_same_seed_same_centres_and_objects_differ() -> None:

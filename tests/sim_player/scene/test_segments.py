@@ -118,6 +118,17 @@ def test_foliage_multiplies_and_bodies_stop() -> None:
     np.testing.assert_allclose(legs.through, [1.0, 1.0, 1.0, 0.5, 0.0], rtol=1e-12)
 
 
+@pytest.mark.parametrize("curvature_per_m", [0.0, 0.05, -0.05])
+def test_what_passes_goes_by_the_angle_in_space(curvature_per_m: float) -> None:
+    """A factor that is the cosine itself: a leg that rises by 6 m over 8 m meets what stands across it at 0.8."""
+    pane = blockers(
+        np.array([[4.0, -1.0]]), np.array([[4.0, 1.0]]), curvature_per_m=np.array([curvature_per_m]),
+        transmission=np.linspace(0.0, 1.0, TABLE_STEPS + 1)[None] + 0j,
+    )  # fmt: skip
+    legs = segment_occlusion(np.array([0.0, 0.0, 1.0]), np.array([[8.0, 0.0, 7.0]]), pane)
+    np.testing.assert_allclose(legs.through, [0.8], rtol=1e-9)
+
+
 def test_own_bodies_do_not_count() -> None:
     """A leg to a thing's own point passes that thing's sides, and no other's; in a chain the last leg alone."""
     a, b = np.array([[2.0, -1.0], [4.0, -1.0]]), np.array([[2.0, 1.0], [4.0, 1.0]])

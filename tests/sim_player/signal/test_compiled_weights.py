@@ -24,13 +24,17 @@ def weights_of(paths: Paths, tolerance: float) -> tuple[EchoWeights, np.ndarray]
 
 
 def test_weights_are_those_of_the_pattern_times_the_shares() -> None:
-    """300 echoes up to 30 m/s at mid-sweep: Eq. (1) by NumPy, the beat's phase aside; sines and series to 1e-9."""
+    """300 echoes up to 30 m/s at mid-sweep: Eq. (1) by NumPy, the phase that an echo's terms share aside; sines and
+    series to 1e-9.
+    """
     paths = some_paths(300, 90.0, two_ways=True, speed_mps=30.0)
     weigh, shares = weights_of(paths, 0.0)
     order = np.argsort(-paths.length_m, kind="stable")
     np.testing.assert_array_equal(weigh.length_m, paths.length_m[order])
-    wanted = np.abs(beam_weights(SETUP, paths, slice(BEAM, BEAM + 1)) * shares)[:, order]
-    np.testing.assert_allclose(np.hypot(*weigh.weights)[0], wanted, rtol=0.0, atol=1e-8 * wanted.max())
+    wanted = (np.abs(beam_weights(SETUP, paths, slice(BEAM, BEAM + 1))) * shares)[:, order]
+    found = (weigh.weights[0] + 1j * weigh.weights[1])[0]
+    found, wanted = (terms * np.exp(-1j * np.angle(terms[:1])) for terms in (found, wanted))
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-8 * np.abs(wanted).max())
 
 
 def test_echoes_without_power_in_a_beam_are_left_out() -> None:

@@ -429,6 +429,8 @@ def test_objections_name_their_reason() -> None:
     assert len(coarse) == 1
     assert "noise of 256 codes" in coarse[0]
     assert kernel_objections(SMALL, paths, SignalEffects(adc=False), FrontEnd(adc_bits=8)) == []
+    # without noise nothing makes rounding one
+    assert len(kernel_objections(SMALL, paths, SignalEffects(thermal_noise=False))) == 1
 
 
 def test_objections_look_twice_before_they_say_clipped() -> None:

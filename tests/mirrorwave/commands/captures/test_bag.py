@@ -11,10 +11,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from mirrorwave.cli import main
+from mirrorwave.commands.captures.bag_options import require_new_recording
 from mirrorwave.commands.graph.launch import code_of_recordings
 from msgs.bus.zmq import ZmqBus
 from msgs.recording.mcap import Losses, RecordingReader, RecordingWriter, TopicLoss, info
@@ -64,6 +66,25 @@ def state(path: Path, losses: Losses) -> Path:
         writer.write("vehicle/state", VehicleState(stamp_ns=0), publisher="car", sequence=0, sent_ns=0)
         writer.write_losses(losses)
     return path
+
+
+@pytest.mark.parametrize("option", ["split_bytes", "split_s", "snapshot_s"])
+def test_what_was_recorded_in_parts_is_not_written_over(tmp_path: Path, option: str) -> None:
+    (tmp_path / "out-00007.mcap").touch()
+    require_new_recording(tmp_path / "out.mcap", {option: None})
+    with pytest.raises(FileExistsError, match=r"exists already.*out-00007"):
+        require_new_recording(tmp_path / "out.mcap", {option: 1.0})
+
+
+def test_what_a_recorder_lost_and_what_it_missed_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = SimpleNamespace(lost=2, missed=3, messages=4, paths=["a.mcap"], refused="no room")
+    monkeypatch.setattr("nodes.recorder.Recorder", lambda *_, **__: ended)
+    monkeypatch.setattr("nodes.node.run_loop", lambda *_: None)
+    monkeypatch.setattr("mirrorwave.commands.captures.bag.require_graph", lambda _: None)
+    assert main(["bag", "record", str(tmp_path / "a.mcap")]) == 3
+    assert capsys.readouterr().out == "a.mcap\n4 messages, 5 missing\nno room\n"
 
 
 @pytest.mark.slow

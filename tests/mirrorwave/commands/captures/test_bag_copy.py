@@ -29,6 +29,7 @@ def test_filter_keeps_what_patterns_name(tmp_path: Path, capsys: pytest.CaptureF
     ("options", "line"),
     [
         (["--topic", "sim/*"], "no topic matches 'sim/*'; it holds radar/beam, vehicle/state"),
+        (["--not-topic", "sim/*"], "no topic matches 'sim/*'; it holds radar/beam, vehicle/state"),
         (["--topic", "radar/*", "--not-topic", "*"], "--topic and --not-topic leave no topic"),
         (["--every", "0"], "should be greater than or equal to 1"),
     ],

@@ -341,6 +341,9 @@ def test_no_more_than_two_scans_are_on_their_way(drive: Path, tmp_path: Path, mo
     assert found.unanswered == 0
     assert found.answered_on == ANSWER
     assert found.is_whole
+    # who ends it waits for none
+    ended = play(drive, FakeBus(answer_ms=400.0), tmp_path, monkeypatch, rate=0.0, loop=True, keys={10: Key.QUIT})
+    assert (ended.interrupted, ended.answered_on, ended.unanswered, ended.lost) == (True, ANSWER, None, ())
 
 
 def test_who_keeps_time_waits_for_nobody(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

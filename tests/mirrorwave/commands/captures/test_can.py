@@ -50,8 +50,11 @@ def run_json(capsys: pytest.CaptureFixture, *arguments: str) -> tuple[int, dict]
     return code, json.loads(capsys.readouterr().out)
 
 
-def test_decode_flags_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    code, report = run_json(capsys, str(write_drive(tmp_path / "drive.log")), "--every", "0.5")
+def test_decode_flags_what_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = write_drive(tmp_path / "drive.log")
+    code, report = run_json(capsys, str(log), "--every", "0.5")
     assert code == 0
     assert (report["frames"], report["loss"]) == (300, None)
     assert report["frames_by_verdict"]["wrong checksum"] == 20
@@ -64,6 +67,10 @@ def test_decode_flags_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
     # the last good speed came at 0.98 s and holds for ten periods
     assert any(name == "state not valid" and at_s == 1.18 for name, at_s, _ in events)
     assert all(row["speed_mps"] == 9.0 for row in report["states"] if row["valid"])
+    # a table shows the first of many events, and says how many there are
+    monkeypatch.setattr("mirrorwave.commands.captures.can._SHOWN_EVENTS", 1)
+    assert main(["can", "decode", str(log)]) == 0
+    assert f"... {len(events)} events in all" in capsys.readouterr().out
 
 
 def write_raw_drive(path: Path) -> Path:
@@ -226,14 +233,17 @@ def test_monitor_shows_every_signal_of_any_dbc(capsys: pytest.CaptureFixture) ->
 
 
 def test_a_log_whose_time_goes_back_has_no_negative_period(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """A clock that was set back between two drives in one file: the gaps of either count, the step does not."""
+    """A clock that was set back between two drives in one file: the gaps of either count, the step does not.
+
+    A gap of 100 ms among those of 20 ms is the longest, and no period; the last frame is older than the one before.
+    """
     log = tmp_path / "back.log"
     frame = "can0 100#0000000000000000"
-    log.write_text("".join(f"({at:.6f}) {frame}\n" for at in (100.0, 100.02, 50.0, 50.02, 50.04)))
+    log.write_text("".join(f"({at:.6f}) {frame}\n" for at in (100.0, 100.02, 100.12, 50.0, 50.02, 50.015)))
     code, report = run_json(capsys, str(log), "--signals")
     (row,) = report["messages"]
-    assert (code, row["frames"]) == (0, 5)
-    assert (row["period_ms"], row["longest_gap_ms"]) == (pytest.approx(20.0), pytest.approx(20.0))
+    assert (code, row["frames"], report["duration_s"]) == (0, 6, pytest.approx(0.16))
+    assert (row["period_ms"], row["longest_gap_ms"]) == (pytest.approx(20.0), pytest.approx(100.0))
 
 
 def test_monitor_of_a_silent_bus_fails(capsys: pytest.CaptureFixture) -> None:

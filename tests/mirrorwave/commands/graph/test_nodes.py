@@ -3,31 +3,67 @@
 from __future__ import annotations
 
 import json
+import shlex
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.commands.graph.nodes import node_row
+from mirrorwave.commands.graph import nodes
+from mirrorwave.commands.graph.nodes import node_process, node_row, topic_rows
 from mirrorwave.reference import node_modules
 from msgs.files.plugins import NODES
 from msgs.values.diagnostics import NodeStatus, TopicCount
+from nodes.process.launch_file import GROUP_MODULE
 from tests.builders import example_status
 from tests.plugins import NODE, write_package
 
 
-def _beat(uptime_s: float, cpu_s: float, messages: int) -> NodeStatus:
+def _beat(uptime_s: float, cpu_s: float, messages: int, pid: int = 2) -> NodeStatus:
     counts = (
-        TopicCount(topic="radar/beam", messages=messages, bytes=0, lost=2),
+        TopicCount(topic="radar/beam", messages=messages, bytes=8 * messages, lost=2),
         TopicCount(topic="log", messages=99 * messages, bytes=0),
     )
-    return example_status(node="a", uptime_s=uptime_s, cpu_s=cpu_s, received=counts)
+    return example_status(node="a", uptime_s=uptime_s, cpu_s=cpu_s, received=counts, pid=pid)
 
 
 def test_rates_come_from_two_heartbeats_of_one_process() -> None:
-    row = node_row([_beat(1.0, 0.5, 10), _beat(3.0, 1.5, 30)])
+    beats = [_beat(9.0, 9.0, 900, pid=1), _beat(1.0, 0.5, 10), _beat(3.0, 1.5, 30)]
+    row = node_row(beats)
     assert (row["in_hz"], row["cpu_percent"], row["lost"]) == (10.0, 50.0, 2)
-    assert node_row([_beat(2.0, 1.0, 10)])["in_hz"] is None
+    beams = topic_rows(beats)[0]
+    assert (beams["way"], beams["messages"], beams["hz"], beams["bytes_per_s"]) == ("in", 30, 10.0, 80.0)
+    first = node_row(beats[:2])
+    assert (first["in_hz"], first["cpu_percent"]) == (None, 50.0)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("nodes.node", "nodes.geometry", "--params", '{"b": 1}'), (GROUP_MODULE, '{"a": {"params": {"b": 1}}}'), ("x",)],
+    ids=["alone", "in a group", "no node"],
+)
+def test_the_command_of_a_node_is_what_one_would_type(words: tuple[str, ...]) -> None:
+    """Without the empty words with which a forked process fills the room that its command leaves free."""
+    command = [sys.executable, "-c", "input()", *words]
+    with subprocess.Popen([*command, "", ""], stdin=subprocess.PIPE) as process:
+        assert node_process("a", process.pid) == {
+            "command": shlex.join(command),
+            "params": None if words == ("x",) else {"b": 1},
+        }
+        process.communicate(b"\n")
+    assert node_process("a", process.pid) == {"command": None, "params": None}
+
+
+def test_the_process_that_is_killed_is_the_one_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    killed: list[tuple[int, int]] = []
+    monkeypatch.setattr(nodes, "_heartbeats", lambda *_: {"a": [_beat(9.0, 9.0, 9, pid=1), _beat(1.0, 1.0, 1)]})
+    monkeypatch.setattr(nodes.os, "kill", lambda *words: killed.append(words))
+    assert main(["node", "kill", "a"]) == 0
+    assert main(["node", "kill", "b"]) == 2
+    assert killed == [(2, signal.SIGKILL)]
 
 
 def test_node_types_lists_shipped_and_plugged_in_nodes(

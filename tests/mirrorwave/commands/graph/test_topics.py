@@ -300,7 +300,9 @@ def test_delay_info_and_rates_of_a_living_topic(speaker: Callable, capsys: pytes
 
     speaker(messages)
     assert main(["topic", "delay", "vehicle/state", "--duration", "0.6", "--json"]) == 0
-    rows = {row["delay"]: row for row in json.loads(capsys.readouterr().out)}
+    found = json.loads(capsys.readouterr().out)
+    assert {row["topic"] for row in found} == {"vehicle/state"}
+    rows = {row["delay"]: row for row in found}
     assert rows["acquired to sent"]["p50_ms"] >= 5.0
     assert rows["sent to received"]["p50_ms"] >= 0.0
     assert main(["topic", "delay", "--duration", "0.6"]) == 0

@@ -102,6 +102,30 @@ def test_mirrors_of_a_place_are_counted_once_for_each_image() -> None:
         assert evidence.channels[count][at] == mirrors / 4.0, walls
 
 
+def test_heats_by_all_mirrors_of_a_place_are_added_up_and_ranked() -> None:
+    """Of (14.25, -3.75): 0.4 by the facade, whose echo makes it the likeliest, 0.6 to the right, 0.2 to the left."""
+    right, left = (
+        Wall(
+            normal=(0.0, -sign), offset_m=offset_m, ends_m=((2.0, sign * offset_m), (18.0, sign * offset_m)), inliers=9
+        )
+        for sign, offset_m in ((-1.0, 10.0), (1.0, 8.0))
+    )
+    x_m, y_m = 14.25, -3.75
+    images_m, heats = [(40.0 - x_m, y_m), (x_m, -20.0 - y_m), (x_m, 16.0 - y_m)], [0.4, 0.6, 0.2]
+    heat = HEAT.copy()
+    for (image_x_m, image_y_m), value in zip(images_m, heats, strict=True):
+        row = round(float(GRID.range_index(np.hypot(image_x_m, image_y_m))))
+        heat[1, row, round(float(GRID.azimuth_index(np.arctan2(image_y_m, image_x_m))))] = value
+    walls, nothing = wall_arrays([FACADE, right, left]), np.zeros((0, 2))
+    echo = echo_at(np.array(images_m[0]))
+    evidence = gathered(PLANE, echo, heat, walls, np.ones(3), nothing, np.zeros(0, int), MIRRORS)
+    row, column = np.abs(PLANE.x_m - x_m).argmin(), np.abs(PLANE.y_m - y_m).argmin()
+    found = dict(zip(channel_names(MIRRORS), evidence.channels[:, row, column], strict=True))
+    assert (evidence.mirror[row, column], found["count"]) == (0, 0.75)
+    assert [found[f"{name}_mirrored"] for name in ("most", "second", "sum")] == pytest.approx([0.6, 0.4, 0.6])
+    assert [found[f"mirrored_{k}"] for k in range(MIRRORS)] == pytest.approx([0.4, 0.6])
+
+
 def test_a_wall_mirrors_beyond_its_end_by_half_a_metre_and_two_deviations() -> None:
     """Straight on 20 m away a direction known to 0.035 rad is a place known to 0.7 m: 1.9 m beyond the end count."""
     valid = BY_MIRROR.index("valid")

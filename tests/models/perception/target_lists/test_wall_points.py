@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.target_lists.wall_points import wall_like
+from models.perception.target_lists.wall_points import _weighted_line, wall_like
 
 
 def mask(points_m: np.ndarray, speed_mps: np.ndarray | None = None) -> np.ndarray:
@@ -23,6 +23,17 @@ def test_a_line_is_a_wall_and_a_blob_is_none(direction_rad: float) -> None:
     result = mask(np.concatenate([wall, blob]) @ np.array([[cos, sin], [-sin, cos]]))
     assert result[:60].mean() > 0.95
     assert result[60:].mean() < 0.05
+
+
+def test_a_line_is_the_principal_axis_of_its_weighted_points() -> None:
+    """Against the eigenvector of their weighted covariance; points that are no members count for nothing."""
+    rng = np.random.default_rng(3)
+    points, weight = rng.normal(0.0, 1.0, (30, 2)) @ np.array([[2.0, 0.5], [0.3, 1.0]]), rng.uniform(0.1, 3.0, 30)
+    members = np.arange(5, 30)
+    cx, cy, nx, ny = _weighted_line(points, weight, members)
+    values, axes = np.linalg.eigh(np.cov(points[members].T, aweights=weight[members]))
+    assert (cx, cy) == pytest.approx(tuple(np.average(points[members], axis=0, weights=weight[members])))
+    assert abs(np.array([nx, ny]) @ axes[:, values.argmin()]) == pytest.approx(1.0)
 
 
 def test_what_moves_is_no_wall() -> None:

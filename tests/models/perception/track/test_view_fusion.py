@@ -120,8 +120,8 @@ def test_the_parts_of_a_wall_are_one_wall() -> None:
 
 
 def test_walls_apart_stay_apart() -> None:
-    """Two parallel facades of one view stay two, and others of the other view are others, one half a metre away."""
-    first = example_view(walls=(wall_between((5.0, 6.0), (25.0, 6.0)), wall_between((5.0, 6.3), (25.0, 6.3))))
+    """Two facades of one view stay two, however near, and others of the other are others, one half a metre away."""
+    first = example_view(walls=(wall_between((5.0, 6.0), (25.0, 6.0)), wall_between((5.0, 6.02), (25.0, 6.02))))
     second = example_view(walls=(wall_between((5.0, -6.0), (25.0, -6.0)), wall_between((5.0, 5.5), (25.0, 5.5))))
     assert len(FusionStage().view([RadarView(first, Pose2()), RadarView(second, Pose2())]).walls) == 4
 
@@ -150,6 +150,16 @@ def test_directions_are_turned_into_the_vehicle() -> None:
     assert moved.radial_speed is not None
     assert moved.radial_speed.azimuth_rad == pytest.approx(0.5 * math.pi + 0.1)
     assert np.array(moved.cov_m2) == pytest.approx(np.diag([0.25, 0.04]))
+
+
+@pytest.mark.parametrize(("radar_x_m", "offset_m", "sign"), [(0.0, 2.0, 1.0), (5.0, 3.0, -1.0)])
+def test_an_arc_turns_its_hollow_side_with_its_normal(radar_x_m: float, offset_m: float, sign: float) -> None:
+    """Two metres before a radar that looks back: behind the vehicle it stays hollow, before it it bulges."""
+    arc = msgspec.structs.replace(wall_between((2.0, -1.0), (2.0, 1.0)), curvature_per_m=0.05)
+    pose = Pose2(radar_x_m, 0.0, math.pi)
+    (wall,) = FusionStage().view([RadarView(example_view(walls=(arc,)), pose)]).walls
+    assert wall.normal == pytest.approx((sign, 0.0))
+    assert (wall.offset_m, wall.curvature_per_m) == pytest.approx((offset_m, sign * 0.05))
 
 
 @pytest.mark.parametrize("apart_s", [0.0, 0.2])
