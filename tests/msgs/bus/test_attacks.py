@@ -14,8 +14,9 @@ from benchmarks.transport.raw_peers import scripts
 from msgs.bus.zmq import make_run_dir
 
 TRIES = 1
-#: What the exporting process may open.
-OPEN_FILES = 128
+#: What the exporting process may open, half of it for strangers: as many more may come before a link on a busy machine
+#: has its turn.
+OPEN_FILES = 256
 #: A user that is nobody here.
 STRANGER = 54_321
 
