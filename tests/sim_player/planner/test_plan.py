@@ -236,7 +236,7 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
     """A car behind the radar returns nothing: the plan holds no path and the map is noise."""
     asked = scene(SceneObject(class_="car", x_m=-30.0, y_m=0.0))
     plan = plan_effects(asked)
-    assert plan.precision == "float32"
+    assert plan.single.all()
     profiles = noisy_profiles(plan, asked.setup, seed=1)
     assert profiles.shape == (25, 512)
     rms = np.sqrt(np.mean(np.abs(profiles) ** 2))
