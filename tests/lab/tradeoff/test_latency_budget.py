@@ -143,7 +143,7 @@ def test_a_long_trial_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency_budget, "pick", tried)
     with pytest.raises(ValueError, match="no profile fits"):
         CliRunner().invoke(app, ["launch/corner.yaml", "--latency-budget-ms", "5"], catch_exceptions=False)
-    assert lines[0] == "trying profiles: 0 s"
+    assert lines[0].startswith("trying profiles: 0 s")
 
 
 def test_budget_and_profile_exclude_each_other() -> None:
