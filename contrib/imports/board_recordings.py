@@ -31,7 +31,8 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.wording import as_utf8, counted
 
 MAX_CONFIG_BYTES, MAX_TEXT_BYTES = 1 << 20, 1 << 28
-INFINEON_SPACING_M = 2.5e-3
+#: Of Infineon's receivers 1 and 3.
+SPACING_M = 2.5e-3
 #: Names of older versions of the SDK.
 _FORMER_NAMES = {"lower_frequency_Hz": "start_frequency_Hz", "upper_frequency_Hz": "end_frequency_Hz"}
 _CODES_12_BIT = 4096.0
@@ -79,24 +80,12 @@ class FmcwSingleShape(msgspec.Struct, frozen=True, kw_only=True, rename=lambda n
             raise ValueError(f"frame_repetition_time_s must hold all chirps, {chirps_s:g}, got {frame_s:g}")
 
 
-def open_board(path: Path) -> BoardRecording:
-    """Return a recording by its content; `ValueError` that names file, field, value and rule, `OSError` unreadable."""
-    if not path.is_dir():
-        return _ancortek(path)
-    folders = [path] if (path / "radar.npy").exists() else sorted(path.glob("RadarIfxAvian_*"))
-    if len(folders) != 1:
-        raise ValueError(
-            f"{path}: must be a .dat, or be or hold one folder RadarIfxAvian_NN with radar.npy, got {len(folders)}"
-        )
-    return _infineon(folders[0])
-
-
 def import_board(path: Path, out: Path, progress: Callable[[str, int], Any]) -> dict[str, Any]:
-    """Write set-up and beams of `path` to the new recording `out`; returns counts, loss and what was assumed.
+    """Write set-up and beams of `path`, told by its content, to `out`; returns counts, loss and what was assumed.
 
-    Raises as `open_board`. Levels are not measured: they hold within a recording.
+    Raises `ValueError` that names file, field, value and rule. Levels are not measured: they hold within a recording.
     """
-    recording = open_board(path)
+    recording = _infineon(path) if path.is_dir() else _ancortek(path)
     spacing_m = recording.spacing_m
     array = ArrayParams(columns=2, rows=1, column_spacing_m=spacing_m, phase_bits=0, steered_ways=1, digital=True)
     setup = RadarSetup(radar=recording.radar, array=array, beams=orthogonal_beams(2), full_scale_dbm=-20.0)
@@ -116,7 +105,10 @@ def _radar(path: Path, **fields: Any) -> RadarParams:
 
 
 def _infineon(folder: Path) -> BoardRecording:
-    config, path = folder / "config.json", folder / "radar.npy"
+    inner = [folder] if (folder / "radar.npy").exists() else sorted(folder.glob("RadarIfxAvian_*"))
+    if len(inner) != 1:
+        raise ValueError(f"{folder}: must be or hold one folder RadarIfxAvian_NN with radar.npy, got {len(inner)}")
+    config, path = inner[0] / "config.json", inner[0] / "radar.npy"
     shape = _shape(config)
     wanted = (len(shape.rx_antennas), shape.num_chirps_per_frame, shape.num_samples_per_chirp)
     try:
@@ -146,8 +138,7 @@ def _infineon(folder: Path) -> BoardRecording:
     layout = FileFrames(whole, stored[0], size - whole * frame_bytes if whole < stored[0] else 0)
     assumed = "receiver 1 is to the left of 3 as the radar looks, with receiver 2 above 3"
     frames = (analytic(each[receivers]).swapaxes(0, 1) for each in _real_frames(path, start, whole, wanted, dtype))
-    files = config, path
-    return BoardRecording("bgt60tr13c", files, radar, INFINEON_SPACING_M, whole, frames, layout.loss, assumed)
+    return BoardRecording("bgt60tr13c", (config, path), radar, SPACING_M, whole, frames, layout.loss, assumed)
 
 
 def _shape(config: Path) -> FmcwSingleShape:
