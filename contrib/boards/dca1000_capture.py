@@ -532,10 +532,10 @@ def configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> 
     try:
         return msgspec.convert({**fields, "device": device_name}, Dca1000Config)
     except msgspec.ValidationError as error:
-        raise ValueError(f"{name}: {with_known_names(error, Dca1000Config)}{_value_at(fields, str(error))}") from None
+        raise ValueError(f"{name}: {with_known_names(error, Dca1000Config)}{value_at(fields, str(error))}") from None
 
 
-def _value_at(fields: dict[str, Any], message: str) -> str:
+def value_at(fields: dict[str, Any], message: str) -> str:
     """Return the single value that a message of msgspec is about; its own messages do not include it."""
     path = re.search(r"`\$\.([^`]*)`$", message)
     value: Any = fields
@@ -599,11 +599,11 @@ def frame_samples(codes: np.ndarray, config: Dca1000Config) -> np.ndarray:
         signs = [-1.0 if config.transmitters[at] in turned else 1.0 for at in chirps]
         used *= np.array(signs, np.float32)[:, None]
     if config.is_real:
-        return _analytic(used)
+        return analytic(used)
     return _evenly(used) if config.has_lost_lanes else used
 
 
-def _analytic(real: np.ndarray) -> np.ndarray:
+def analytic(real: np.ndarray) -> np.ndarray:
     """Return the complex samples [..., samples / 2] of real ones, complex64 [..., samples]: the upper half of a real
     spectrum repeats the lower one. A real tone of amplitude one becomes a complex one.
 

@@ -5,14 +5,17 @@ Beams are orthogonal sums of all virtual channels, so nothing of the row is lost
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 
 from contrib.boards.dca1000_capture import Dca1000Config, array_params
 from contrib.boards.digital_array import DigitalArrayParams, slots_aligned
 from models.physics.antenna import setup_weights
+from msgs.recording.mcap import whole_recording
 from msgs.values.radar import ArrayParams, RadarBeam, RadarParams, RadarSetup, orthogonal_beams
+from msgs.values.units import ns_from_s
 
 #: Channels stand this near to whole half wavelengths.
 _EVEN = 1e-6
@@ -58,9 +61,41 @@ def row_beams(
     columns = slots_aligned(samples, params)[:, _columns(params)]
     if lost is not None:
         columns[lost] = 0.0
-    beams = np.tensordot(setup_weights(setup).conj().astype(np.complex64), columns, axes=(1, 1))
+    return beam_codes(columns, setup)
+
+
+def beam_codes(columns: np.ndarray, setup: RadarSetup) -> np.ndarray:
+    """Return I/Q codes int16 [beams, loops, samples, 2] of columns from right to left, complex64 [loops, columns,
+    samples].
+    """
+    weights = setup_weights(setup).conj() / np.sqrt(setup.array.columns)
+    beams = np.tensordot(weights.astype(np.complex64), columns, axes=(1, 1))
     codes = np.rint(np.stack([beams.real, beams.imag], axis=-1))
     return np.clip(codes, -32768, 32767).astype("<i2")
+
+
+def write_scans(
+    out: Path,
+    attributes: dict[str, str],
+    setup: RadarSetup,
+    scans: Iterable[np.ndarray],
+    on_frame: Callable[[], None] = lambda: None,
+) -> int:
+    """Write a set-up and scans, int16 [beams, loops, samples, 2] each, to the new recording `out`; returns the number
+    of beams.
+    """
+    sequence = 0
+    with whole_recording(out, attributes) as writer:
+        writer.write("radar/setup", setup, publisher="import", sequence=0, sent_ns=0)
+        for index, beams in enumerate(scans):
+            stamp_ns = index * ns_from_s(setup.radar.scan_period_s)
+            # sent when they have been measured, and so after the set-up
+            sent_ns = stamp_ns + ns_from_s(setup.radar.beam_duration_s)
+            for beam in beam_messages(beams, setup, index, stamp_ns):
+                writer.write("radar/beam", beam, publisher="import", sequence=sequence, sent_ns=sent_ns)
+                sequence += 1
+            on_frame()
+    return sequence
 
 
 def beam_messages(beams: np.ndarray, setup: RadarSetup, scan_id: int, stamp_ns: int) -> list[RadarBeam]:

@@ -16,11 +16,10 @@ import numpy as np
 
 from contrib.boards.dca1000_capture import DEVICES, Dca1000Config, FileFrames, array_params, frame_samples, map_grid
 from contrib.boards.digital_array import DigitalArrayMap, form_digital_map
-from contrib.boards.digital_row import beam_messages, radar_setup, row_beams
+from contrib.boards.digital_row import radar_setup, row_beams, write_scans
 from models.perception.find.peaks import keep_apart, local_maxima
 from msgs.files.checksums import file_sha256, json_lines
 from msgs.files.whole_files import whole, write_whole
-from msgs.recording.mcap import whole_recording
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
 from msgs.values.wording import as_utf8
 
@@ -170,19 +169,8 @@ def write_recording(
     """
     setup, array = radar_setup(config, mirrored=params.mirrored), array_params(config, mirrored=params.mirrored)
     provenance = {key: json.dumps(each) for key, each in _provenance(files, config_path, config).items()}
-    period_ns, sequence = ns_from_s(1e-3 * config.frame.period_ms), 0
-    with whole_recording(out, {"import": "dca1000", **provenance}) as writer:
-        writer.write("radar/setup", setup, publisher="import", sequence=0, sent_ns=0)
-        for index, codes in enumerate(_codes(files, config, layout.whole)):
-            stamp_ns = index * period_ns
-            beams = row_beams(frame_samples(codes, config), setup, array)
-            # sent when they have been measured, and so after the set-up
-            sent_ns = stamp_ns + ns_from_s(setup.radar.beam_duration_s)
-            for beam in beam_messages(beams, setup, index, stamp_ns):
-                writer.write("radar/beam", beam, publisher="import", sequence=sequence, sent_ns=sent_ns)
-                sequence += 1
-            on_frame()
-    return sequence
+    scans = (row_beams(frame_samples(codes, config), setup, array) for codes in _codes(files, config, layout.whole))
+    return write_scans(out, {"import": "dca1000", **provenance}, setup, scans, on_frame)
 
 
 def _provenance(files: Sequence[Path], config_path: Path, config: Dca1000Config) -> dict[str, Any]:

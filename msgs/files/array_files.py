@@ -34,6 +34,18 @@ def load_array(path: Path) -> np.ndarray:
             raise ValueError(_reason(error)) from None
 
 
+def array_header(path: Path) -> tuple[tuple[int, ...], np.dtype, int]:
+    """Return shape and type of a .npy file in C order and its first byte of data, of which some may be missing."""
+    with path.open("rb") as file:
+        try:
+            shape, is_fortran, dtype = _header(file)
+        except _TROUBLE as error:
+            raise ValueError(_reason(error)) from None
+        if is_fortran or dtype.hasobject or min(shape, default=0) < 0:
+            raise ValueError(f"must hold numbers in C order, got {dtype} {shape}")
+        return shape, dtype, file.tell()
+
+
 def load_arrays(source: Path | IO[bytes], only: Collection[str] | None = None) -> dict[str, np.ndarray]:
     """Return the arrays of a .npz archive by name, of `only` those that it has; `ValueError` with the reason."""
     try:
@@ -72,11 +84,8 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 def _read(file: IO[bytes], size: int) -> np.ndarray:
     """Return one array of a file of `size` bytes; a header that promises more than that is refused, not allocated."""
     with warnings.catch_warnings():
-        # a header written by Python 2 is slow to read, but valid
         warnings.simplefilter("ignore")
-        version = np.lib.format.read_magic(file)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(file)
+        shape, _, dtype = _header(file)
         promised = math.prod(shape) * dtype.itemsize
         # objects are refused by numpy itself, as pickle is not allowed
         if not dtype.hasobject and (min(shape, default=0) < 0 or promised > size):
@@ -87,6 +96,16 @@ def _read(file: IO[bytes], size: int) -> np.ndarray:
         # invalid characters would raise SystemError later, when they are used
         array.tolist()
     return array
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Return shape, whether it is in Fortran's order, and type."""
+    with warnings.catch_warnings():
+        # a header written by Python 2 is slow to read, but valid
+        warnings.simplefilter("ignore")
+        version = np.lib.format.read_magic(file)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        return read_header(file)
 
 
 def _reason(error: BaseException) -> str:

@@ -122,6 +122,27 @@ def dca1000(
 
 
 @app.command()
+def board(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="Folder of an Infineon BGT60TR13C, or .dat of an Ancortek kit.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of set-up and beams.")],
+    as_json: AsJson = False,
+) -> int:
+    """Raw samples of an Infineon or Ancortek board as a recording; exit code 3 if some are left out."""
+    from contrib.imports.board_recordings import import_board
+
+    require_new_file(out)
+    counts = import_board(source, out, progress_bar)
+    typer.echo(f"mirrorwave: {source}: assumed: {counts['assumed']}", err=True)
+    if counts["loss"]:
+        typer.echo(f"mirrorwave: {source}: {counts['loss']}", err=True)
+    line = f"{out}: {counted(counts['beams'], 'beam')} of {counted(counts['scans'], 'scan')}"
+    print_result(as_json, {"recording": str(out), **counts}, line)
+    return ExitCode.DONE_WITH_LOSS if counts["loss"] else ExitCode.DONE
+
+
+@app.command()
 def can(
     log: Annotated[Path, typer.Argument(metavar="SOURCE", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of vehicle/state.")],

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from contrib.boards.digital_row import _columns, beam_messages, lost_loops
-from msgs.values.radar import ArrayParams, RadarSetup, orthogonal_beams
+from contrib.boards.digital_row import _columns, beam_codes, beam_messages, lost_loops
+from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, orthogonal_beams
 
 
 @pytest.mark.parametrize(
@@ -30,6 +30,15 @@ def test_channels_are_ordered_from_right_to_left_half_a_wavelength_apart() -> No
     for halves in ((0.0, 1.0, 3.0), (0.0, 1.0, 1.0), (0.0,)):
         with pytest.raises(ValueError, match="at least two channels half a wavelength apart"):
             _columns(row(*halves))
+
+
+def test_beams_keep_the_level_of_noise() -> None:
+    """Weights have unit power: eight columns of noise of 1000 codes give beams of 1000, an echo in phase 8 ** 0.5."""
+    array = ArrayParams(columns=8, rows=1, phase_bits=0, steered_ways=1, digital=True)
+    setup = RadarSetup(array=array, beams=BeamGrid(azimuth_deg=(0.0,)))
+    noise = np.random.default_rng(48).normal(0.0, 1000.0, (4, 8, 4096, 2)).astype(np.float32)
+    assert beam_codes(noise.view(np.complex64)[..., 0], setup).std() == pytest.approx(1000.0, rel=0.02)
+    assert beam_codes(np.full((1, 8, 4), 1000.0, np.complex64), setup)[0, 0, 0].tolist() == [2828, 0]
 
 
 def test_beams_of_a_frame_are_one_scan() -> None:
