@@ -76,8 +76,11 @@ class StrictLoader(BoundedLoader):
         return super().construct_mapping(node, deep)
 
 
-class PlainDumper(yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper):  # type: ignore[misc]
-    """`SafeDumper` that quotes text which YAML 1.1 or 1.2 would read as another value, and writes no aliases."""
+class PlainDumper(yaml.SafeDumper):
+    """`SafeDumper` that quotes text which YAML 1.1 or 1.2 would read as another value, and writes no aliases.
+
+    Not libyaml's, which writes no file name that is not UTF-8.
+    """
 
     def ignore_aliases(self, data: Any) -> bool:
         """Return True: lists that occur twice are written twice."""

@@ -40,6 +40,11 @@ def test_plain_values_are_those_of_yaml_1_2_and_read_back(text: str, value: obje
             assert yaml.safe_load(written) == content
 
 
+def test_a_file_name_that_is_not_utf_8_is_written_as_ascii() -> None:
+    written = yaml.dump({"path": "w\udcfc/drive.mcap"}, Dumper=PlainDumper)
+    assert written.encode("ascii") == b'path: "w\\uDCFC/drive.mcap"\n'
+
+
 def test_half_a_megabyte_of_sexagesimal_digits_is_text() -> None:
     """Multiplied out it would be a number of 350,000 digits, and take a minute."""
     text = "1" + ":59" * 200_000
