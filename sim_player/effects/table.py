@@ -33,7 +33,7 @@ from sim_player.effects import (
 from sim_player.scene.world import World
 from sim_player.signal import absences
 from sim_player.trace.echoes import Echoes
-from sim_player.trace.effect_names import PLUGGED_IN, bit
+from sim_player.trace.effect_names import MAX_PATH_EFFECTS, PATH_EFFECTS, PLUGGED_IN, bit
 from sim_player.trace.snapshot import TraceContext
 
 _LOG = logging.getLogger(__name__)
@@ -143,7 +143,7 @@ def effect_of(plugin: Plugin) -> PathEffect | WeightEffect:
     """
     if plugin.name in SHIPPED:
         raise ValueError(f"{plugin}: mirrorwave has an effect of this name")
-    if plugin.name not in PLUGGED_IN:
+    if plugin.name not in PLUGGED_IN and len(PLUGGED_IN) == MAX_PATH_EFFECTS - len(PATH_EFFECTS):
         raise ValueError(f"{plugin}: there are {len(PLUGGED_IN)} effects of other packages already")
     module = plugin.load("ABOUT", "absent")
     parts = [name for name in ("apply", "factor") if hasattr(module, name)]
