@@ -29,7 +29,7 @@ from contrib.boards.config_file import read_config
 from contrib.imports import detection_tables
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.diagnose.topic_echo import save_arrays
-from models.perception.cards import read_card
+from models.perception.cards import read_card, read_learned
 from models.perception.onnx_session import ArrayCard
 from msgs.bus.codec import encode_inline
 from msgs.files import array_files, yaml_loader
@@ -73,6 +73,13 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_parsed(
     path = of_size(tmp_path / "large.cfg", size)
     with pytest.raises(ValueError, match=r"large\..*at most \d+ bytes"):
         read(path)
+
+
+def test_a_learned_file_may_be_as_large_as_the_limit(tmp_path: Path) -> None:
+    path = of_size(tmp_path / "large.onnx", 8)
+    assert len(read_learned(path, 8)) == 8
+    with pytest.raises(ValueError, match=r"large\.onnx must be a file of at most 7 bytes, got 8 bytes"):
+        read_learned(path, 7)
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc"])

@@ -182,8 +182,8 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     visible = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
     bounces = wall[visible], target[visible], points[visible]
     routes = clear_ways(*bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers))
-    by_arc = arc_routes(view, point, owners(-1, len(specks)), world.speck_wall[specks])
-    routes = join_routes([routes, by_arc])
+    routes = join_routes([routes, arc_routes(view, point, owners(-1, len(specks)))])
+    # no wall mirrors its own structure
     routes = routes.take(world.speck_wall[specks[routes.target]] != routes.wall)
     speck = specks[routes.target]
     half = 0.5 * routes.length_m

@@ -143,10 +143,8 @@ def effect_of(plugin: Plugin) -> PathEffect | WeightEffect:
     """
     if plugin.name in SHIPPED:
         raise ValueError(f"{plugin}: mirrorwave has an effect of this name")
-    if plugin.name in PLUGGED_IN[MAX_PATH_EFFECTS - len(PATH_EFFECTS) :]:
-        raise ValueError(
-            f"{plugin}: there are {MAX_PATH_EFFECTS - len(PATH_EFFECTS)} effects of other packages already"
-        )
+    if plugin.name not in PLUGGED_IN and len(PLUGGED_IN) == MAX_PATH_EFFECTS - len(PATH_EFFECTS):
+        raise ValueError(f"{plugin}: there are {len(PLUGGED_IN)} effects of other packages already")
     module = plugin.load("ABOUT", "absent")
     parts = [name for name in ("apply", "factor") if hasattr(module, name)]
     if len(parts) != 1:

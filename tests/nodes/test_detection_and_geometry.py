@@ -288,5 +288,8 @@ def test_walls_of_a_map_stand_about_the_place_of_gnss() -> None:
     assert away_m.min(axis=0).max() < 0.01
     assert len(walls(latitude_deg=10.0, longitude_deg=-30.0001).walls) == len(first.walls)
     assert walls(latitude_deg=20.0).walls == ()
+    # of two places at once the newest counts
+    bus.publish("vehicle/gnss", msgspec.structs.replace(here, latitude_deg=20.0))
+    assert walls() == first
     with pytest.raises(ValueError, match=r"map: nowhere\.osm: no such file"):
         map_walls.create(map_walls.Params(map="nowhere.osm"))

@@ -118,6 +118,20 @@ def test_loop_waits_no_longer_than_until_a_node_is_due() -> None:
     assert [stamp_ns - stamps_ns[0] for stamp_ns in stamps_ns] == [0, 7_000_000, 14_000_000, 21_000_000]
 
 
+@pytest.mark.parametrize(("settled_s", "times"), [(60.0, 0), (-1.0, 3)])
+def test_memory_is_given_back_once_the_start_is_over(
+    monkeypatch: pytest.MonkeyPatch, settled_s: float, times: int
+) -> None:
+    """With each of three heartbeats, none of them before: what the start needs is in use until then."""
+    calls: list[None] = []
+    monkeypatch.setattr("nodes.node.SETTLED_S", settled_s)
+    monkeypatch.setattr("nodes.node.HEARTBEAT_S", 0.0)
+    monkeypatch.setattr("nodes.node._keep_small", calls.append)
+    bus = LocalNetwork().bus("tick")
+    run_loop(_toy(ticks=3), bus, Stop(), Heartbeat(bus, "tick"))
+    assert len(calls) == times
+
+
 @pytest.mark.parametrize(("open_for_s", "rest_s"), [(None, SETTLE_S), (10.0, 0.0)])
 def test_a_source_rests_until_its_outputs_can_have_been_found(open_for_s: float | None, rest_s: float) -> None:
     network = LocalNetwork()

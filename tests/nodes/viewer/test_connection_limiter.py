@@ -287,6 +287,15 @@ def test_dead_pages_keep_neither_their_places_nor_their_sockets(monkeypatch: pyt
             assert says(alive, b'"hello"')
 
 
+def test_a_page_that_is_let_go_and_stays_has_a_limited_time(server: ViewerServer) -> None:
+    """All that it is owed is sent, and it never answers the farewell."""
+    with page(server) as opened:
+        until(lambda: server.clients == 1 and server._limiter.pending == 0)
+        opened.sendall(ws_frame(TEXT, b'{"type":"ack","number":0}'))
+        until(lambda: server._limiter.pending == 1)
+        assert server.clients == 0
+
+
 BROKEN = (
     (ws_frame(TEXT, b"\xff\xfe"), 1007), (ws_frame(TEXT, b"{}", reserved=4), 1002), (b"\x81\x02{}", 1002),
     (ws_frame(TEXT, b"a", final=False) + ws_frame(TEXT, b"b"), 1002), (ws_frame(PING, bytes(126)), 1002),

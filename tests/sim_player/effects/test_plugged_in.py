@@ -127,6 +127,20 @@ def test_broken_effects_are_left_out_with_a_line_each(tmp_path: Path) -> None:
     assert len(lines) == 6
 
 
+def test_a_21st_effect_of_other_packages_is_left_out(tmp_path: Path) -> None:
+    """Twelve path effects of ours leave 20 of 32 bits."""
+    write_package(tmp_path, "acme", EFFECTS, {f"effect{number:02}": "fine" for number in range(21)}, fine=HALF)
+    script = """
+from sim_player.effects.table import EFFECTS, SHIPPED
+from sim_player.trace.effect_names import bit
+print(json.dumps([len(set(EFFECTS) - SHIPPED), bit("effect19")]))
+"""
+    assert run(tmp_path, script) == (
+        [20, 1 << 31],
+        ["effect effect20 of acme 1.2: there are 20 effects of other packages already; it is left out"],
+    )
+
+
 #: What an effect does wrong, by its name, and the line that says so.
 WRONGS = {
     "worded": (HALF.replace("0.5 if", "'x' if"), "factor must return a number or one for each of"),

@@ -177,6 +177,20 @@ def test_pairs_of_walls_that_do_not_see_each_other_have_no_paths() -> None:
     assert np.array_equal(trace_echoes(view, ALL_EFFECTS).rows, every.rows)
 
 
+def test_a_wall_that_only_an_arc_shows_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bulging mirror shows three pieces of structure of a screen, and three of the wall that it hides."""
+    monkeypatch.setattr(reach, "WHOLE_WALLS", 0)
+    arc, screen, hidden = (
+        Surface(role="relay", material="metal", polyline_m=ends, height_m=10.0)
+        for ends in (((18.0, -6.0), (18.0, 6.0)), ((4.0, 2.0), (4.0, 12.0)), ((9.0, 7.0), (13.0, 9.0)))
+    )
+    arc = msgspec.structs.replace(arc, curvature_per_m=-0.05)
+    world = prepare(Scene(name="arc", surfaces=(arc, screen, hidden)))
+    part = of_part(world, 0.0, scene_radar(world.scene, 0.0))
+    assert np.count_nonzero(part.needs & np.uint32(bit("second_relay"))) == 6
+    assert_same_paths(part, of_whole(world, 0.0, scene_radar(world.scene, 0.0)))
+
+
 def far_wall(x_m: float, material: str = "metal", between_m: float = 0.0) -> World:
     """One wall square on, far away, and 66 behind the radar that it does not see; perhaps one that stands between."""
     behind = tuple(
