@@ -141,10 +141,9 @@ class Plan:
     def beats(self) -> np.ndarray:
         """Return the echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex [beams, samples]."""
         front_end = self.view.world.scene.radar.front_end
-        parts = [(mask, precision) for mask, precision in ((self.single, "float32"), (~self.single, "float64"))]
         made = [
             group_beats(self.setup, self.groups(mask), front_end, precision=precision)
-            for mask, precision in parts
+            for mask, precision in ((self.single, "float32"), (~self.single, "float64"))
             if mask.any() or not len(mask)
         ]
         return made[0] if len(made) == 1 else made[0] + made[1]
