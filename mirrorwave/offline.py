@@ -54,7 +54,7 @@ class Results:
         self.last: ScanView | None = None
         #: Maps, and those that lack beams.
         self.scans = self.scans_with_loss = 0
-        #: What the capture itself lacks, None where it is whole.
+        #: What the capture lacks, or has out of order or twice; None where it is whole.
         self.capture_loss: str | None = None
 
     def add(self, result: ScanView | SceneTruth) -> None:
@@ -114,7 +114,8 @@ def run_capture(
         for result in played(timed if recording is None else recording.passed(timed), pipeline):
             results.add(result)
         results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss
-        results.capture_loss = _loss_of(capture)
+        left_out = pipeline.left_out and f"left out: {pipeline.left_out}"
+        results.capture_loss = "; ".join(filter(None, (_loss_of(capture), left_out))) or None
         if results.last is None:
             raise ValueError(f"{capture}: holds no complete scan")
         frame, ra_map, _ = results.last

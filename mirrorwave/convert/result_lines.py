@@ -26,6 +26,7 @@ def bev_to_json(frame: BevFrame, axes: str = "radar") -> dict[str, object]:
         "objects": [
             {
                 "id": hidden.id,
+                "stamp_ns": hidden.stamp_ns,
                 "x_m": hidden.x_m,
                 "y_m": hidden.y_m,
                 "centre_m": hidden.centre_m,

@@ -28,6 +28,7 @@ from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, mps_from_speed_codes
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
+from sim_player.dataset.shards import FORMAT
 
 #: Arrays of every shard beside its profiles or values: noise [scenes], and the truth points of all scenes in one
 #: row, those of scene i at offset[i]..offset[i + 1].
@@ -282,6 +283,9 @@ def _series(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: {error}") from None
     if series.get("preset", "xband") not in tuple(PRESETS):
         raise ValueError(f"{path}: preset must be one of {', '.join(PRESETS)}, got {series['preset']!r}")
+    written = series.get("format", FORMAT)
+    if written != "maps" and written not in range(1, FORMAT + 1):
+        raise ValueError(f"{path}: this version reads formats 1..{FORMAT} and 'maps', got {written!r}")
     return series
 
 

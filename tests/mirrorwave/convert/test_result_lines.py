@@ -10,8 +10,9 @@ from tests.builders import example_view
 
 WALL = Wall(normal=(0.0, -1.0), offset_m=5.0, ends_m=((4.0, 5.0), (24.0, 5.0)), inliers=9)
 OBJECT = HiddenObject(
-    id=4, x_m=15.0, y_m=9.0, length_m=2.0, width_m=1.0, yaw_rad=0.3, score=0.7, cov_m2=((0.2, 0.01), (0.01, 0.1))
-)
+    id=4, stamp_ns=11, x_m=15.0, y_m=9.0, length_m=2.0, width_m=1.0, yaw_rad=0.3, score=0.7,
+    cov_m2=((0.2, 0.01), (0.01, 0.1)),
+)  # fmt: skip
 
 
 def test_json_line_has_the_fields_of_the_contract() -> None:
@@ -26,8 +27,8 @@ def test_json_line_has_the_fields_of_the_contract() -> None:
     assert line["points"] == [{"x_m": 0.1, "y_m": 2.0, "score": 0.5}]
     assert line["objects"] == [
         {
-            "id": 4, "x_m": 15.0, "y_m": 9.0, "centre_m": None, "length_m": 2.0, "width_m": 1.0, "yaw_rad": 0.3,
-            "score": 0.7,
+            "id": 4, "stamp_ns": 11, "x_m": 15.0, "y_m": 9.0, "centre_m": None, "length_m": 2.0, "width_m": 1.0,
+            "yaw_rad": 0.3, "score": 0.7,
             "cov_m2": [[0.2, 0.01], [0.01, 0.1]], "object_class": "", "radial_speed": None,
         }
     ]  # fmt: skip

@@ -147,3 +147,11 @@ def test_data_know_their_radar(tmp_path: Path) -> None:
     (tmp_path / "series.json").write_text('{"preset": "spad"}')
     with pytest.raises(ValueError, match=r"series\.json: preset must be one of xband, 77ghz, got 'spad'"):
         DataSet(tmp_path)
+
+
+@pytest.mark.parametrize("written", ["6", "0", '"other"', "null", "[5]"])
+def test_a_set_of_another_version_is_refused(written: str, tmp_path: Path) -> None:
+    write_maps(tmp_path, ["a", "b", "c"])
+    (tmp_path / "series.json").write_text(f'{{"format": {written}}}')
+    with pytest.raises(ValueError, match=r"series\.json: this version reads formats 1\.\.5 and 'maps', got "):
+        DataSet(tmp_path)

@@ -222,6 +222,19 @@ def test_beams_that_are_missing_are_said(tmp_path: Path, capsys: pytest.CaptureF
     assert "beams or detections are missing or silent in 1 of 1 scan\n" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_beams_out_of_order_and_twice_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As two radars of one name are in a recording, or scans that came in another order."""
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
+    path = tmp_path / "mixed.mcap"
+    with RecordingWriter(path, {}) as writer:
+        writer.write("radar/setup", player.setup, publisher="player", sent_ns=0)
+        for number, scan in enumerate((1, 0, 1)):
+            writer.write("radar/beam", player.beam(scan, 0), publisher="player", sent_ns=number)
+    assert main(["process", str(path), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 3
+    assert f"{path}: left out: 1 beam late, 1 beam repeated\n" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("ending", ["mcap", "sigmf-meta"])
 def test_a_scene_goes_by_its_name(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """On the terminal and in the recording, or in the truth beside a capture; not by the name of its file."""
