@@ -96,7 +96,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     assert not failed.pareto
     default = rows["default"]
     assert default.against_over["object_f1"] == Interval(value=0.0, low=0.0, high=0.0)
-    files = ("compact_unet.near.int8.onnx", "compact_unet.near.int8.confidence.json")
+    files = ("compact_unet.int8.onnx", "evidence_unet.coarse.int8.onnx")
     assert rows["fast"].size_bytes == sum(map(size, files))
     assert default.size_bytes is not None
     assert default.size_bytes > sum(map(size, ("compact_unet.int8.onnx", "evidence_unet.int8.onnx")))

@@ -101,7 +101,7 @@ def test_a_field_network_begins_with_the_answers_of_a_detector(places: Path, tra
     files = sorted((trained / "fields-samples" / places.name).glob("*.npz"))
     schedule = GridSchedule(epochs=1, batch_size=2)
     training = FieldTraining(files, files, CHANNELS, GRID, schedule, tmp_path)
-    detector = learned_path("compact_unet", ".onnx")
+    detector = learned_path("compact_unet")
     training.start_from(detector)
     training.network.eval()
     cells = load_arrays(files[0], only=("cells",))["cells"][:1].astype(np.float32)
