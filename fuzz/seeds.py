@@ -303,7 +303,7 @@ def network() -> list[bytes]:
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     onnx.checker.check_model(model)
     content = model.SerializeToString()
-    card = msgspec.json.decode((ROOT / "models/weights/compact_unet.near.int8.json").read_bytes())
+    card = msgspec.json.decode((ROOT / "models/weights/compact_unet.int8.json").read_bytes())
     card |= {
         "sha256": hashlib.sha256(content).hexdigest(),
         "encoding": card["encoding"] | {"range_bins": 8, "crop_bins": None, "columns": 16},

@@ -474,10 +474,9 @@ def _background(parts: Parts, box: Box) -> None:
 def _card(parts: Parts, box: Box) -> None:
     from models.perception.cards import read_card
     from models.perception.find.onnx_model import ModelCard
-    from models.perception.mirrors.confidence import PositionConfidence
     from models.perception.mirrors.residual_model import ResidualCard
 
-    kind: Any = (ModelCard, PositionConfidence, ResidualCard)[number(parts, 0, 3)]
+    kind: Any = (ModelCard, ResidualCard)[number(parts, 0, 2)]
     card = read_card(box.put("a.json", part(parts, 1)), kind)
     if isinstance(card, ModelCard):
         assert len(card.answer_shape) == 4
@@ -810,12 +809,11 @@ def _card_seeds() -> list[Parts]:
     from fuzz import seeds
 
     model = seeds.network()[0]
-    confidence = (seeds.ROOT / "models/weights/compact_unet.confidence.json").read_bytes()
     residual = {
         "name": "r", "sha256": "0", "parameters": 1, "frame": "wall", "neighbours": 4, "source": "truth", "seed": 1,
         "geometry": "ours", "command": "x", "data": {"a": 1}, "metrics": {"f1": 0.5}, "training": {"epochs": [1]},
     }  # fmt: skip
-    return [[b"\0", model], [b"\1", confidence], [b"\2", msgspec.json.encode(residual)]]
+    return [[b"\0", model], [b"\1", msgspec.json.encode(residual)]]
 
 
 def _network_seeds() -> list[Parts]:

@@ -9,7 +9,6 @@ from typing import Any
 from models.perception.chain import Chain
 from models.perception.find.detectors import Detector
 from models.perception.find.maps_to_peaks import DetectionStage
-from models.perception.mirrors.confidence import Confidence
 from models.perception.mirrors.recovery import Residual
 from models.perception.see.evidence_predictor import EvidencePredictor
 from models.perception.track.views_over_scans import ViewStage
@@ -32,7 +31,7 @@ def stage_params(node: str, values: Mapping[str, Any], where: str | None = None)
 
 @dataclass(frozen=True)
 class SharedParts:
-    """Parts that chains of the same parameters and the same radar share: networks and fitted models are loaded once."""
+    """Parts that chains of the same parameters and the same radar share: networks are loaded once."""
 
     forming: ra_former.Params
     #: Of the views.
@@ -40,7 +39,6 @@ class SharedParts:
     setup: RadarSetup
     detector: Detector
     residual: Residual | None
-    confidence: Confidence | None
     predictor: EvidencePredictor | None
 
     @classmethod
@@ -48,8 +46,8 @@ class SharedParts:
         """Load the parts that parameters name; `ValueError` names what is wrong."""
         forming, detection, placing = (stage_params(name, values.get(name, {})) for name in STAGE_PARAMS)
         detector = dense_predictor.detector_for(detection, setup)
-        _, residual, confidence = geometry.parts_of(placing)
-        return cls(forming, placing, setup, detector, residual, confidence, geometry.predictor_of(placing))
+        residual, predictor = geometry.residual_of(placing), geometry.predictor_of(placing)
+        return cls(forming, placing, setup, detector, residual, predictor)
 
     def chain(self) -> Chain:
         """Return a chain that has seen nothing yet."""
@@ -57,7 +55,7 @@ class SharedParts:
         chain = Chain(
             ra_former.forming_stage(self.forming),
             DetectionStage(lambda _: self.detector),
-            ViewStage(self.placing.geometry, self.residual, self.confidence, memory, predictor=self.predictor),
+            ViewStage(self.placing.geometry, self.residual, memory, predictor=self.predictor),
         )
         chain.set_up(self.setup)
         return chain

@@ -133,7 +133,7 @@ def detection_stage(params: Params, timed: Timed = nullcontext) -> DetectionStag
 
 def model_path(model: str | None) -> Path:
     """Return the file of a network as parameters name it."""
-    return DEFAULT_MODEL if model is None else learned_path(model, ".onnx")
+    return DEFAULT_MODEL if model is None else learned_path(model)
 
 
 def detector_for(params: Params, setup: RadarSetup) -> Detector:

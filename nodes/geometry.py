@@ -5,13 +5,11 @@ from __future__ import annotations
 import logging
 from collections import deque
 from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
 from models.perception.cards import learned_path
-from models.perception.mirrors.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.mirrors.observability import VisibilityParams
 from models.perception.mirrors.peaks_to_view import FORMERLY, BackEnd, GeometryParams
 from models.perception.mirrors.recovery import Residual
@@ -21,7 +19,6 @@ from models.perception.track.scan_state import MemoryParams
 from models.perception.track.views_over_scans import ViewStage
 from models.perception.track.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
-from msgs.files.shipped import WEIGHTS
 from msgs.values.arrays import require_within
 from msgs.values.diagnostics import NodeState
 from msgs.values.environment import WallPriors
@@ -71,6 +68,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     formerly: ClassVar[dict[str, str]] = {
         **FORMERLY,
         **{f"detections.{place}".rstrip("."): module for place, module in FORMERLY.items()},
+        "confidence": "models.perception.mirrors.recovery",
         "grid": "msgs.values.perception",
         "detections.grid": "msgs.values.perception",
         "memory": "models.perception.track.scan_state",
@@ -88,10 +86,6 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported residual network with its card beside it, or the name of a committed one, trained on walls of the
     #: same back end; `none`: the mirror law alone.
     residual: str = "none"
-    #: A fitted `PositionConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones
-    #: the one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed
-    #: network; `none`: all places are kept, with the scores of their peaks.
-    confidence: str = "none"
     #: An exported evidence network with its card beside it, or the name of a committed one, which sees objects in the
     #: map, or in one made of a list of detections; `none`, and maps of other sensors: objects are clusters of folded
     #: places.
@@ -109,12 +103,11 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         _ = self.geometry, self.detections.geometry
         if self.object_threshold is not None:
             require_within("object_threshold", 0.0, 1.0, self.object_threshold)
-        for name in ("confidence", "object_network"):
-            if self.back_end == "specification" and getattr(self, name) != "none":
-                raise ValueError(
-                    f"{name} must be none with back_end specification, which has no such part, "
-                    f"got {getattr(self, name)!r}"
-                )
+        if self.back_end == "specification" and self.object_network != "none":
+            raise ValueError(
+                "object_network must be none with back_end specification, which has no such part, "
+                f"got {self.object_network!r}"
+            )
 
     @property
     def geometry(self) -> GeometryParams:
@@ -240,17 +233,21 @@ class BiasLog:
 
 
 def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
-    """Return the stage that parameters name; errors as `parts_of`."""
-    return ViewStage(*parts_of(params), params.memory, timed, predictor_of(params), params.detections.geometry)
+    """Return the stage that parameters name; errors as `residual_of`."""
+    residual, predictor = residual_of(params), predictor_of(params)
+    return ViewStage(params.geometry, residual, params.memory, timed, predictor, params.detections.geometry)
 
 
-def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
-    """Return the parts of the stage beside the peaks; raises `ValueError` naming a file that is missing or broken."""
-    residual = None if params.residual == "none" else _learned_residual(params.residual, params.back_end)
-    fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
-    if params.confidence == "auto":
-        return params.geometry, residual, FittedConfidences(fitted)
-    return params.geometry, residual, fitted[0] if fitted else None
+def residual_of(params: Params) -> Residual | None:
+    """Return the residual network that parameters name; raises `ValueError` naming a file that is missing or broken."""
+    if params.residual == "none":
+        return None
+    # here: without a network this node starts again faster by what bringing its runtime along takes
+    from models.perception.mirrors.residual_model import LearnedResidual
+
+    residual = LearnedResidual(learned_path(params.residual))
+    residual.require_trained_for(params.back_end)
+    return residual
 
 
 def predictor_of(params: Params) -> EvidencePredictor | None:
@@ -260,26 +257,8 @@ def predictor_of(params: Params) -> EvidencePredictor | None:
     # as the residual: the runtime comes along only where it is needed
     from models.perception.see.evidence_predictor import EvidencePredictor
 
-    path = learned_path(params.object_network, ".onnx")
+    path = learned_path(params.object_network)
     return EvidencePredictor(path, threshold=params.object_threshold, flip_test=params.object_flip_test)
-
-
-def _learned_residual(name: str, back_end: BackEnd) -> Residual:
-    # here: without a network this node starts again faster by what bringing its runtime along takes
-    from models.perception.mirrors.residual_model import LearnedResidual
-
-    residual = LearnedResidual(learned_path(name, ".onnx"))
-    residual.require_trained_for(back_end)
-    return residual
-
-
-def confidence_paths(confidence: str) -> list[Path]:
-    """Return the files of fitted models as parameters name them."""
-    if confidence == "none":
-        return []
-    if confidence == "auto":
-        return sorted(WEIGHTS.glob("*.confidence.json"))
-    return [DEFAULT_CONFIDENCE if confidence == "default" else learned_path(confidence, ".json")]
 
 
 def create(params: Params) -> GeometryNode:

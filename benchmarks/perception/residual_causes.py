@@ -137,8 +137,8 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     data = DataSet(arguments.data)
-    detector = NetworkDetector(data.setup, learned_path("swin_unet.compact", ".onnx"))
-    residual = LearnedResidual(learned_path("residual_reflect_net", ".onnx"))
+    detector = NetworkDetector(data.setup, learned_path("swin_unet.compact"))
+    residual = LearnedResidual(learned_path("residual_reflect_net"))
     indices = fixed_splits(arguments.data).of(arguments.split)[: arguments.limit]
     scenes = [places(frame, detector, residual) for frame in data.frames(indices)]
     table = list(rows(scenes))

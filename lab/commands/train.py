@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lab.commands.train_confidence import confidence
 from lab.commands.train_objects import objects
 from lab.commands.train_probabilities import probabilities
 from lab.commands.train_residual import residual
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
 app.command()(residual)
-app.command()(confidence)
 app.command()(objects)
 app.command()(probabilities)
 

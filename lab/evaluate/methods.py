@@ -8,8 +8,6 @@ A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with comma
   it they are the published local maxima;
 - `flip_test`: the mean answer to a map and to the map with left and right exchanged;
 - `residual=FILE.onnx`: learned correction of folded places, Eq. (18);
-- `confidence=FILE.json`: probability of each place (`mirrorwave train confidence`), improbable ones dropped; with
-  `geometry=ours`;
 - `geometry=ours` (default) or `geometry=specification` (formerly `published`);
 - `threshold=T`: score a peak must have; default: the network's card, none for CFAR;
 - `peaks.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of that stage.
@@ -33,7 +31,6 @@ from models.perception.find.cfar import CfarParams
 from models.perception.find.detectors import CfarDetector, NetworkDetector, Refine
 from models.perception.find.onnx_model import load_card
 from models.perception.find.peaks import PeakParams
-from models.perception.mirrors.confidence import load_confidence
 from models.perception.mirrors.peaks_to_view import BackEnd, GeometryParams, fold_scan
 from models.perception.mirrors.recovery import Residual
 from models.perception.mirrors.residual_model import LearnedResidual
@@ -49,7 +46,6 @@ WORDS = (
     "refine=" + "|".join(Refine),
     "flip_test",
     "residual=FILE",
-    "confidence=FILE",
     "geometry=" + "|".join(GEOMETRIES),
     "threshold=T",
 )
@@ -70,7 +66,6 @@ class MethodSpec:
     refine: bool | str = False
     flip_test: bool = False
     residual: Path | None = None
-    confidence: Path | None = None
     geometry: BackEnd = "ours"
     threshold: float | None = None
     #: group -> dotted key -> value.
@@ -126,7 +121,7 @@ def _take(parts: dict[str, Any], text: str, word: str) -> None:
         parts["refine"] = value
     elif separator and dot and path and value:
         parts["parameters"].setdefault(group, {})[path] = parse_yaml(value, f"--method {text!r}: {key}")
-    elif key in ("residual", "confidence") and value:
+    elif key == "residual" and value:
         parts[key] = Path(value)
     elif key == "geometry" and value in (*GEOMETRIES, "published"):
         parts["geometry"] = value.replace("published", "specification")
@@ -152,8 +147,6 @@ def _check(spec: MethodSpec) -> None:
     for word in ("refine", "flip_test"):
         if getattr(spec, word) is not False and spec.kind != ".onnx":
             raise ValueError(f"--method {spec.text!r}: {word} must go with a network, got {spec.source}")
-    if spec.confidence is not None and spec.geometry != "ours":
-        raise ValueError(f"--method {spec.text!r}: confidence must go with geometry=ours, got {spec.geometry}")
 
 
 def build_method(spec: MethodSpec, threads: int = 1, setup: RadarSetup | None = None) -> Method:
@@ -229,10 +222,9 @@ def _truth(_spec: MethodSpec, _setup: RadarSetup) -> Detect:
 def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:
     """Return the positions from which `recover_bev` forms its points, without the objects and the visibility mask."""
     params = overridden(GeometryParams(back_end=spec.geometry), "geometry", spec.parameters)
-    confidence = None if spec.confidence is None else load_confidence(spec.confidence)
 
     def place(peaks: Peaks) -> tuple[np.ndarray, np.ndarray]:
-        scan = fold_scan(peaks, params, residual, confidence)
+        scan = fold_scan(peaks, params, residual)
         return scan.recovered.points_m, scan.hidden
 
     return place

@@ -236,7 +236,7 @@ def looks_at(
             frame = views.view(peaks, ra_map)
             geometry_ms = (time.perf_counter_ns() - start_ns) * 1e-6
             params = judged_params(parts.placing.geometry, parts.predictor)
-            scan = fold_scan(peaks, params, parts.residual, parts.confidence)
+            scan = fold_scan(peaks, params, parts.residual)
             scores = score_frames([(answer_of(peaks, scan.recovered.points_m, scan.hidden), truth.points)])
             yield Looked(row, peaks, frame, scores, {"detection": [detection_ms], "geometry": [geometry_ms]})
 

@@ -33,7 +33,6 @@ from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from msgs.values.wording import counted
 from nodes.dense_predictor import model_path
-from nodes.geometry import confidence_paths
 
 #: A scan comes so often: a view that takes longer after the last beam is late.
 DEADLINE_MS = 300.0
@@ -194,9 +193,8 @@ def _size_bytes(row: Setting) -> int:
     """Files that a row's stages read."""
     dense, geometry = row.of("dense_predictor"), row.of("geometry")
     files = [None if dense.get("method") == "cfar" else model_path(dense.get("model"))]
-    files += confidence_paths(geometry.get("confidence", "none"))
     files += [None if (residual := geometry.get("residual", "none")) == "none" else Path(residual)]
-    files += [None if (judge := geometry.get("object_network", "none")) == "none" else learned_path(judge, ".onnx")]
+    files += [None if (judge := geometry.get("object_network", "none")) == "none" else learned_path(judge)]
     return sum(path.stat().st_size for path in files if path is not None)
 
 

@@ -32,7 +32,6 @@ from mirrorwave.api import scan_beams
 from mirrorwave.node_chain import SharedParts, stage_params
 from models.perception.find.detectors import Detector
 from models.perception.form.ra_former import RaFormer
-from models.perception.mirrors.confidence import Confidence
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.recovery import Residual
 from models.perception.see.evidence_predictor import EvidencePredictor
@@ -148,25 +147,21 @@ class _Geometry:
 
     params: geometry.Params
     residual: Residual | None
-    confidence: Confidence | None
     predictor: EvidencePredictor | None
 
     @classmethod
     def of(cls, params: geometry.Params) -> _Geometry:
         """Load the parts; errors as the node's."""
-        _, residual, confidence = geometry.parts_of(params)
-        return cls(params, residual, confidence, geometry.predictor_of(params))
+        return cls(params, geometry.residual_of(params), geometry.predictor_of(params))
 
     def stage(self) -> ViewStage:
         """Return a stage that has seen nothing yet."""
-        return ViewStage(
-            self.params.geometry, self.residual, self.confidence, self.params.memory, predictor=self.predictor
-        )
+        return ViewStage(self.params.geometry, self.residual, self.params.memory, predictor=self.predictor)
 
     @property
-    def folding(self) -> tuple[GeometryParams, Residual | None, Confidence | None]:
+    def folding(self) -> tuple[GeometryParams, Residual | None]:
         """Parts that fold images back: with the walls of the object network, where one judges."""
-        return judged_params(self.params.geometry, self.predictor), self.residual, self.confidence
+        return judged_params(self.params.geometry, self.predictor), self.residual
 
 
 @dataclass

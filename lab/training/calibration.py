@@ -1,4 +1,4 @@
-"""Calibration table from scores to probabilities, and the calibration error of scores."""
+"""Calibration table from scores to probabilities."""
 
 from __future__ import annotations
 
@@ -64,12 +64,3 @@ def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> Score
         if knots[-1][0] < knot[0] < 1.0 and knots[-1][1] < knot[1] < 1.0:
             knots.append(knot)
     return (*knots, (1.0, 1.0))
-
-
-def calibration_error(probability: np.ndarray, is_true: np.ndarray, groups: int = 10) -> float:
-    """Return the expected calibration error: size-weighted |mean probability - share of true| over equal groups."""
-    if len(probability) == 0:
-        return 0.0
-    parts = np.array_split(np.argsort(probability, kind="stable"), min(groups, len(probability)))
-    gaps = [abs(probability[part].mean() - is_true[part].mean()) * len(part) for part in parts]
-    return float(sum(gaps) / len(probability))

@@ -14,8 +14,7 @@ _RENAMED = {
     "compare": {"--jobs": "--workers"},
     "can monitor": {"--bitrate": "--option=bitrate"},
 }
-_CARD = "the network's card names it"
-#: Verb -> option -> the constant in its place. A flag, which no value follows, ends with a space.
+#: Verb -> option -> the constant in its place.
 _CONSTANTS = {
     "eval": {
         "--truth": "thinned",
@@ -38,12 +37,6 @@ _CONSTANTS = {
     "import xradarnlos": {"--keys": "L,G,T"},
     "import dca1000": {"--returns": "5"},
     "import transients": {"--snr": "1"},
-    "train confidence": {
-        "--refine": "pursuit",
-        "--threshold": _CARD,
-        "--residual": "none",
-        "--clean ": "each scene is seen by an imperfect radar too",
-    },
     "train residual": {"--source": "peaks", "--frame": "wall"},
     "train objects": {"--field-epochs": "as many as --epochs"},
     "train probabilities": {"--false-cost": "1"},
@@ -71,9 +64,9 @@ def _present_options(verb: str, words: Iterator[str], say: Callable[[str], objec
             yield today
             for follower in [value] if given else islice(words, 1):
                 yield f"{key}={follower}" if key else follower
-        elif option in constants or f"{option} " in constants:
-            if option in constants and not given:
+        elif option in constants:
+            if not given:
                 next(words, "")
-            say(f"{option} of `{verb}` is a constant: {constants.get(option) or constants[f'{option} ']}")
+            say(f"{option} of `{verb}` is a constant: {constants[option]}")
         else:
             yield word

@@ -18,9 +18,9 @@ Card = TypeVar("Card")
 MAX_CARD_BYTES = 1 << 24
 
 
-def learned_path(name: str | Path, ending: str) -> Path:
-    """Return a learned file by its path; a name without the ending is that of one in `WEIGHTS`."""
-    return Path(name) if str(name).endswith(ending) else WEIGHTS / f"{name}{ending}"
+def learned_path(name: str | Path) -> Path:
+    """Return a network's file by its path; a name without its ending is that of one in `WEIGHTS`."""
+    return Path(name) if str(name).endswith(".onnx") else WEIGHTS / f"{name}.onnx"
 
 
 def card_path(model_path: Path) -> Path:

@@ -641,9 +641,8 @@ def make_map_walls(folder: Path, seed: int, script: Sequence[Step]) -> Node:
 
 def make_geometry(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     grid = geometry.Grid(rows=12, columns=10, cell_m=4.0)
-    confidence = "default" if seed % 4 == 3 else "none"
     memory = MemoryParams(tracking=seed % 2 == 1)
-    return geometry.create(geometry.Params(grid=grid, confidence=confidence, memory=memory))
+    return geometry.create(geometry.Params(grid=grid, memory=memory))
 
 
 def make_view_fusion(folder: Path, seed: int, script: Sequence[Step]) -> Node:

@@ -748,7 +748,7 @@ def _huge(model: Path) -> None:
 
 
 def _other_network(model: Path) -> None:
-    with_card(model, (WEIGHTS / "compact_unet.near.int8.onnx").read_bytes())
+    with_card(model, (WEIGHTS / "field_unet.int8.onnx").read_bytes())
 
 
 def _other_opset(model: Path) -> None:

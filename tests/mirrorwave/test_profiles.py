@@ -19,12 +19,10 @@ from mirrorwave.cli import main
 from mirrorwave.node_chain import SharedParts
 from mirrorwave.offline import launch_for
 from mirrorwave.profiles import over_default, profile_names, read_profile
-from models.perception.find.detectors import CfarDetector, NetworkDetector
-from models.perception.mirrors.confidence import FittedConfidences, load_confidence
-from msgs.files.shipped import LAUNCH, WEIGHTS
+from models.perception.find.detectors import CfarDetector
+from msgs.files.shipped import LAUNCH
 from msgs.values.perception import HiddenObject
 from msgs.values.radar import RadarBeam, RadarSetup
-from nodes.geometry import Params, parts_of
 from nodes.process.launch_file import LaunchFile, read_launch_file
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import load_scene
@@ -65,8 +63,8 @@ def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytes
     file = str(LAUNCH / "corner.yaml")
     named = run_launch(monkeypatch, file, "--profile", "accurate")
     assert named.nodes["dense_predictor"].params == read_profile("accurate")["dense_predictor"]
-    overridden = run_launch(monkeypatch, file, "-p", "geometry.confidence=none")
-    assert overridden.nodes["geometry"].params == read_profile("default")["geometry"] | {"confidence": "none"}
+    overridden = run_launch(monkeypatch, file, "-p", "geometry.object_network=none")
+    assert overridden.nodes["geometry"].params == read_profile("default")["geometry"] | {"object_network": "none"}
     millimetre = over_default(read_launch_file(LAUNCH / "corner_77ghz.yaml")).nodes
     assert millimetre["dense_predictor"].params["method"] == "cfar"
     assert over_default(read_launch_file(LAUNCH / "two_hosts_sensor.yaml")).nodes.keys()
@@ -78,7 +76,7 @@ def test_default_is_what_was_chosen() -> None:
     assert objects
     assert all(item.object_class for item in objects)
     assert default.predictor is not None
-    assert SharedParts.of(read_profile("fast"), RadarSetup()).predictor is None
+    assert isinstance(SharedParts.of(read_profile("cfar"), RadarSetup()).detector, CfarDetector)
 
 
 def objects_of(parts: SharedParts, beams: Iterable[RadarBeam]) -> list[HiddenObject]:
@@ -101,33 +99,6 @@ def test_left_and_right_are_equal(profile: str) -> None:
     tolerance = 1e-3 if profile == "accurate" else 0.02
     for item, other in zip(here, there, strict=True):
         assert (other.x_m, -other.y_m, other.score) == pytest.approx((item.x_m, item.y_m, item.score), abs=tolerance)
-
-
-@pytest.mark.parametrize(
-    ("model", "flip_test", "name"),
-    [
-        ("compact_unet", False, "compact_unet.confidence"),
-        ("compact_unet", True, "compact_unet.flip.confidence"),
-        ("compact_unet.int8", False, "compact_unet.int8.confidence"),
-        ("compact_unet.int8", True, "compact_unet.int8.flip.confidence"),
-        ("compact_unet.near.int8", False, "compact_unet.near.int8.confidence"),
-        ("compact_unet.near.int8", True, None),
-    ],
-)
-def test_auto_judges_peaks_by_the_confidence_of_their_detector(model: str, flip_test: bool, name: str | None) -> None:
-    _, _, fitted = parts_of(Params(confidence="auto"))
-    assert isinstance(fitted, FittedConfidences)
-    detector = NetworkDetector(RadarSetup(), WEIGHTS / f"{model}.onnx", flip_test=flip_test)
-    wanted = None if name is None else load_confidence(WEIGHTS / f"{name}.json")
-    assert fitted.of(detector._name) == wanted
-
-
-def test_auto_judges_no_peaks_of_a_stranger() -> None:
-    _, _, fitted = parts_of(Params(confidence="auto"))
-    assert fitted is not None
-    assert fitted.of("") is None
-    assert parts_of(Params(confidence="none"))[2] is None
-    assert isinstance(SharedParts.of(read_profile("cfar"), RadarSetup()).detector, CfarDetector)
 
 
 def test_a_former_profile_is_read_as_the_one_that_replaced_it() -> None:

@@ -115,7 +115,6 @@ def test_a_profile_by_file_runs_in_every_verb(
             {"geometry": {"back_end": "specification", "object_network": "evidence_unet.int8"}},
             "object_network must be none",
         ),
-        ({"geometry": {"back_end": "specification", "confidence": "auto"}}, "confidence must be none"),
         (
             {"geometry": {"residual": "residual_reflect_net"}},
             "card.geometry must be 'ours' for back_end ours, got 'pub",

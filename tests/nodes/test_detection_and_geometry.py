@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.yaw_bias import limited
-from models.perception.find.detectors import NetworkDetector, detector_name
-from models.perception.find.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.find.detectors import NetworkDetector
 from models.perception.mirrors.peaks_to_view import made_up_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.local import LocalNetwork
@@ -77,13 +76,6 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
     assert handed == {name: getattr(params, name) for name in names} | {"setup": setup}
     by_cfar = msgspec.structs.replace(params, method="cfar")
     assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar_params)  # type: ignore[comparison-overlap]
-
-
-def test_the_default_confidence_is_that_of_the_default_network() -> None:
-    *_, fitted = geometry.parts_of(geometry.Params(confidence="default"))
-    assert fitted is not None
-    assert fitted.detector == detector_name(load_card(DEFAULT_MODEL).sha256, "pursuit", False)
-    assert geometry.parts_of(geometry.Params())[2] is None
 
 
 def test_a_missing_model_ends_the_node_at_start(tmp_path: Path) -> None:

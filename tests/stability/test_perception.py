@@ -26,7 +26,6 @@ from models.perception.find.cfar import CfarParams, detect, ordered_statistic_al
 from models.perception.find.encoding import Encoding, encode_columns
 from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.mirrors.clustering import dbscan
-from models.perception.mirrors.confidence import FEATURES, PositionConfidence
 from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
@@ -430,23 +429,6 @@ def test_interval_of_one_frame(errors: Errors) -> None:
         spread = np.sqrt(np.sum((values - values.mean()) ** 2) / np.float64(len(values) - 1))
     naive = float(1.96 * spread)
     errors(naive=naive if math.isfinite(naive) else math.inf, ours=max(one.high - one.value, one.value - one.low))
-
-
-@pytest.mark.hard("models.perception.mirrors.confidence", "e^z / (1 + e^z)", 1e-15, "", "rounding of one quotient")
-def test_probability_of_a_sure_place(errors: Errors) -> None:
-    """A legal model whose weights of 1e3 say z = 16e3: both exponentials are infinite."""
-    hidden, count = 16, len(FEATURES)
-    sure = PositionConfidence(
-        features=FEATURES, means=(0.0,) * count, scales=(1.0,) * count, hidden_weights=((1e3,) * count,) * hidden,
-        hidden_biases=(0.0,) * hidden, weights=(1e3,) * hidden, bias=0.0, threshold=0.5,
-    )  # fmt: skip
-    ours = sure.probability(np.stack([np.ones(count), -np.ones(count)]))
-    with np.errstate(over="ignore", invalid="ignore"):
-        naive = np.exp([16e3, -16e3]) / (1.0 + np.exp([16e3, -16e3]))
-    errors(
-        naive=float(np.nan_to_num(np.abs(naive - [1.0, 0.0]), nan=np.inf).max()),
-        ours=float(np.abs(ours - [1.0, 0.0]).max()),
-    )
 
 
 @pytest.mark.parametrize(("count", "rank", "rate"), [(128, 38, 1e-4), (16, 16, 1e-2), (512, 1, 1e-6)])

@@ -12,7 +12,6 @@ from torch.nn import functional
 
 from lab.training.data.samples import PointLabels
 from lab.training.exported_weights import settle_norms
-from lab.training.fit_confidence import FitConfig, _Loss
 from lab.training.objectives.anchors import anchor_loss, anchor_targets
 from lab.training.objectives.focal import binary_focal_loss
 from lab.training.objectives.losses import heatmap_focal_loss
@@ -126,19 +125,6 @@ def test_binary_focal_loss_of_half_precision_answers(errors: Errors) -> None:
     z = logits.double()
     exact = (0.01 * torch.sigmoid(z) ** 2 * functional.softplus(z)).mean().item()
     errors(naive=abs(naive / exact - 1.0), ours=abs(binary_focal_loss(logits, mask).item() / exact - 1.0))
-
-
-@pytest.mark.hard("lab.training.fit_confidence", "-t log(p) - (1 - t) log(1 - p)", 1e-12, "",
-                  "rounding of 1e4, relative")  # fmt: skip
-def test_log_loss_of_probabilities_0_and_1(errors: Errors) -> None:
-    """Places at logits of +-1e4, half of them wrongly: log p of a p that is 0 or 1 in float64."""
-    loss = _Loss(np.array([[1.0], [-1.0]]), np.array([1.0, 1.0]), FitConfig(hidden=1, penalty=1e-300))
-    ours, gradient = loss(np.array([1e3, 0.0, 1e4, 0.0]))
-    assert np.isfinite(gradient).all()
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        p = 1.0 / (1.0 + np.exp(-np.array([1e4, -1e4])))
-        naive = float(np.mean(-loss.is_true * np.log(p) - (1.0 - loss.is_true) * np.log(1.0 - p)))
-    errors(naive=number(abs(naive / 5e3 - 1.0)), ours=abs(ours / 5e3 - 1.0))
 
 
 def hard_maps() -> dict[str, np.ndarray]:

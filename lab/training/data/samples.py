@@ -224,13 +224,6 @@ def _speed_errors(
     return speed_unit_std_mps(setup) / np.sqrt(snr) * rng.standard_normal(profiles.shape)
 
 
-def imperfect(scan: Scan, seed: int, setup: RadarSetup | None = None) -> Scan:
-    """Return the scene recorded by an imperfect radar drawn from its number; a map made elsewhere is unchanged."""
-    if scan.profiles is None:
-        return scan
-    return perturb_scan(scan, Perturbation(), np.random.default_rng((seed, scan.index)), setup)
-
-
 def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) -> DenseSample:
     """Mirror left and right half of the time, rotate the phase, and misjudge the noise by about a decibel."""
     columns, labels = sample.columns, sample.labels

@@ -68,7 +68,8 @@ def export_evidence(run_dir: Path, encoding: EvidenceEncoding, model_path: Path,
 
 def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path) -> EvidenceCard:
     """Write an exported evidence network and its field network, beside it, in 8-bit integers, their ranges set on the
-    first `count` scans of a data set that they were trained on; threshold and tables are those of the source.
+    first `count` scans of a data set that they were trained on; threshold and tables are those of the source. A field
+    network that is rounded already stays as it is.
 
     Raises `ValueError` naming a source that is no evidence network, or a data set of another radar.
     """
@@ -77,10 +78,11 @@ def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path)
     card, fields_path = exact.card, exact.fields_path
     maps = [frame.ra_map for frame in data.frames(range(min(count, len(data))))]
     command = f"mirrorwave export {source} --precision int8 --data {data.directory} --out {model_path}"
-    rounded_path = model_path.with_name(f"{fields_path.stem}.int8.onnx")
-    fields = read_card(card_path(fields_path), FieldCard)
-    quantize_int8(fields_path, rounded_path, np.stack([encode_map(fields.encoding, ra_map) for ra_map in maps]))
-    write_card(_rounded(fields, rounded_path, command), rounded_path)
+    fields, rounded_path = read_card(card_path(fields_path), FieldCard), fields_path
+    if "quantized" not in fields.training:
+        rounded_path = model_path.with_name(f"{fields_path.stem}.int8.onnx")
+        quantize_int8(fields_path, rounded_path, np.stack([encode_map(fields.encoding, ra_map) for ra_map in maps]))
+        write_card(_rounded(fields, rounded_path, command), rounded_path)
     detector, rounded = NetworkDetector(data.setup, DEFAULT_MODEL), FieldPredictor(rounded_path)
     geometry = GeometryParams(walls=card.encoding.walls)
     inputs = []

@@ -74,7 +74,7 @@ class NetworkDetector:
             # compile now: the first map must not wait for it
             pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, PursuitParams())
         self._refine = placement
-        self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
+        self._name = f"{self._predictor.card.sha256}/{placement}{'/flip_test' if flip_test else ''}"
         self._sensitivity_db = sensitivity_db(setup)
         self._check = SetupCheck(self._predictor.card.name, self._predictor.card.radar, setup)
         #: How the radar of the last map differs from the one in training; empty: not at all.
@@ -95,11 +95,6 @@ class NetworkDetector:
         points = self._predictor.points(ra_map, self._params.threshold, self._params.min_distance)
         cells = np.rint(points.cells).astype(np.int64)
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
-
-
-def detector_name(sha256: str, placement: str, flip_test: bool) -> str:
-    """Return the value of `Peaks.detector` for a network: its file and the placement of its peaks."""
-    return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"
 
 
 class CfarDetector:

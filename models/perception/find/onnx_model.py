@@ -26,7 +26,7 @@ GUIDE = (
     "the card of one from elsewhere: docs/guides/own-parts.md"
 )
 #: The network in use unless another is named.
-DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
+DEFAULT_MODEL = learned_path("compact_unet")
 
 
 class ClassScores(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from models.perception.mirrors.clustering import dbscan
-from models.perception.mirrors.confidence import Confidence
 from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import NO_WALL
 from models.perception.mirrors.observability import VisibilityParams, observability
@@ -96,13 +95,10 @@ def fold_scan(
     peaks: Peaks,
     params: GeometryParams,
     residual: Residual | None = None,
-    confidence: Confidence | None = None,
     wall_prior: WallPrior | None = None,
 ) -> FoldedScan:
-    """Find walls in the peaks and fold the images back, Eqs. (18), (19), without improbable ones; `ValueError` as
-    checked.
-    """
-    return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual, confidence)
+    """Find walls in the peaks and fold the images back, Eqs. (18), (19); `ValueError` as checked."""
+    return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual)
 
 
 def _folded(
@@ -111,7 +107,6 @@ def _folded(
     returns: DirectReturns,
     walls: list[Wall],
     residual: Residual | None,
-    confidence: Confidence | None,
 ) -> FoldedScan:
     """Fold the images of a scan whose walls are known."""
     of_specification = params.back_end == "specification"
@@ -121,9 +116,6 @@ def _folded(
     if of_specification:
         # it rejects nothing
         return FoldedScan(returns, walls, recovered, np.ones(len(recovered), bool))
-    fitted = None if confidence is None else confidence.of(peaks.detector)
-    if fitted is not None:
-        recovered = fitted.probable(recovered, walls, returns, params.recovery)
     return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
 
 
@@ -131,7 +123,6 @@ def recover_bev(
     peaks: Peaks,
     params: GeometryParams,
     residual: Residual | None = None,
-    confidence: Confidence | None = None,
     wall_prior: WallPrior | None = None,
     judge: ObjectJudge | None = None,
 ) -> BevFrame:
@@ -140,7 +131,7 @@ def recover_bev(
     returns, walls = direct_structure(peaks, params, wall_prior)
     # a network judges in a thread of its own, while the rest of the view is made
     judged = judge(walls) if judge else None
-    scan = _folded(peaks, params, returns, walls, residual, confidence)
+    scan = _folded(peaks, params, returns, walls, residual)
     hidden = scan.recovered.take(scan.hidden)
     visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
     if judged is None or peaks.sensor:

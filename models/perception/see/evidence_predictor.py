@@ -32,7 +32,7 @@ from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 Answer = TypeVar("Answer")
 
 #: The network in use where parameters say `default`.
-DEFAULT_EVIDENCE = learned_path("evidence_unet.int8", ".onnx")
+DEFAULT_EVIDENCE = learned_path("evidence_unet.int8")
 #: Answers that change sign when left and right are exchanged.
 ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
 

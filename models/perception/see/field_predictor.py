@@ -16,7 +16,7 @@ from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 #: The network in use where parameters say `default`.
-DEFAULT_FIELDS = learned_path("field_unet", ".onnx")
+DEFAULT_FIELDS = learned_path("field_unet")
 #: Answers of a cell: those of a wall, then the logits of a direct and of a mirrored return.
 FIELD_ANSWERS = WALL_ANSWERS + len(PathClass)
 #: Answers that change sign when left and right are exchanged.

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from models.perception.mirrors.confidence import Confidence
 from models.perception.mirrors.peaks_to_view import GeometryParams, ObjectJudge, recover_bev, warm
 from models.perception.mirrors.recovery import Residual
 from models.perception.state_history import StateHistory
@@ -38,14 +37,13 @@ class ViewStage:
         self,
         params: GeometryParams | None = None,
         residual: Residual | None = None,
-        confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
         timed: Timed = nullcontext,
         predictor: EvidencePredictor | None = None,
         detections: GeometryParams | None = None,
     ) -> None:
         self.predictor = predictor
-        self._params, self._residual, self._confidence = params or GeometryParams(), residual, confidence
+        self._params, self._residual = params or GeometryParams(), residual
         #: For peaks of a radar that gives detections.
         self._detections = detections or self._params
         #: For scans that the network judges.
@@ -100,7 +98,7 @@ class ViewStage:
             params = self._detections if peaks.sensor else self._judged if judge else self._params
             # a residual corrects the walls that it was trained on
             residual = self._residual if params.back_end == self._params.back_end else None
-            frame = recover_bev(peaks, params, residual, self._confidence, earlier_walls, judge)
+            frame = recover_bev(peaks, params, residual, earlier_walls, judge)
         with self._timed("tracking"):
             frame = self._memory.tracked(frame, peaks.vehicle_from_radar, peaks.ego_compensated)
         self.doubt = self._check.doubt(ra_map.unused_beams) if self._check and judge and ra_map else ""

@@ -96,10 +96,8 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     assert not failed.pareto
     default = rows["default"]
     assert default.against_over["object_f1"] == Interval(value=0.0, low=0.0, high=0.0)
-    files = ("compact_unet.near.int8.onnx", "compact_unet.near.int8.confidence.json")
-    assert rows["fast"].size_bytes == sum(map(size, files))
-    assert default.size_bytes is not None
-    assert default.size_bytes > sum(map(size, ("compact_unet.int8.onnx", "evidence_unet.int8.onnx")))
+    for row, judge in ((default, "evidence_unet.int8.onnx"), (rows["fast"], "evidence_unet.coarse.int8.onnx")):
+        assert row.size_bytes == sum(map(size, ("compact_unet.int8.onnx", judge)))
     assert rows["beams: 7 of 25"].accuracy["dense_macro_f1"] != default.accuracy["dense_macro_f1"]
     assert default.end_to_end_ms is not None
     assert default.end_to_end_ms.p99 is None, "two samples have no 99th percentile"

@@ -19,7 +19,7 @@ from models.perception import onnx_session
 from models.perception.onnx_session import session_of
 from msgs.files.shipped import WEIGHTS
 
-NETWORKS = ("compact_unet.int8", "compact_unet.near.int8", "evidence_unet.int8", "field_unet.int8")
+NETWORKS = ("compact_unet.int8", "evidence_unet.int8", "field_unet.int8")
 ROOT = Path(__file__).parents[3]
 #: Writes the answers of the networks of a folder to the inputs of a file; each runs once, unlike in `session_of`.
 CHILD = """
@@ -59,7 +59,7 @@ ON_ARM = {"evidence_unet.int8": 0.03, "field_unet.int8": 0.3}
 
 
 # max: AVX2 without VNNI; Nehalem: SSE alone
-@pytest.mark.parametrize(("processor", "names"), [("max", NETWORKS), ("Nehalem", ("compact_unet.near.int8",))])
+@pytest.mark.parametrize(("processor", "names"), [("max", NETWORKS), ("Nehalem", ("compact_unet.int8",))])
 def test_committed_networks_answer_the_same_on_an_emulated_processor(
     processor: str, names: tuple[str, ...], tmp_path: Path
 ) -> None:

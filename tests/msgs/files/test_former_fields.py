@@ -39,6 +39,7 @@ def _warn_anew(monkeypatch: pytest.MonkeyPatch) -> None:
          ["memory.tracker.max_gap_s is a constant: models.perception.track.tracker.MAX_GAP_S;"]),
         (geometry.Params, {"walls": {"arcs": {"min_gain": 1.0}}}, {},
          [f"walls.arcs.min_gain is a constant: {MIRRORS}.arcs.MIN_GAIN;"]),
+        (geometry.Params, {"confidence": "auto"}, {}, [f"confidence is a constant: {MIRRORS}.recovery;"]),
         (geometry.Params, {"recovery": {"reject_on_wall": False}}, {},
          [f"recovery.reject_on_wall is a constant: {MIRRORS}.rejection;"]),
         (geometry.Params, {"objects": {"min_score": 0.5, "score_table": []}, "back_end": "ours"}, {},
