@@ -41,14 +41,14 @@ def as_chords(tracing: TraceContext) -> Echoes:
     return object_echoes(view, routes, cofocal(routes))
 
 
-def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray, on_wall: np.ndarray | int = -1) -> Routes:
-    """Free routes by any arc to points [N, 3], but to those that are its own, `on_wall` [N]."""
+def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray, own_wall: np.ndarray | int = -1) -> Routes:
+    """Free routes by any arc to points [N, 3]; by none to points of its own, `own_wall` [N]."""
     parts = []
     for wall in np.flatnonzero(view.world.is_curved):
-        # the search for mirrors next to their target goes down to its finest step
-        others = np.flatnonzero(np.broadcast_to(on_wall != wall, len(point_m)))
-        routes = _by_arc(view, int(wall), point_m[others], owner[others])
-        parts.append(routes.with_columns(target=others[routes.target]))
+        # next to its target a search goes down to its finest step
+        asked = np.flatnonzero(np.broadcast_to(own_wall != wall, len(point_m)))
+        routes = _by_arc(view, int(wall), point_m[asked], owner[asked])
+        parts.append(routes.with_columns(target=asked[routes.target]))
     return join_routes(parts) if parts else no_routes()
 
 

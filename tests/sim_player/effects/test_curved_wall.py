@@ -140,10 +140,10 @@ def test_an_arc_is_not_searched_for_its_own_points(monkeypatch: pytest.MonkeyPat
     view, (specks, point) = snapshot(world, 0.0), world.structure
     of, nobody = world.speck_wall[specks], np.full(len(specks), -1, np.int32)
     every = arc_routes(view, point, nobody)
-    asked: list[int] = []
+    searched: list[int] = []
     search = curved_wall.bounces
-    monkeypatch.setattr(curved_wall, "bounces", lambda *args: (asked.append(len(args[1])), search(*args))[1])
-    others = arc_routes(view, point, nobody, of)
-    assert asked == [np.count_nonzero(of == 1)]
-    assert 0 < len(others) == np.count_nonzero(of[every.target] == 1)
-    np.testing.assert_array_equal(others.rows, every.take(of[every.target] == 1).rows)
+    monkeypatch.setattr(curved_wall, "bounces", lambda *args: (searched.append(len(args[1])), search(*args))[1])
+    asked = arc_routes(view, point, nobody, of)
+    assert searched == [np.count_nonzero(of == 1)]
+    assert 0 < len(asked) == np.count_nonzero(of[every.target] == 1)
+    np.testing.assert_array_equal(asked.rows, every.take(of[every.target] == 1).rows)
