@@ -206,7 +206,8 @@ class ScenePlayer:
             overlaps = None
             if weakest is not None:
                 kept, overlaps = weakest.selected(paths, index)
-                paths, overlaps = paths.take(kept), overlaps[kept]
+                if not kept.all():
+                    paths, overlaps = paths.take(kept), overlaps[kept]
             front_end = self.scene.radar.front_end
             terms = echo_terms(self.setup, paths, self.signal, front_end, index, self._precision, overlaps)
         if not self.signal.rain_clutter:

@@ -41,9 +41,14 @@ def as_chords(tracing: TraceContext) -> Echoes:
     return object_echoes(view, routes, cofocal(routes))
 
 
-def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
-    """Free routes by any arc to points [N, 3]."""
-    parts = [_by_arc(view, int(wall), point_m, owner) for wall in np.flatnonzero(view.world.is_curved)]
+def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray, own_wall: np.ndarray | int = -1) -> Routes:
+    """Free routes by any arc to points [N, 3]; by none to points of its own, `own_wall` [N]."""
+    parts = []
+    for wall in np.flatnonzero(view.world.is_curved):
+        # next to its target a search goes down to its finest step
+        asked = np.flatnonzero(np.broadcast_to(own_wall != wall, len(point_m)))
+        routes = _by_arc(view, int(wall), point_m[asked], owner[asked])
+        parts.append(routes.with_columns(target=asked[routes.target]))
     return join_routes(parts) if parts else no_routes()
 
 

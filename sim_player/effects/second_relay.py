@@ -182,7 +182,7 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     visible = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
     bounces = wall[visible], target[visible], points[visible]
     routes = clear_ways(*bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers))
-    routes = join_routes([routes, arc_routes(view, point, owners(-1, len(specks)))])
+    routes = join_routes([routes, arc_routes(view, point, owners(-1, len(specks)), world.speck_wall[specks])])
     # no wall mirrors its own structure
     routes = routes.take(world.speck_wall[specks[routes.target]] != routes.wall)
     speck = specks[routes.target]

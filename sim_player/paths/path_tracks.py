@@ -19,6 +19,9 @@ LARGEST_JUMP_M = 0.1
 #: How far a scene may move from one instant to the next: radius of the first Fresnel zone half-way between two points
 #: 12 m apart at 10 GHz.
 LONGEST_MOVE_M = 0.3
+#: Columns that go in straight lines, and angles, which go by the shorter way round.
+_LINES = "elevation_rad", "departure_elevation_rad", "amplitude", "point_m", "virtual_m"
+_TURNS = "azimuth_rad", "departure_azimuth_rad"
 
 
 def tracing_step_s(world: World, own_speed_mps: float, longest_s: float) -> float:
@@ -69,6 +72,8 @@ class Span:
         stays = np.abs(last.length_m[there] - first.length_m[here] - carried_m) <= LARGEST_JUMP_M
         self._step_s = step_s
         self._first, self._last = first.take(here[stays]), last.take(there[stays])
+        self._rise = {name: getattr(self._last, name) - getattr(self._first, name) for name in (*_LINES, *_TURNS)}
+        self._rise |= {name: (self._rise[name] + np.pi) % (2.0 * np.pi) - np.pi for name in _TURNS}
         self._goes, self._comes = (
             first.take(_all_but(len(first), here[stays])),
             last.take(_all_but(len(last), there[stays])),
@@ -82,34 +87,14 @@ class Span:
 
     def _carried(self, since_s: float) -> Paths:
         first, last, share = self._first, self._last, since_s / self._step_s
-
-        def line(name: str) -> np.ndarray:
-            start = getattr(first, name)
-            return np.asarray(start + share * (getattr(last, name) - start))
-
-        def turn(name: str) -> np.ndarray:
-            start = getattr(first, name)
-            # by the shorter way round
-            return np.asarray(start + share * ((getattr(last, name) - start + np.pi) % (2.0 * np.pi) - np.pi))
-
         length_m, rate_mps = _cubic(
             (first.length_m, last.length_m),
             (2.0 * first.radial_speed_mps, 2.0 * last.radial_speed_mps),
             share,
             self._step_s,
         )
-        return replace(
-            first,
-            length_m=length_m,
-            radial_speed_mps=0.5 * rate_mps,
-            azimuth_rad=turn("azimuth_rad"),
-            elevation_rad=line("elevation_rad"),
-            departure_azimuth_rad=turn("departure_azimuth_rad"),
-            departure_elevation_rad=line("departure_elevation_rad"),
-            amplitude=line("amplitude"),
-            point_m=line("point_m"),
-            virtual_m=line("virtual_m"),
-        )
+        carried = {name: getattr(first, name) + share * rise for name, rise in self._rise.items()}
+        return replace(first, length_m=length_m, radial_speed_mps=0.5 * rate_mps, **carried)
 
 
 def _in_both(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

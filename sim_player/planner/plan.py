@@ -54,6 +54,8 @@ from sim_player.trace.path_table import Paths
 BUDGET_DB = -20.0
 #: So many paths that lack squint or overlap have a signal of their own.
 FEWEST = 64
+#: Effects along the sweep: each path costs.
+SWEPT = "squint", "chirp_overlap"
 #: Share of the budget that echoes of rain, snow and fog may take if they go.
 RAIN_SHARE = 0.05
 #: Share that the terms along the sweep of all paths of a range bin may leave out.
@@ -309,7 +311,7 @@ class _Planner:
         world = self.world
         for name, effect in EFFECTS.items():
             if (reason := effect.absent(world)) is not None:
-                self._row(name, False, 0, reason)
+                self._row(name, False, reason)
         self.present = frozenset(EFFECTS).difference(self.found)
         self.flags = signal_effects(self.present)
         self._timed("trace", self._trace)
@@ -385,17 +387,17 @@ class _Planner:
         for name in [name for name in EFFECTS if name not in self.found]:
             if name in PATHS:
                 self._row_of_paths(name)
-            elif name in ("squint", "chirp_overlap"):
+            elif name in SWEPT:
                 mask = choice.squints if name == "squint" else choice.overlaps
                 left = int(mask.sum())
                 text = f"{left} of {counted(int(choice.kept.sum()), 'path')} left: {EFFECTS[name].about}"
-                self._row(name, bool(left), left, text, len(paths))
+                self._row(name, bool(left), text, left, len(paths))
             elif name == "rain_clutter":
                 self._row_of_rain()
             elif name in WEIGHTS:
                 self._row_of_weights(name, paths)
             else:
-                self._row(name, True, 0, f"costs nothing: {EFFECTS[name].about}")
+                self._row(name, True, f"costs nothing: {EFFECTS[name].about}")
 
     def _row_of_paths(self, name: str) -> None:
         mine = (self.echoes.needs & np.uint32(bit(name))) != 0
@@ -405,7 +407,7 @@ class _Planner:
         # arrays that stand apart move every echo, not those alone that this effect makes
         apart = name == "non_cofocal" and self.world.scene.radar.separation_m > 0.0
         text = f"{left} of {counted(count, 'path')}: {PATHS[name].about}"
-        self._row(name, apart or bool(left), int((own & self.choice.kept).sum()), text, int(own.sum()))
+        self._row(name, apart or bool(left), text, int((own & self.choice.kept).sum()), int(own.sum()))
 
     def _row_of_rain(self) -> None:
         """Skip echoes of the air whose draws stay under a share of the budget."""
@@ -414,7 +416,7 @@ class _Planner:
         fits = float(most.max()) <= RAIN_SHARE
         self.spent += RAIN_SHARE if fits else 0.0
         text = f"draws reach {float(most.max()):.2g} of what may change: {EFFECTS['rain_clutter'].about}"
-        self._row("rain_clutter", not fits, int(not fits), text, 1)
+        self._row("rain_clutter", not fits, text, of=1)
 
     def _row_of_weights(self, name: str, paths: Paths) -> None:
         """Skip a weight that changes too little, whatever phases are."""
@@ -427,7 +429,7 @@ class _Planner:
         self.spent += WEIGHT_SHARE / parts if fit and changes.any() else 0.0
         most_db = 20.0 * math.log10(1.0 + float(change.max(initial=0.0)))
         text = f"changes {counted(int(changes.sum()), 'path')} by {most_db:.2g} dB at most: {EFFECTS[name].about}"
-        self._row(name, not fit, 0, text)
+        self._row(name, not fit, text)
 
     def _evaluate(self) -> None:
         """Make the map of what is left; weights that go are in it, for their terms are there."""
@@ -456,16 +458,14 @@ class _Planner:
     def _take_all(self, why: str) -> None:
         """Use everything that the scene has."""
         for name in (name for name in EFFECTS if name in self.present):
-            count = len(self.echoes)
+            count = len(self.echoes) if name in SWEPT else None
             if name in PATHS:
                 count = int(((self.echoes.needs >> np.uint32(int(math.log2(bit(name))))) == 1).sum())
-            elif name == "rain_clutter":
-                count = 1
-            self._row(name, True, count, f"{why}: {EFFECTS[name].about}")
+            self._row(name, True, f"{why}: {EFFECTS[name].about}", count)
 
-    def _row(self, name: str, used: bool, count: int, text: str, of: int = 0) -> None:
-        """Write down one decision: `count` paths of its kind are left, `of` so many."""
-        cost_s = EFFECTS[name].cost_s
+    def _row(self, name: str, used: bool, text: str, count: int | None = None, of: int = 0) -> None:
+        """Write down one decision: `count` paths of its kind are left, `of` so many; None: it costs as a whole."""
+        count, cost_s = int(used) if count is None else count, EFFECTS[name].cost_s
         self.found[name] = EffectPlan(
             name=name,
             used=used,

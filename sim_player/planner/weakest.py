@@ -76,15 +76,15 @@ class Weakest:
     def selected(self, paths: Paths, beam: int) -> tuple[np.ndarray, np.ndarray]:
         """Return which paths a beam keeps, and which of them overlap, bool [P] each.
 
-        Raises ValueError for paths that are not finite.
+        Raises ValueError for paths that are not finite, if they are asked.
         """
+        kept, overlaps = np.ones(len(paths), bool), np.full(len(paths), self._effects.chirp_overlap)
+        if len(paths) < FEWEST:
+            return kept, overlaps
         strength, low, high, area, far, total = self._asked(paths, beam)
         # a sum of all is finite where each is
         if not math.isfinite(total):
             raise ValueError(f"paths of a beam must be finite, got {total!r}")
-        kept, overlaps = np.ones(len(paths), bool), np.full(len(paths), self._effects.chirp_overlap)
-        if len(paths) < FEWEST:
-            return kept, overlaps
         near, everywhere, limit = np.zeros(RANGE_BINS), np.zeros(1), self._limit
         whole = kept, PATHS_SHARE * limit, self._skirt, far + self._skirt[-1]
         heads = overlaps, limit, np.zeros_like(self._skirt), far
@@ -162,9 +162,16 @@ def _asked(patterns, amplitude, angles, steered, motion, lobe, rates):  # type: 
         for turn in range(2):
             azimuth, elevation = angles[2 * turn][path], angles[2 * turn + 1][path]
             total += azimuth + elevation
-            level_db = max(-12.0 * ((azimuth / wide) ** 2 + (elevation / high) ** 2), floor_db)
-            field *= peak * 10.0 ** (0.05 * level_db) if abs(azimuth) <= 0.5 * np.pi else 0.0
+            # most leave where they arrive
+            if turn == 0 or azimuth != angles[0][path] or elevation != angles[1][path]:
+                level_db = max(-12.0 * ((azimuth / wide) ** 2 + (elevation / high) ** 2), floor_db)
+                element = peak * 10.0 ** (0.05 * level_db) if abs(azimuth) <= 0.5 * np.pi else 0.0
+                pattern = 0.0
+            field *= element
             if turn >= steered or field == 0.0 or not np.isfinite(total):
+                continue
+            if pattern > 0.0:
+                field *= pattern
                 continue
             # the sweep scales what the array sees of a direction (`sweep_ratio`); what comes in is late by the delay
             sine = math.sin(azimuth) * math.cos(elevation)
@@ -174,7 +181,8 @@ def _asked(patterns, amplitude, angles, steered, motion, lobe, rates):  # type: 
             level = 0
             while 2 ** (level + 1) <= end - begin + 1:
                 level += 1
-            field *= max(patterns[level, begin], patterns[level, end - 2**level + 1])
+            pattern = max(patterns[level, begin], patterns[level, end - 2**level + 1])
+            field *= pattern
         strength[path] = field
         more = abs(speed[path]) * bins_per_mps
         low[path] = int(min(max(np.rint(tone - more), 0.0), RANGE_BINS + REACH - 1.0))

@@ -171,10 +171,10 @@ def test_what_is_kept_whole() -> None:
 
 
 def test_few_paths_are_not_asked() -> None:
-    """A wall and a car: the question costs more than it saves."""
+    """A wall and a car: the question costs more than it saves; of fewer not a length is read."""
     plan = planned(prepare(scene(WALL, CAR)))
     paths = paths_at(plan)
-    few = paths.take(np.arange(FEWEST - 1) % len(paths))
+    few = replace(paths.take(np.arange(FEWEST - 1) % len(paths)), length_m=np.full(FEWEST - 1, np.nan))
     many = paths.take(np.arange(FEWEST) % len(paths))
     kept, overlaps = selection(plan).selected(few, 3)
     assert kept.all()
@@ -195,6 +195,7 @@ def test_same_bytes_in_any_order() -> None:
 def test_paths_that_are_not_finite_are_refused(name: str) -> None:
     plan = planned(prepare(scene(WALL, CAR)))
     paths = paths_at(plan)
+    paths = paths.take(np.arange(FEWEST) % len(paths))
     broken = replace(paths, **{name: np.full(len(paths), np.nan)})
     with pytest.raises(ValueError, match="paths of a beam must be finite, got nan"):
         selection(plan).selected(broken, 3)
