@@ -53,9 +53,11 @@ def test_a_recording_gives_live_what_it_gives_offline(tmp_path: Path, root: Path
             frames = [item.message for item in reader.messages(("perception/hidden_objects",))]
             assert {f"perception/{name}/hidden_objects" for name in ("left", "right")} <= set(reader.types)
             assert "radar/left/beam" not in reader.types
-        if len(frames) == SCANS:
+        seen = [json.dumps(bev_to_json(frame, "vehicle")) for frame in frames]  # type: ignore[arg-type]
+        # a radar that a busy machine is late with is not waited for
+        if seen == lines:
             break
-    assert [json.dumps(bev_to_json(frame, "vehicle")) for frame in frames] == lines  # type: ignore[arg-type]
+    assert seen == lines
 
 
 @pytest.mark.graph
