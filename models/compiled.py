@@ -21,7 +21,7 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 #: Changes with what is kept of a kernel.
-FORMAT = 2
+FORMAT = 3
 
 
 def compiled(
@@ -33,7 +33,8 @@ def compiled(
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        kernel = njit(nogil=True, error_model=error_model, fastmath=fastmath)(function)
+        # copies of a fast callee may sum in different orders, and the one loaded first runs: inlined, none is left
+        kernel = njit(nogil=True, error_model=error_model, fastmath=fastmath, forceinline=fastmath)(function)
         kernel._cache = KernelCache(function)
         return kernel
 

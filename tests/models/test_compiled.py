@@ -93,6 +93,35 @@ def test_kernels_are_loaded_without_the_compiler_and_follow_what_they_were_made_
     assert kernels.run() == (32.0, False, 1, 0)
 
 
+#: Prints the digest of a beam's codes and how many kernels were compiled for them.
+BEAM = """
+import hashlib
+import numpy as np
+from models.compiled import KernelCache
+from msgs.values.radar import RadarSetup
+from sim_player.signal.fmcw import beam_codes, noise_bank, noise_reads
+setup, rng = RadarSetup(), np.random.default_rng(0)
+chirps, samples = setup.radar.chirps_per_beam, setup.radar.samples_per_chirp
+beats = 0.02 * rng.standard_normal((5, samples, 2)).view(complex)[..., 0]
+noise = noise_reads(setup.radar, noise_bank(setup.radar, 0), [0])
+codes = beam_codes(setup, beats, np.exp(2j * np.arange(chirps)), rng.standard_normal((5, chirps)), noise)
+print(hashlib.sha256(codes).hexdigest(), KernelCache.compiled)
+"""
+
+
+def test_the_run_that_compiles_and_those_that_load_give_equal_codes(tmp_path: Path) -> None:
+    """Callees that the first run has compiled on their own do not take the place of the copies in a kept kernel."""
+    environment = {**os.environ, "PYTHONPATH": str(CHECKOUT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", BEAM]
+    (first, compiled), (later, none) = (
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout.split()
+        for _ in range(2)
+    )
+    assert int(compiled) >= 1
+    assert int(none) == 0
+    assert later == first
+
+
 #: Prints the stamps of kernels: what stands in no other way than by an address would differ each time.
 STAMPS = """
 import sys
