@@ -47,8 +47,11 @@ def test_rates_come_from_two_heartbeats_of_one_process() -> None:
 )
 def test_the_command_of_a_node_is_what_one_would_type(words: tuple[str, ...]) -> None:
     """Without the empty words with which a forked process fills the room that its command leaves free."""
-    command = [sys.executable, "-c", "input()", *words]
-    with subprocess.Popen([*command, "", ""], stdin=subprocess.PIPE) as process:
+    command = [sys.executable, "-c", "print(flush=True); input()", *words]
+    with subprocess.Popen([*command, "", ""], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        # a process that is about to begin has no command yet
+        process.stdout.readline()
         assert node_process("a", process.pid) == {
             "command": shlex.join(command),
             "params": None if words == ("x",) else {"b": 1},
