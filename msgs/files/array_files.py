@@ -36,7 +36,9 @@ def load_array(path: Path) -> np.ndarray:
 
 def array_header(path: Path) -> tuple[tuple[int, ...], np.dtype, int]:
     """Return shape and type of a .npy file in C order and its first byte of data, of which some may be missing."""
-    with path.open("rb") as file:
+    with path.open("rb") as file, warnings.catch_warnings():
+        # as in `_read`
+        warnings.simplefilter("ignore")
         try:
             shape, is_fortran, dtype = _header(file)
         except _TROUBLE as error:
@@ -84,6 +86,7 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 def _read(file: IO[bytes], size: int) -> np.ndarray:
     """Return one array of a file of `size` bytes; a header that promises more than that is refused, not allocated."""
     with warnings.catch_warnings():
+        # a header written by Python 2 is slow to read, but valid
         warnings.simplefilter("ignore")
         shape, _, dtype = _header(file)
         promised = math.prod(shape) * dtype.itemsize
@@ -100,12 +103,9 @@ def _read(file: IO[bytes], size: int) -> np.ndarray:
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Return shape, whether it is in Fortran's order, and type."""
-    with warnings.catch_warnings():
-        # a header written by Python 2 is slow to read, but valid
-        warnings.simplefilter("ignore")
-        version = np.lib.format.read_magic(file)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        return read_header(file)
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read_header(file)
 
 
 def _reason(error: BaseException) -> str:
