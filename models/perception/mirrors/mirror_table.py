@@ -14,6 +14,8 @@ from msgs.values.perception import Wall
 RADAR = np.zeros(2)
 #: Wall index of an image that has none.
 NO_WALL = -1
+#: A place is of a wall within this of its line and ends.
+OF_WALL_M = 0.8
 
 
 @dataclass(frozen=True)
@@ -145,3 +147,15 @@ def behind_walls(points_m: np.ndarray, walls: WallArrays, depth_m: float) -> np.
         return np.zeros(len(points_m), bool)
     blocked = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)
     return np.logical_or.reduce(blocked, axis=1)
+
+
+def nearest_walls(points_m: np.ndarray, walls: WallArrays) -> np.ndarray:
+    """Return the nearest wall within reach of each point [N, 2], -1 for none, int64 [N]."""
+    if not len(walls):
+        return np.full(len(points_m), -1)
+    chord = (walls.b - walls.a) / np.maximum(walls.length_m, 1e-9)[:, None]
+    along_m = points_m @ chord.T - np.sum(walls.a * chord, axis=1)
+    beyond_m = np.maximum(np.maximum(-along_m, along_m - walls.length_m), 0.0)
+    off_m = np.where(beyond_m < OF_WALL_M, np.abs(walls.distance_m(points_m)), np.inf)
+    nearest = off_m.argmin(axis=1)
+    return np.where(off_m[np.arange(len(nearest)), nearest] < OF_WALL_M, nearest, -1)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import msgspec
@@ -12,7 +13,7 @@ import numpy as np
 
 from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
-from models.perception.mirrors.mirror_table import NO_WALL
+from models.perception.mirrors.mirror_table import NO_WALL, nearest_walls, wall_arrays
 from models.perception.mirrors.observability import VisibilityParams, observability
 from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
 from models.perception.mirrors.recovered_objects import ObjectParams, form_objects
@@ -35,9 +36,11 @@ from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, P
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by walls from elsewhere.
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
-#: Walls of a scan -> what waits for its hidden objects, in place of clusters of folded positions; it takes the view's
-#: mask and its grid, or neither.
-ObjectJudge = Callable[[list[Wall]], Callable[..., tuple[HiddenObject, ...]]]
+#: Walls of a scan -> the same, corrected and extended by those of a map or another sensor.
+WithPriors = Callable[[list[Wall]], list[Wall]]
+#: Fitted walls of a scan, and what joins priors to walls -> what waits for its hidden objects, in place of clusters of
+#: folded positions; it takes the view's mask and its grid, or neither.
+ObjectJudge = Callable[[list[Wall], WithPriors | None], Callable[..., tuple[HiddenObject, ...]]]
 #: Walls, association and rejection: ours, or those of the specification (section 3.1.2).
 BackEnd = Literal["ours", "specification"]
 
@@ -91,14 +94,9 @@ class FoldedScan:
     hidden: np.ndarray
 
 
-def fold_scan(
-    peaks: Peaks,
-    params: GeometryParams,
-    residual: Residual | None = None,
-    wall_prior: WallPrior | None = None,
-) -> FoldedScan:
+def fold_scan(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> FoldedScan:
     """Find walls in the peaks and fold the images back, Eqs. (18), (19); `ValueError` as checked."""
-    return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual)
+    return _folded(peaks, params, *direct_structure(peaks, params), residual)
 
 
 def _folded(
@@ -128,9 +126,15 @@ def recover_bev(
 ) -> BevFrame:
     """Form hidden points and objects from peaks by folded positions, or objects as `judge` sees them; no tracks."""
     params = heeding(params, peaks.sensor)
-    returns, walls = direct_structure(peaks, params, wall_prior)
+    returns, walls = direct_structure(peaks, params)
+    if params.back_end == "specification":
+        # it knows the walls of its scan alone
+        wall_prior = None
+    with_priors = partial(_joined_by_priors, peaks, returns, wall_prior) if wall_prior else None
     # a network judges in a thread of its own, while the rest of the view is made
-    judged = judge(walls) if judge else None
+    judged = judge(walls, with_priors) if judge else None
+    if wall_prior is not None:
+        returns, walls = _with_priors(peaks, returns, walls, wall_prior)
     scan = _folded(peaks, params, returns, walls, residual)
     hidden = scan.recovered.take(scan.hidden)
     visibility = observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility)
@@ -168,9 +172,7 @@ def heeding(params: GeometryParams, sensor: SensorLimits | None) -> GeometryPara
     return msgspec.structs.replace(params, objects=objects, visibility=visibility)
 
 
-def direct_structure(
-    peaks: Peaks, params: GeometryParams, wall_prior: WallPrior | None = None
-) -> tuple[DirectReturns, list[Wall]]:
+def direct_structure(peaks: Peaks, params: GeometryParams) -> tuple[DirectReturns, list[Wall]]:
     """Return the direct returns with their clusters, and the walls; `ValueError` for more than `MAX_PEAKS`."""
     if len(peaks) > MAX_PEAKS:
         raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
@@ -178,9 +180,8 @@ def direct_structure(
         published = PublishedParams(cluster_eps_m=params.cluster_eps_m, cluster_min_points=params.cluster_min_points)
         return published_structure(peaks, published)
     direct = peaks.path_class == PathClass.LOS
-    range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
-    points_m = xy_from_polar(range_m, azimuth_rad)
-    covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
+    points_m = xy_from_polar(peaks.range_m[direct], peaks.azimuth_rad[direct])
+    covariance_m2 = _direct_covariance(peaks)
     speed_mps = None if peaks.radial_speed_mps is None else peaks.radial_speed_mps[direct]
     labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
     if not params.wall_points:
@@ -188,9 +189,27 @@ def direct_structure(
     else:
         part = wall_like(points_m, covariance_m2, peaks.snr_db[direct], speed_mps)
         walls, wall_of_point = _walls_among(part, points_m, covariance_m2, params)
-    if wall_prior is not None:
-        walls, wall_of_point = wall_prior(points_m, covariance_m2, walls, wall_of_point)
     return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point, speed_mps), walls
+
+
+def _direct_covariance(peaks: Peaks) -> np.ndarray:
+    """Return the covariances of the positions of direct returns [N, 2, 2], m^2."""
+    direct = peaks.path_class == PathClass.LOS
+    return cartesian_covariance(peaks.range_m[direct], peaks.azimuth_rad[direct], peaks.covariance[direct])
+
+
+def _with_priors(
+    peaks: Peaks, returns: DirectReturns, walls: list[Wall], wall_prior: WallPrior
+) -> tuple[DirectReturns, list[Wall]]:
+    """Return direct returns and walls of a scan with walls from elsewhere."""
+    walls, wall = wall_prior(returns.points_m, _direct_covariance(peaks), walls, returns.wall)
+    return replace(returns, wall=wall), walls
+
+
+def _joined_by_priors(peaks: Peaks, returns: DirectReturns, wall_prior: WallPrior, walls: list[Wall]) -> list[Wall]:
+    """Return walls that other means found in a scan with walls from elsewhere."""
+    wall = nearest_walls(returns.points_m, wall_arrays(walls))
+    return _with_priors(peaks, replace(returns, wall=wall), walls, wall_prior)[1]
 
 
 def _walls_among(

@@ -15,7 +15,7 @@ import numpy as np
 from models.perception.cards import learned_path
 from models.perception.find.score_calibration import ScoreTable, calibrated, check_table
 from models.perception.mirrors.observability import visibility_at
-from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, made_up_peaks
+from models.perception.mirrors.peaks_to_view import GeometryParams, WithPriors, direct_structure, made_up_peaks
 from models.perception.mirrors.walls import WallParams
 from models.perception.onnx_session import ArrayCard, ArraySession
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
@@ -125,6 +125,7 @@ class EvidencePredictor:
         self,
         ra_map: RangeAzimuthMap,
         walls: list[Wall],
+        with_priors: WithPriors | None = None,
         moving: bool = False,
         memory: WallMemory | None = None,
         threshold: float | None = None,
@@ -132,14 +133,15 @@ class EvidencePredictor:
         """Let the networks begin with a scan; the function returned waits for its hidden objects, likeliest first.
 
         It takes the view's observability mask and its grid, or neither. Walls of earlier scans count where a memory is
-        given. Scores are probabilities of a vehicle that is `moving` or not; `threshold`: in place of its own.
+        given, those of a map by `with_priors`. Scores are probabilities of a vehicle that is `moving` or not;
+        `threshold`: in place of its own.
         `ValueError` for a map that does not suit, and for answers that are not finite.
         """
         if not self.suits(ra_map):
             require_grid(self.card.name, self.grid, ra_map.grid)
             raise ValueError(f"map.mode must be of a radar for {self.card.name}, got {ra_map.mode}")
         threshold = self.threshold if threshold is None else threshold
-        likely = begun(partial(self._objects, ra_map, walls, moving, memory, threshold))
+        likely = begun(partial(self._objects, ra_map, walls, with_priors, moving, memory, threshold))
         return partial(self._reported, likely, threshold)
 
     def _reported(
@@ -163,12 +165,18 @@ class EvidencePredictor:
         return tuple(msgspec.structs.replace(each, id=index) for index, each in enumerate(reached))
 
     def _objects(
-        self, ra_map: RangeAzimuthMap, walls: list[Wall], moving: bool, memory: WallMemory | None, threshold: float
+        self,
+        ra_map: RangeAzimuthMap,
+        walls: list[Wall],
+        with_priors: WithPriors | None,
+        moving: bool,
+        memory: WallMemory | None,
+        threshold: float,
     ) -> tuple[HiddenObject, ...]:
         earlier = memory.earlier() if memory else ()
         expected, fields = self._expected or (None, None)
         field_answer = fields() if fields and expected is ra_map else self._fields.answer(ra_map)
-        scan = scan_evidence(self.card.encoding, ra_map, field_answer, walls, earlier)
+        scan = scan_evidence(self.card.encoding, ra_map, field_answer, walls, earlier, with_priors)
         if memory:
             memory.add(scan.elements)
         table = self.card.calibration_of(moving)

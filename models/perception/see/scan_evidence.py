@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 from scipy.special import expit
 
-from models.perception.mirrors.mirror_table import WallArrays, wall_arrays
+from models.perception.mirrors.mirror_table import WallArrays, nearest_walls, wall_arrays
+from models.perception.mirrors.peaks_to_view import WithPriors
 from models.perception.mirrors.walls import WallParams
 from models.perception.see.gathering import BirdsEyeGrid, Evidence, channel_names, gathered, loudest_near, odd_channels
 from models.perception.see.wall_elements import (
@@ -19,7 +20,6 @@ from models.perception.see.wall_elements import (
     WallGrowth,
     further_walls,
     grown_walls,
-    nearest_walls,
     wall_elements,
     weighed_together,
 )
@@ -79,15 +79,18 @@ def scan_evidence(
     answer: np.ndarray,
     fitted: Sequence[Wall] = (),
     earlier: Sequence[WallElements] = (),
+    with_priors: WithPriors | None = None,
 ) -> ScanEvidence:
     """Return the evidence of a map by the field network's answer [answers, range, azimuth].
 
-    `fitted`: walls known otherwise, which join its own; `earlier`: elements of earlier scans, each weighs the same.
+    `fitted`: walls known otherwise, which join its own; `earlier`: elements of earlier scans, each weighs the same;
+    `with_priors`: corrects and extends them all by those of a map or another sensor.
     """
     elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
     every = weighed_together([elements, *earlier]) if earlier else elements
     grown, _ = grown_walls(every, encoding.growth)
-    walls = [*grown, *further_walls(fitted, grown)][: encoding.max_walls]
+    walls = [*grown, *further_walls(fitted, grown)]
+    walls = (with_priors(walls) if with_priors else walls)[: encoding.max_walls]
     arrays = wall_arrays(walls)
     certainty = certainties(arrays, answer, ra_map.grid)
     support = nearest_walls(every.place_m, arrays)

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import expit
 
 from models.compiled import compiled
-from models.perception.mirrors.mirror_table import WallArrays
 from msgs.values.array_table import ArrayTable
 from msgs.values.arrays import require_positive, require_within
 from msgs.values.perception import Wall
@@ -35,8 +34,6 @@ ELEMENT_STD_M, ELEMENT_STD_RAD = 0.15, math.radians(4.0)
 SHARED_M = 1.0
 #: Two walls are one within these: off its line, turned against it, beyond its ends.
 SAME_WALL_M, SAME_WALL_COS, SAME_END_M = 0.2, math.cos(math.radians(1.0)), 2.0
-#: An element is of a wall within this of its line and ends.
-OF_WALL_M = 0.8
 
 
 class WallGrowth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -136,18 +133,6 @@ def _is_same(wall: Wall, other: Wall) -> bool:
     across_m = abs(float(middle_m @ np.array(other.normal)) + other.offset_m)
     turned = float(np.dot(wall.normal, other.normal))
     return across_m < SAME_WALL_M and turned > SAME_WALL_COS and -SAME_END_M < along_m < length_m + SAME_END_M
-
-
-def nearest_walls(points_m: np.ndarray, walls: WallArrays) -> np.ndarray:
-    """Return the nearest wall within reach of each point [N, 2], -1 for none, int64 [N]."""
-    if not len(walls):
-        return np.full(len(points_m), -1)
-    chord = (walls.b - walls.a) / np.maximum(walls.length_m, 1e-9)[:, None]
-    along_m = points_m @ chord.T - np.sum(walls.a * chord, axis=1)
-    beyond_m = np.maximum(np.maximum(-along_m, along_m - walls.length_m), 0.0)
-    off_m = np.where(beyond_m < OF_WALL_M, np.abs(walls.distance_m(points_m)), np.inf)
-    nearest = off_m.argmin(axis=1)
-    return np.where(off_m[np.arange(len(nearest)), nearest] < OF_WALL_M, nearest, -1)
 
 
 @compiled(error_model="numpy")

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from lab.training.data.field_samples import first_walls
-from models.perception.mirrors.mirror_table import wall_arrays
+from models.perception.mirrors.mirror_table import nearest_walls, wall_arrays
 from models.perception.see.scan_evidence import certainties
 from models.perception.see.wall_elements import (
     ELEMENT_STD_M,
     WallGrowth,
     further_walls,
     grown_walls,
-    nearest_walls,
     wall_elements,
 )
 from msgs.values.perception import Wall

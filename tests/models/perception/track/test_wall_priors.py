@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.mirrors.peaks_to_view import GeometryParams
+from models.perception.mirrors.peaks_to_view import GeometryParams, WithPriors
 from models.perception.see.scan_evidence import CANDIDATE_WALLS
 from models.perception.track.odometry import OdometryPose
 from models.perception.track.scan_state import MemoryParams
@@ -19,7 +19,7 @@ from models.perception.track.wall_priors import MAX_SOURCES, MAX_WAITING_MESSAGE
 from msgs.bus.codec import encode_inline
 from msgs.values.environment import PriorWall, WallPriors
 from msgs.values.frames import Pose2
-from msgs.values.perception import BevFrame, Peaks
+from msgs.values.perception import BevFrame, Peaks, Wall
 from msgs.values.vehicle import VehicleState, ego_motion
 from tests.builders import peaks_at
 
@@ -172,9 +172,9 @@ def test_sources_and_messages_are_bounded() -> None:
     assert "map 1" not in {item.source for item in store.at(START_NS, lambda stamp_ns: None, Pose2())}
 
 
-def test_the_evidence_network_gets_the_walls_with_priors() -> None:
-    """All judges of a scan read the list of its view."""
-    judged: list[int] = []
+def test_the_evidence_network_adds_priors_to_the_walls_it_found() -> None:
+    """A map joins whatever walls the network has: those of the view, none, or the map's own wall a little off."""
+    judged: list[tuple[list[Wall], WithPriors | None]] = []
 
     class Judge:
         card, walls = SimpleNamespace(), CANDIDATE_WALLS
@@ -182,17 +182,27 @@ def test_the_evidence_network_gets_the_walls_with_priors() -> None:
         def suits(self, ra_map: object) -> bool:
             return True
 
-        def judge(self, ra_map: object, walls: list, moving: bool, **rest: object) -> Callable[..., tuple]:
-            judged.append(len(walls))
+        def judge(
+            self, ra_map: object, walls: list[Wall], with_priors: WithPriors | None, **rest: object
+        ) -> Callable[..., tuple]:
+            judged.append((walls, with_priors))
             return lambda *mask: ()
 
     views = ViewStage(memory=MemoryParams(tracking=False), predictor=Judge())  # type: ignore[arg-type]
-    for messages in ([], [message()]):
-        for item in messages:
-            views.add_walls(item)
-        frame = views.view(msgspec.structs.replace(scan(0), detector="sha256/pursuit"), object())  # type: ignore[arg-type]
-        assert judged[-1] == len(frame.walls)
-    assert judged == [1, 2]
+    peaks = msgspec.structs.replace(scan(0), detector="sha256/pursuit")
+    views.view(peaks, object())  # type: ignore[arg-type]
+    views.add_walls(message())
+    both = views.view(peaks, object()).walls  # type: ignore[arg-type]
+    (_, nothing), (fitted, with_priors) = judged
+    assert nothing is None
+    assert with_priors is not None
+    assert (len(fitted), len(both)) == (1, 2)
+    assert with_priors(fitted) == list(both)
+    (alone,) = with_priors([])
+    assert alone == both[1]
+    off = msgspec.structs.replace(alone, offset_m=alone.offset_m + 0.1, inliers=9)
+    (corrected,) = with_priors([off])
+    assert 0.0 < off.offset_m - corrected.offset_m < 0.1
 
 
 def test_a_message_replaces_nothing_of_another_source() -> None:
