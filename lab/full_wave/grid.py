@@ -132,18 +132,9 @@ class YeeGrid:
         self.peak = 0.0
         self.level = 0.0
 
-    def run(
-        self,
-        drive: Drive,
-        rows: tuple[int, ...],
-        steps: int,
-        spectra: np.ndarray,
-        picture: np.ndarray | None = None,
-        picture_every: int = 1,
-    ) -> None:
-        """Take `steps` steps; add the phasors of u at rows to spectra complex128 [rows, nx], u's map to picture."""
+    def run(self, drive: Drive, rows: tuple[int, ...], steps: int, spectra: np.ndarray) -> None:
+        """Take `steps` steps; add the phasors of u at rows to spectra complex128 [rows, nx]."""
         source = np.stack([drive.profile.real, drive.profile.imag])
-        map_ = np.zeros((0, 0), np.complex128) if picture is None else picture
         shape = (float(drive.row), self.params.phase_per_step, drive.deviation_steps, drive.half_length)
         threads = numba.get_num_threads()
         numba.set_num_threads(threads if self.u.size >= PARALLEL_CELLS else 1)
@@ -166,8 +157,6 @@ class YeeGrid:
                 shape,
                 np.array(rows, np.int64),
                 spectra,
-                map_,
-                picture_every,
                 self.steps,
                 batch,
             )
@@ -379,8 +368,6 @@ def _run(  # type: ignore[no-untyped-def]
     shape,
     rows,
     spectra,
-    picture,
-    picture_every,
     start,
     steps,
 ):
@@ -411,8 +398,6 @@ def _run(  # type: ignore[no-untyped-def]
                 spectra[r, i] += u[0, i + 1, rows[r]] * turn
                 if periodic:
                     spectra[r, i] += u[1, i + 1, rows[r]] * (1j * turn)
-        if picture.shape[0] > 0 and step % picture_every == 0:
-            _add_picture(u, turn, picture)
 
 
 @numba.njit(cache=True)
@@ -447,14 +432,6 @@ def _run_node(  # type: ignore[no-untyped-def]
                 if row == node[0]:
                     u[0, i, node[1]] += drive[first + t]
                     record[first + t] = u[0, i, node[1]]
-
-
-@numba.njit(parallel=True, cache=True)
-def _add_picture(u, turn, picture):  # type: ignore[no-untyped-def]
-    """Add the phasor map of a real grid."""
-    for i in numba.prange(picture.shape[0]):
-        for k in range(picture.shape[1]):
-            picture[i, k] += u[0, i + 1, k] * turn
 
 
 @numba.njit(parallel=True, cache=True)

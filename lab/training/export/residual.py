@@ -13,7 +13,7 @@ import torch
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.data.residual_samples import FoldedImages, RecoveredScores, recovered_scores
 from lab.training.export.onnx import require_onnx, write_card, write_onnx
-from lab.training.train_residual import ResidualRunConfig, load_best_residual, network_offsets
+from lab.training.train_residual import FRAME, ResidualRunConfig, load_best_residual, network_offsets
 from models.perception.mirrors.residual_model import INPUTS, LearnedResidual, ResidualCard
 from msgs.files.checksums import file_sha256
 
@@ -45,7 +45,7 @@ def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, com
         draft = _draft(network, run, epoch, export_residual_onnx(network, file), model_path.stem, command)
         write_card(draft, file)
         offsets_m = LearnedResidual(file)(test.reflection)
-        _check_parity(model_path, offsets_m, network_offsets(network, test, run.training.frame))
+        _check_parity(model_path, offsets_m, network_offsets(network, test))
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
     card = msgspec.structs.replace(draft, metrics=_metrics(test, offsets_m, run.training.reach_m))
@@ -61,10 +61,10 @@ def _draft(
         name=name,
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
-        frame=run.training.frame,
+        frame=FRAME,
         neighbours=network.config.neighbours,
         source="peaks",
-        geometry=run.samples.geometry,
+        geometry="published",
         seed=run.training.seed,
         command=command,
         data=dict(run.data),
