@@ -14,6 +14,7 @@ from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.data.residual_samples import FoldedImages, RecoveredScores, recovered_scores
 from lab.training.export.onnx import require_onnx, write_card, write_onnx
 from lab.training.train_residual import FRAME, ResidualRunConfig, load_best_residual, network_offsets
+from models.perception.mirrors.recovery import NEIGHBOURS
 from models.perception.mirrors.residual_model import INPUTS, LearnedResidual, ResidualCard
 from msgs.files.checksums import file_sha256
 
@@ -23,9 +24,8 @@ PARITY_M = 1e-3
 
 def export_residual_onnx(network: ResidualReflectNet, path: Path) -> str:
     """Write a network for any number of images as ONNX fp32; returns the file's sha256."""
-    neighbours = network.config.neighbours
     # two, because a batch of one may be folded into the graph
-    example = (torch.zeros(2, 2), torch.zeros(2, neighbours, 2), torch.zeros(2, 6))
+    example = (torch.zeros(2, 2), torch.zeros(2, NEIGHBOURS, 2), torch.zeros(2, 6))
     axes = {name: {0: "images"} for name in (*INPUTS, "residual")}
     names = {"input_names": list(INPUTS), "output_names": ["residual"], "dynamic_axes": axes}
     write_onnx(network.eval(), example, path, **names)
@@ -62,7 +62,7 @@ def _draft(
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
         frame=FRAME,
-        neighbours=network.config.neighbours,
+        neighbours=NEIGHBOURS,
         source="peaks",
         geometry="published",
         seed=run.training.seed,
