@@ -408,6 +408,10 @@ PCD = (
     b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\n"
     b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA ascii\n0 0 0\n5 5 1\n1 2 3\n"
 )
+#: A zero, three repetitions of it, 32 bytes as they are.
+PCD_PACKED = PCD.partition(b"ascii")[0] + b"binary_compressed\n" + struct.pack(
+    "<2I5s8f", 37, 36, b"\0\0\x20\0\x1f", 5, 1, 0, 5, 2, 0, 1, 3
+)  # fmt: skip
 
 
 def can_frames(count: int = 6) -> bytes:
@@ -627,7 +631,7 @@ def _log_lines() -> list[Parts]:
 
 def _clouds() -> list[Parts]:
     return [
-        [b"\0", PLY_CLOUD], [b"\0", PLY_BINARY], [b"\1", PCD], [b"\2", b"0 0 0\n5 5 1\n1 2 3\n"],
+        [b"\0", PLY_CLOUD], [b"\0", PLY_BINARY], [b"\1", PCD], [b"\1", PCD_PACKED], [b"\2", b"0 0 0\n5 5 1\n1 2 3\n"],
         [b"\3", npy(np.arange(12.0).reshape(4, 3))],
     ]  # fmt: skip
 
