@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench fuzz mutants tables sample pictures fdtd-figures full-wave compare results-gpu object-network clean
+.PHONY: help setup setup-dev demo test test-fast test-road lint style audit lock stability site reference bench fuzz mutants tables sample pictures full-wave compare results-gpu object-network clean
 
 # $(call beat,WORDS) COMMAND: a line of WORDS every ten seconds until COMMAND, or the shell that runs it, has ended
 beat = (s=0; while sleep 1 && kill -0 $$$$ 2>/dev/null; do s=$$((s + 1)); [ $$((s % 10)) -ne 0 ] || echo "$(1), $$s s"; done) & trap "kill $$!" EXIT;
@@ -156,16 +156,13 @@ tables: setup  ## the shipped reflectance table, simulated again (minutes; goes 
 sample: setup  ## the shipped sample capture, simulated again: docs/guides/first-look.md
 	$(BIN)/python -m benchmarks.simulator.sample_capture
 
-pictures: fdtd-figures  ## the pictures of README, first look and walls again, by the present default (minutes); others: compare, full-wave
+pictures: setup  ## the pictures of README, first look and walls again, by the present default (minutes); others: compare, full-wave
+	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 	$(BIN)/mirrorwave sim run launch/scenes/two_hidden_vehicles.yaml --out runs/pictures/two.mcap --scans 1
 	$(BIN)/mirrorwave process runs/pictures/two.mcap --out runs/pictures/two
 	$(BIN)/mirrorwave process --sample --out runs/pictures/first-look
 	cp runs/pictures/two/bev.png docs/images/two-hidden-vehicles.png
 	cp runs/pictures/first-look/bev.png docs/images/first-look.png
-
-fdtd-figures: setup
-	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
-	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 
 full-wave: setup-dev  ## rays against a full-wave solution: docs/results/full-wave.md (half an hour; goes on if stopped)
 	$(BIN)/python -m benchmarks.full_wave --table docs/results/full-wave.md --figure docs/images/full-wave.png

@@ -21,6 +21,7 @@ from pathlib import Path
 import atheris
 
 from fuzz.mutations import joined, mutated, split
+from fuzz.seeds import SEEDS
 from fuzz.targets import TARGETS, execute
 
 #: Memory a reader may ask for at once is far below; a length field must not be what it asks for.
@@ -38,7 +39,7 @@ def fuzz(name: str, work: Path) -> None:
     folder = Path(tempfile.mkdtemp())
     with atheris.instrument_imports(include=[*_OURS, *target.modules], exclude=_compiled_modules()):
         # what a reader imports when it is first called is instrumented too
-        for parts in target.seeds():
+        for parts in SEEDS[name]():
             data = joined(parts)
             (work / "inputs" / hashlib.sha256(data).hexdigest()[:40]).write_bytes(data)
             _take(name, parts, folder, work)

@@ -7,7 +7,7 @@ import io
 import math
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from fuzz.mutations import Parts
 from msgs.bus import codec
 from msgs.bus.interface import Envelope
 from msgs.recording.mcap import Losses, RecordingWriter, TopicLoss
@@ -407,6 +408,10 @@ PCD = (
     b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\n"
     b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA ascii\n0 0 0\n5 5 1\n1 2 3\n"
 )
+#: A zero, three repetitions of it, 32 bytes as they are.
+PCD_PACKED = PCD.partition(b"ascii")[0] + b"binary_compressed\n" + struct.pack(
+    "<2I5s8f", 37, 36, b"\0\0\x20\0\x1f", 5, 1, 0, 5, 2, 0, 1, 3
+)  # fmt: skip
 
 
 def can_frames(count: int = 6) -> bytes:
@@ -504,3 +509,184 @@ OSM = b"""<?xml version="1.0"?>
 </osm>
 """
 WALL_RULES = b"- {key: building, value: house, material: wood, thickness_mm: 20, roughness_mm: 0.5}\n"
+
+
+def _inline() -> list[Parts]:
+    from msgs.bus.topics import TOPICS
+
+    order = list(TOPICS)
+    return [[bytes([order.index(topic)]), codec.encode_inline(message)] for topic, message in messages()]
+
+
+def _launches() -> list[Parts]:
+    found = [[one] for one in files("launch/*.yaml") if b"nodes:" in one and len(one) < 4000]
+    params = b"player: {rate: 2.0}\n"
+    extra = [
+        [one[0], params if b"player:" in one[0] else b"", b"player.scans=3", b"player.a.b=[1, x]"] for one in found
+    ]
+    return found + extra
+
+
+def _backgrounds() -> list[Parts]:
+    background = np.ones((3, 4), np.complex64)
+    return [[npy(background)], [npy(background, "F")], [npz(a=background)]]
+
+
+def _cards() -> list[Parts]:
+    model = network()[0]
+    residual = {
+        "name": "r", "sha256": "0", "parameters": 1, "frame": "wall", "neighbours": 4, "source": "truth", "seed": 1,
+        "geometry": "ours", "command": "x", "data": {"a": 1}, "metrics": {"f1": 0.5}, "training": {"epochs": [1]},
+    }  # fmt: skip
+    return [[b"\0", model], [b"\1", msgspec.json.encode(residual)]]
+
+
+def _images() -> list[Parts]:
+    from PIL import Image
+
+    pixels = Image.new("RGB", (6, 4), (200, 10, 10))
+    made: list[Parts] = [[jpeg()]]
+    for kind in ("PNG", "BMP", "TIFF", "PPM", "WEBP"):
+        out = io.BytesIO()
+        pixels.save(out, kind)
+        made.append([out.getvalue()])
+    return made
+
+
+def _published() -> list[Parts]:
+    one, two = np.array([[0.5], [10.0], [0.0]]), np.array([[1.0, 10.0]])
+    sim = [npy(np.ones((512, 256), np.complex64)[:1].repeat(512, 0) * 0), npz(L=one, G=one, T=one)]
+    real = [npz(Pxx=np.zeros((4, 4), np.int8)), *[npy(two)] * 3]
+    return [[b"\1", npy(np.zeros((4, 4), np.complex64)), sim[1]], [b"\0", *real]]
+
+
+def _datagrams() -> list[Parts]:
+    from contrib.boards.dca1000_packets import PAYLOAD_BYTES, datagram
+
+    payload = bytes(range(1, 183)) * 8
+    sent = [datagram(1 + at, at * PAYLOAD_BYTES, payload) for at in range(8)]
+    wrapped = [datagram((1 << 32) - 2 + at, (1 << 48) - 128 + at * 64, payload[:64]) for at in range(4)]
+    report = bytes.fromhex("5aa50a000001aaee")
+    return [[b"\1", *sent], [b"\0", sent[0], sent[2], sent[1], sent[1], report], [b"\2", *wrapped]]
+
+
+def _documents() -> list[Parts]:
+    report = (ROOT / "docs/results/tradeoff.json").read_bytes()
+    return [
+        [b"\0", report if len(report) < 1 << 15 else b"{}"],
+        [b"\1", b'{"key": "a", "times_ms": {}}'],
+        [b"\3", b'{"pid": 1, "run": "runs/a", "nodes": ["a"]}'],
+        [b"\4", b'{"time": "t", "node": "n", "level": "info", "text": "a"}\nx\n'],
+    ]
+
+
+def _tables() -> list[Parts]:
+    from lab.full_wave.reflectance import ReflectanceTable
+
+    card = b'{"sha256": "", "bands_ghz": [10.0], "walls": [{"name": "concrete"}]}'
+    return [[card, npz(**{name: np.zeros((1, 1)) for name in ReflectanceTable.ARRAYS}), b'{"entry": {}}\n']]
+
+
+def _keys() -> list[Parts]:
+    # a pair made once for nothing else
+    public = b'curve\n    public-key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID"\n'
+    secret = public + b'    secret-key = "D:)Q[IlAW!ahhC2ac:9*A}h:p?([4%wOTJ%JR%cs"\n'
+    return [[secret, public, b"tcp://127.0.0.1:5555"], [secret, public, b"tcp://[::1]:*"]]
+
+
+def _words() -> list[Parts]:
+    words = (
+        (0, "speed_mps>5"), (0, "valid==false"), (0, 'reason=="stale"'), (1, "walls.0.normal.1"), (1, "los_points_m"),
+        (2, "0:85:5"), (3, "radar/beam,log"), (4, "1 2"), (4, "0.5 nan 3"), (5, "cfar,threshold=0.5,refine"),
+        (5, "a=x.onnx,recovery.gate_m=[1,2],geometry=ours"), (6, "auto"), (6, "relay,noise"), (7, "mem_gb=4|x='a'"),
+        (8, "a=b|c=d"),
+    )  # fmt: skip
+    return [[bytes([kind]), word.encode()] for kind, word in words]
+
+
+def _each(*names: str) -> list[Parts]:
+    """Return constants of this module, or files of the checkout where a name has a slash, one part each."""
+    found = [files(name) if "/" in name else [globals()[name]] for name in names]
+    return [[one] for group in found for one in group if len(one) < 1 << 14]
+
+
+def _recordings() -> list[Parts]:
+    return [[one, bytes([choice])] for one in recordings() for choice in (0, 1, 2, 3)]
+
+
+def _maps() -> list[Parts]:
+    (example,) = files("launch/maps/*.geojson")
+    return [[b"\0", example, b""], [b"\0", example, WALL_RULES], [b"\1", OSM, b""]]
+
+
+def _mappings() -> list[Parts]:
+    dbc = (ROOT / "launch/can/mirrorwave.dbc").read_bytes()
+    return [[one, dbc, can_frames()] for one in files("launch/can/mirrorwave.yaml")]
+
+
+def _log_lines() -> list[Parts]:
+    record = b'\x1e{"time": "t", "node": "n", "level": "info", "text": "a", "state": "ready"}\n'
+    return [[b"plain text\n", record], [record[:20], record[20:]], [b"a\r\nb\x1b[2J\xff\n" + b"x" * 600]]
+
+
+def _clouds() -> list[Parts]:
+    return [
+        [b"\0", PLY_CLOUD], [b"\0", PLY_BINARY], [b"\1", PCD], [b"\1", PCD_PACKED], [b"\2", b"0 0 0\n5 5 1\n1 2 3\n"],
+        [b"\3", npy(np.arange(12.0).reshape(4, 3))],
+    ]  # fmt: skip
+
+
+def _meshes() -> list[Parts]:
+    return [
+        [b"\0", OBJ], [b"\1", PLY_MESH], [b"\2", STL_TEXT], [b"\2", STL_BINARY],
+        [b"\4", GLTF], *([b"\3", one] for one in files("tests/data/meshes/*.glb") if len(one) < 1 << 13),
+    ]  # fmt: skip
+
+
+def _shards() -> list[Parts]:
+    series = b'{"preset": "xband", "grid": {"range_bin_m": 0.2, "range_bins": 4, "azimuth_bins": 4}}'
+    splits = b'{"seed": 0, "train": [0], "validation": [1], "test": [], "test_sha256": ""}'
+    return [[shard()], [shard(), series], [shard(), series, splits]]
+
+
+_CLIENT = (
+    [b'{"type": "ack", "number": 0}'],
+    [b'{"type": "play", "speed": 1.0, "loop": true}', b'{"type": "seek", "index": 3}'],
+    [b'{"type": "step", "by": -1}'],
+    [b'{"type": "plot", "ids": [1, 2]}', b'{"type": "plot", "ids": []}'],
+)
+#: What makes the valid inputs of each target.
+SEEDS: dict[str, Callable[[], list[Parts]]] = {
+    **dict.fromkeys(("wire", "foreign"), wire),
+    **dict.fromkeys(("recording", "recover", "replay", "view", "convert"), _recordings),
+    **dict.fromkeys(("scene", "plan"), lambda: _each("SCENE", "launch/scenes/*.yaml")),
+    "inline": _inline,
+    "sigmf": sigmf,
+    "map": _maps,
+    "mesh": _meshes,
+    "launch": _launches,
+    "settings": lambda: _each("SETTINGS"),
+    "dbc": lambda: [[one, can_frames()] for one in files("launch/can/*.dbc")],
+    "mapping": _mappings,
+    "can_frames": lambda: [[can_frames()], [can_frames(40)]],
+    "target_list": target_lists,
+    "detection_table": detection_tables,
+    "can_log": can_logs,
+    "viewer_client": lambda: [*_CLIENT],
+    "log_lines": _log_lines,
+    "background": _backgrounds,
+    "card": _cards,
+    "onnx": lambda: [network()],
+    "manifest": lambda: _each("MANIFEST"),
+    "cloud": _clouds,
+    "image": _images,
+    "shard": _shards,
+    "xradarnlos": _published,
+    "dca1000": lambda: [[bytes([at]), text, bytes(range(256)) * 2] for at, text in enumerate((CFG, CFG_JSON, LUA))],
+    "card_datagrams": _datagrams,
+    "transients": lambda: [[transients(packed)] for packed in (False, True)],
+    "json_files": _documents,
+    "reflectance": _tables,
+    "keys": _keys,
+    "words": _words,
+}

@@ -56,7 +56,6 @@ class Target:
 
     run: Callable[[Parts, Box], None]
     kinds: tuple[str, ...]
-    seeds: Callable[[], list[Parts]]
     refusals: tuple[type[Exception], ...] = (ValueError, OSError)
     #: Packages whose branches count, beside the project's own.
     modules: tuple[str, ...] = ()
@@ -659,6 +658,7 @@ def _words(parts: Parts, box: Box) -> None:
     """What is typed at the command line: conditions, fields, angles, lists, spans, methods, overrides."""
     import math
 
+    from fuzz.seeds import messages
     from lab.evaluate import methods as evaluate_methods
     from lab.walls import curves as wall_curves
     from mirrorwave.commands import former_options
@@ -671,12 +671,12 @@ def _words(parts: Parts, box: Box) -> None:
     match number(parts, 0, 9):
         case 0:
             condition = topic_echo.parse_condition(word)
-            for _, message in _messages():
+            for _, message in messages():
                 body = to_builtins(message)
                 if condition.field.partition(".")[0] in body:
                     assert condition.holds(body) in (True, False)
         case 1:
-            for _, message in _messages():
+            for _, message in messages():
                 topic_echo.field_of(to_builtins(message), word)
         case 2:
             angles = wall_curves.parse_angles(word)
@@ -699,287 +699,44 @@ def _words(parts: Parts, box: Box) -> None:
             former_options.present_words(word.split("|"), str)
 
 
-def _messages() -> list[tuple[str, Any]]:
-    from fuzz import seeds
-
-    return seeds.messages()
-
-
-def _seeds(name: str, *arguments: Any) -> Callable[[], list[Parts]]:
-    """Seeds made when they are asked for."""
-
-    def made() -> list[Parts]:
-        from fuzz import seeds
-
-        return getattr(seeds, name)(*arguments)
-
-    return made
-
-
-def _each(*names: str) -> Callable[[], list[Parts]]:
-    """Constants of `fuzz.seeds`, or files of the checkout where a name has a slash, one part each."""
-
-    def made() -> list[Parts]:
-        from fuzz import seeds
-
-        found = [seeds.files(name) if "/" in name else [getattr(seeds, name)] for name in names]
-        return [[one] for group in found for one in group if len(one) < 1 << 14]
-
-    return made
-
-
-def _recordings() -> list[Parts]:
-    from fuzz import seeds
-
-    return [[one, bytes([choice])] for one in seeds.recordings() for choice in (0, 1, 2, 3)]
-
-
-def _map_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    (example,) = seeds.files("launch/maps/*.geojson")
-    return [[b"\0", example, b""], [b"\0", example, seeds.WALL_RULES], [b"\1", seeds.OSM, b""]]
-
-
-def _inline_seeds() -> list[Parts]:
-    from fuzz import seeds
-    from msgs.bus import codec
-    from msgs.bus.topics import TOPICS
-
-    order = list(TOPICS)
-    return [[bytes([order.index(topic)]), codec.encode_inline(message)] for topic, message in seeds.messages()]
-
-
-def _launch_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    found = [[one] for one in seeds.files("launch/*.yaml") if b"nodes:" in one and len(one) < 4000]
-    params = b"player: {rate: 2.0}\n"
-    extra = [
-        [one[0], params if b"player:" in one[0] else b"", b"player.scans=3", b"player.a.b=[1, x]"] for one in found
-    ]
-    return found + extra
-
-
-def _dbc_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    return [[one, seeds.can_frames()] for one in seeds.files("launch/can/*.dbc")]
-
-
-def _mapping_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    dbc = (seeds.ROOT / "launch/can/mirrorwave.dbc").read_bytes()
-    return [[one, dbc, seeds.can_frames()] for one in seeds.files("launch/can/mirrorwave.yaml")]
-
-
-def _frame_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    return [[seeds.can_frames()], [seeds.can_frames(40)]]
-
-
-def _client_seeds() -> list[Parts]:
-    return [
-        [b'{"type": "ack", "number": 0}'],
-        [b'{"type": "play", "speed": 1.0, "loop": true}', b'{"type": "seek", "index": 3}'],
-        [b'{"type": "step", "by": -1}'],
-        [b'{"type": "plot", "ids": [1, 2]}', b'{"type": "plot", "ids": []}'],
-    ]
-
-
-def _log_seeds() -> list[Parts]:
-    record = b'\x1e{"time": "t", "node": "n", "level": "info", "text": "a", "state": "ready"}\n'
-    return [[b"plain text\n", record], [record[:20], record[20:]], [b"a\r\nb\x1b[2J\xff\n" + b"x" * 600]]
-
-
-def _npy_seeds() -> list[Parts]:
-    import numpy as np
-
-    from fuzz import seeds
-
-    background = np.ones((3, 4), np.complex64)
-    return [[seeds.npy(background)], [seeds.npy(background, "F")], [seeds.npz(a=background)]]
-
-
-def _card_seeds() -> list[Parts]:
-    import msgspec
-
-    from fuzz import seeds
-
-    model = seeds.network()[0]
-    residual = {
-        "name": "r", "sha256": "0", "parameters": 1, "frame": "wall", "neighbours": 4, "source": "truth", "seed": 1,
-        "geometry": "ours", "command": "x", "data": {"a": 1}, "metrics": {"f1": 0.5}, "training": {"epochs": [1]},
-    }  # fmt: skip
-    return [[b"\0", model], [b"\1", msgspec.json.encode(residual)]]
-
-
-def _network_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    return [seeds.network()]
-
-
-def _cloud_seeds() -> list[Parts]:
-    import numpy as np
-
-    from fuzz import seeds
-
-    points = np.arange(12.0).reshape(4, 3)
-    return [
-        [b"\0", seeds.PLY_CLOUD], [b"\0", seeds.PLY_BINARY], [b"\1", seeds.PCD], [b"\2", b"0 0 0\n5 5 1\n1 2 3\n"],
-        [b"\3", seeds.npy(points)],
-    ]  # fmt: skip
-
-
-def _image_seeds() -> list[Parts]:
-    import io
-
-    from PIL import Image
-
-    from tests.side_sensors import jpeg
-
-    pixels = Image.new("RGB", (6, 4), (200, 10, 10))
-    seeds: list[Parts] = [[jpeg()]]
-    for kind in ("PNG", "BMP", "TIFF", "PPM", "WEBP"):
-        out = io.BytesIO()
-        pixels.save(out, kind)
-        seeds.append([out.getvalue()])
-    return seeds
-
-
-def _mesh_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    return [
-        [b"\0", seeds.OBJ], [b"\1", seeds.PLY_MESH], [b"\2", seeds.STL_TEXT], [b"\2", seeds.STL_BINARY],
-        [b"\4", seeds.GLTF], *([b"\3", one] for one in seeds.files("tests/data/meshes/*.glb") if len(one) < 1 << 13),
-    ]  # fmt: skip
-
-
-def _shard_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    series = b'{"preset": "xband", "grid": {"range_bin_m": 0.2, "range_bins": 4, "azimuth_bins": 4}}'
-    splits = b'{"seed": 0, "train": [0], "validation": [1], "test": [], "test_sha256": ""}'
-    return [[seeds.shard()], [seeds.shard(), series], [seeds.shard(), series, splits]]
-
-
-def _xradarnlos_seeds() -> list[Parts]:
-    import numpy as np
-
-    from fuzz import seeds
-
-    one, two = np.array([[0.5], [10.0], [0.0]]), np.array([[1.0, 10.0]])
-    sim = [seeds.npy(np.ones((512, 256), np.complex64)[:1].repeat(512, 0) * 0), seeds.npz(L=one, G=one, T=one)]
-    real = [seeds.npz(Pxx=np.zeros((4, 4), np.int8)), *[seeds.npy(two)] * 3]
-    return [[b"\1", seeds.npy(np.zeros((4, 4), np.complex64)), sim[1]], [b"\0", *real]]
-
-
-def _dca_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    texts = (seeds.CFG, seeds.CFG_JSON, seeds.LUA)
-    return [[bytes([at]), text, bytes(range(256)) * 2] for at, text in enumerate(texts)]
-
-
-def _datagram_seeds() -> list[Parts]:
-    from contrib.boards.dca1000_packets import PAYLOAD_BYTES, datagram
-
-    payload = bytes(range(1, 183)) * 8
-    sent = [datagram(1 + at, at * PAYLOAD_BYTES, payload) for at in range(8)]
-    wrapped = [datagram((1 << 32) - 2 + at, (1 << 48) - 128 + at * 64, payload[:64]) for at in range(4)]
-    report = bytes.fromhex("5aa50a000001aaee")
-    return [[b"\1", *sent], [b"\0", sent[0], sent[2], sent[1], sent[1], report], [b"\2", *wrapped]]
-
-
-def _transient_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    return [[seeds.transients(packed)] for packed in (False, True)]
-
-
-def _json_seeds() -> list[Parts]:
-    from fuzz import seeds
-
-    report = (seeds.ROOT / "docs/results/tradeoff.json").read_bytes()
-    return [
-        [b"\0", report if len(report) < 1 << 15 else b"{}"],
-        [b"\1", b'{"key": "a", "times_ms": {}}'],
-        [b"\3", b'{"pid": 1, "run": "runs/a", "nodes": ["a"]}'],
-        [b"\4", b'{"time": "t", "node": "n", "level": "info", "text": "a"}\nx\n'],
-    ]
-
-
-def _table_seeds() -> list[Parts]:
-    import numpy as np
-
-    from fuzz import seeds
-    from lab.full_wave.reflectance import ReflectanceTable
-
-    card = b'{"sha256": "", "bands_ghz": [10.0], "walls": [{"name": "concrete"}]}'
-    return [[card, seeds.npz(**{name: np.zeros((1, 1)) for name in ReflectanceTable.ARRAYS}), b'{"entry": {}}\n']]
-
-
-def _key_seeds() -> list[Parts]:
-    # a pair made once for nothing else
-    public = b'curve\n    public-key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID"\n'
-    secret = public + b'    secret-key = "D:)Q[IlAW!ahhC2ac:9*A}h:p?([4%wOTJ%JR%cs"\n'
-    return [[secret, public, b"tcp://127.0.0.1:5555"], [secret, public, b"tcp://[::1]:*"]]
-
-
-def _word_seeds() -> list[Parts]:
-    words = (
-        (0, "speed_mps>5"), (0, "valid==false"), (0, 'reason=="stale"'), (1, "walls.0.normal.1"), (1, "los_points_m"),
-        (2, "0:85:5"), (3, "radar/beam,log"), (4, "1 2"), (4, "0.5 nan 3"), (5, "cfar,threshold=0.5,refine"),
-        (5, "a=x.onnx,recovery.gate_m=[1,2],geometry=ours"), (6, "auto"), (6, "relay,noise"), (7, "mem_gb=4|x='a'"),
-        (8, "a=b|c=d"),
-    )  # fmt: skip
-    return [[bytes([kind]), word.encode()] for kind, word in words]
-
-
 _CAN = ("can", "cantools", "textparser", "bitstruct")
 TARGETS: dict[str, Target] = {
-    "wire": Target(_wire, ("bytes", "msgpack", "bytes"), _seeds("wire")),
-    "inline": Target(_inline, ("bytes", "msgpack"), _inline_seeds),
-    "foreign": Target(_foreign, ("bytes", "msgpack", "bytes"), _seeds("wire")),
-    "recording": Target(_recording, ("mcap",), _recordings, modules=("mcap",), max_bytes=1 << 16),
-    "recover": Target(_recover, ("mcap", "bytes"), _recordings, modules=("mcap",), max_bytes=1 << 16),
-    "replay": Target(_replay, ("mcap", "bytes"), _recordings, modules=("mcap",), max_bytes=1 << 16),
-    "view": Target(_view, ("mcap",), _recordings, modules=("mcap",), max_bytes=1 << 16),
-    "convert": Target(_convert, ("mcap", "bytes"), _recordings, modules=("mcap", "rosbags"), max_bytes=1 << 16),
-    "sigmf": Target(_sigmf, ("json", "bytes", "npy"), _seeds("sigmf"), modules=("sigmf",)),
-    "scene": Target(_scene, ("yaml",), _each("SCENE", "launch/scenes/*.yaml"), modules=("yaml",)),
-    "plan": Target(_plan, ("yaml",), _each("SCENE", "launch/scenes/*.yaml")),
-    "map": Target(_map, ("bytes", "text", "yaml"), _map_seeds, modules=("msgspec", "shapely", "osmium")),
-    "mesh": Target(_mesh, ("bytes", "text"), _mesh_seeds, modules=("trimesh",)),
-    "launch": Target(_launch, ("yaml", "yaml", "text"), _launch_seeds, modules=("yaml",)),
-    "settings": Target(_settings, ("yaml",), _each("SETTINGS"), modules=("yaml",)),
-    "dbc": Target(_dbc, ("text", "bytes"), _dbc_seeds, modules=_CAN),
-    "mapping": Target(_mapping, ("yaml", "text", "bytes"), _mapping_seeds),
-    "can_frames": Target(_can_frames, ("bytes",), _frame_seeds),
-    "target_list": Target(_target_list, ("bytes", "bytes"), _seeds("target_lists")),
-    "detection_table": Target(
-        _detection_table, ("yaml", "text"), _seeds("detection_tables"), modules=("yaml", "msgspec")
-    ),
-    "can_log": Target(_can_log, ("bytes", "text"), _seeds("can_logs"), modules=("can",)),
-    "viewer_client": Target(_viewer_client, ("json",), _client_seeds),
-    "log_lines": Target(_log_lines, ("text",), _log_seeds, refusals=()),
-    "background": Target(_background, ("npy",), _npy_seeds),
-    "card": Target(_card, ("bytes", "json"), _card_seeds),
-    "onnx": Target(_onnx, ("json", "bytes"), _network_seeds),
-    "manifest": Target(_manifest, ("yaml",), _each("MANIFEST"), modules=("yaml",)),
-    "cloud": Target(_cloud, ("bytes", "text"), _cloud_seeds),
-    "image": Target(_image, ("bytes",), _image_seeds, modules=("PIL",)),
-    "shard": Target(_shard, ("npz", "json"), _shard_seeds),
-    "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy"), _xradarnlos_seeds),
-    "dca1000": Target(_dca1000, ("bytes", "text", "bytes"), _dca_seeds),
-    "card_datagrams": Target(_card_datagrams, ("bytes",) * 9, _datagram_seeds),
-    "transients": Target(_transients, ("bytes",), _transient_seeds, modules=("scipy.io.matlab",)),
-    "json_files": Target(_json_files, ("bytes", "json"), _json_seeds),
-    "reflectance": Target(_reflectance, ("json", "npz", "json"), _table_seeds),
-    "keys": Target(_keys, ("text", "text", "text"), _key_seeds),
-    "words": Target(_words, ("bytes", "text"), _word_seeds),
+    "wire": Target(_wire, ("bytes", "msgpack", "bytes")),
+    "inline": Target(_inline, ("bytes", "msgpack")),
+    "foreign": Target(_foreign, ("bytes", "msgpack", "bytes")),
+    "recording": Target(_recording, ("mcap",), modules=("mcap",), max_bytes=1 << 16),
+    "recover": Target(_recover, ("mcap", "bytes"), modules=("mcap",), max_bytes=1 << 16),
+    "replay": Target(_replay, ("mcap", "bytes"), modules=("mcap",), max_bytes=1 << 16),
+    "view": Target(_view, ("mcap",), modules=("mcap",), max_bytes=1 << 16),
+    "convert": Target(_convert, ("mcap", "bytes"), modules=("mcap", "rosbags"), max_bytes=1 << 16),
+    "sigmf": Target(_sigmf, ("json", "bytes", "npy"), modules=("sigmf",)),
+    "scene": Target(_scene, ("yaml",), modules=("yaml",)),
+    "plan": Target(_plan, ("yaml",)),
+    "map": Target(_map, ("bytes", "text", "yaml"), modules=("msgspec", "shapely", "osmium")),
+    "mesh": Target(_mesh, ("bytes", "text"), modules=("trimesh",)),
+    "launch": Target(_launch, ("yaml", "yaml", "text"), modules=("yaml",)),
+    "settings": Target(_settings, ("yaml",), modules=("yaml",)),
+    "dbc": Target(_dbc, ("text", "bytes"), modules=_CAN),
+    "mapping": Target(_mapping, ("yaml", "text", "bytes")),
+    "can_frames": Target(_can_frames, ("bytes",)),
+    "target_list": Target(_target_list, ("bytes", "bytes")),
+    "detection_table": Target(_detection_table, ("yaml", "text"), modules=("yaml", "msgspec")),
+    "can_log": Target(_can_log, ("bytes", "text"), modules=("can",)),
+    "viewer_client": Target(_viewer_client, ("json",)),
+    "log_lines": Target(_log_lines, ("text",), refusals=()),
+    "background": Target(_background, ("npy",)),
+    "card": Target(_card, ("bytes", "json")),
+    "onnx": Target(_onnx, ("json", "bytes")),
+    "manifest": Target(_manifest, ("yaml",), modules=("yaml",)),
+    "cloud": Target(_cloud, ("bytes", "text")),
+    "image": Target(_image, ("bytes",), modules=("PIL",)),
+    "shard": Target(_shard, ("npz", "json")),
+    "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy")),
+    "dca1000": Target(_dca1000, ("bytes", "text", "bytes")),
+    "card_datagrams": Target(_card_datagrams, ("bytes",) * 9),
+    "transients": Target(_transients, ("bytes",), modules=("scipy.io.matlab",)),
+    "json_files": Target(_json_files, ("bytes", "json")),
+    "reflectance": Target(_reflectance, ("json", "npz", "json")),
+    "keys": Target(_keys, ("text", "text", "text")),
+    "words": Target(_words, ("bytes", "text")),
 }

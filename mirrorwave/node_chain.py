@@ -24,9 +24,9 @@ STAGE_PARAMS: dict[str, type[Any]] = {
 }
 
 
-def stage_params(node: str, values: Mapping[str, Any], where: str | None = None) -> Any:
+def stage_params(node: str, values: Mapping[str, Any]) -> Any:
     """Return a node's parameters from plain values; `ValueError` names the field that does not fit."""
-    return convert_at(dict(values), STAGE_PARAMS[node], where or node)
+    return convert_at(dict(values), STAGE_PARAMS[node], node)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from msgs.values.diagnostics import StageTime
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RangeAzimuthMap
 from msgs.values.wording import counted
+from nodes.inputs.refusals import REFUSED
 from nodes.node import InProcessGraph, Node, StageClock, load_node
 from nodes.player import SENSED_TOPICS, Event
 from nodes.process.launch_file import FUSION_MODULE, LaunchFile, NodeEntry
@@ -25,8 +26,6 @@ _LOG = logging.getLogger(__name__)
 
 #: Topic of what sensors and the vehicle say.
 _TOPICS = {topic_facts(topic).type: topic for topic in SENSED_TOPICS if topic != "sim/truth"}
-#: Why nodes leave input out that is only counted.
-_UNSAID = ("late", "repeated", "after its group")
 
 
 def for_sensors(launch: LaunchFile, sensors: Sequence[str]) -> LaunchFile:
@@ -74,7 +73,7 @@ class Pipeline:
     def refused_beams(self) -> int:
         """How many beams were refused so far."""
         counts = (count for name in self._formers for count in self._nodes[name].shed.counts())
-        return sum(item.count for item in counts if (item.what, item.reason) == ("beam", "refused"))
+        return sum(item.count for item in counts if (item.what, item.reason) == ("beam", REFUSED))
 
     @property
     def refusal(self) -> str:
@@ -83,9 +82,9 @@ class Pipeline:
 
     @property
     def left_out(self) -> str:
-        """What nodes left out of their input without a line of the log, in words; empty where nothing."""
+        """What nodes left out of their input beside what they refused, which they log; empty where nothing."""
         counts = [count for node in self._nodes.values() for count in node.shed.counts()]
-        return ", ".join(f"{counted(item.count, item.what)} {item.reason}" for item in counts if item.reason in _UNSAID)
+        return ", ".join(f"{counted(item.count, item.what)} {item.reason}" for item in counts if item.reason != REFUSED)
 
     def feed(self, message: msgspec.Struct, offset_ns: int = 0, topic: str | None = None) -> list[ScanView]:
         """Take in a message that was sent `offset_ns` after the first; return the views that it brings.

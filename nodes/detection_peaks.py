@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from contextlib import nullcontext
 from functools import partial
 from typing import ClassVar
 
@@ -13,7 +12,6 @@ from models.perception.mirrors.peaks_to_view import FORMERLY
 from models.perception.target_lists.defaults import DetectionGeometry
 from models.perception.target_lists.sensor import DetectionSensor
 from models.perception.target_lists.targets_to_peaks import DetectionsStage
-from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.detections import RadarDetections
 from msgs.values.diagnostics import NodeState
@@ -50,7 +48,7 @@ class DetectionPeaksNode(Node):
 
     def __init__(self, params: Params) -> None:
         super().__init__()
-        self._stage = detections_stage(params, self.stages)
+        self._stage = DetectionsStage(params.sensor, params.geometry.geometry, self.stages)
         self._refusals = Refusals(_LOG, self.shed)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -69,11 +67,6 @@ class DetectionPeaksNode(Node):
     def health(self) -> tuple[NodeState, str]:
         """Report DEGRADED while detections are refused."""
         return self._refusals.health()
-
-
-def detections_stage(params: Params, timed: Timed = nullcontext) -> DetectionsStage:
-    """Return the stage that parameters name."""
-    return DetectionsStage(params.sensor, params.geometry.geometry, timed)
 
 
 def create(params: Params) -> DetectionPeaksNode:

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.optimize import newton
 
 from lab.full_wave.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
-from lab.full_wave.grid import LOOK_STEPS, GridParams, Media, YeeGrid
+from lab.full_wave.grid import HALF_LENGTH, LOOK_STEPS, GridParams, Media, YeeGrid
 
-#: Relative standard deviation of the pulse, and its half length in deviations.
-PULSE_SHARE, HALF_LENGTH = 0.15, 5.0
+#: Relative standard deviation of the pulse.
+PULSE_SHARE = 0.15
 #: Absorber of all sides.
 ABSORBER = CpmlParams(cells=24, leak=1e-7)
 #: Cells by which the stepped part of the grid is wider than the light cone: numerical forerunners are faster.

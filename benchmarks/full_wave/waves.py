@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.full_wave.line_source import HALF_LENGTH, LineEcho, LineGrid, deviation_s, empty_echo, line_source_echo
+from benchmarks.full_wave.line_source import LineEcho, LineGrid, deviation_s, empty_echo, line_source_echo
 from benchmarks.full_wave.scenes import MiniScene
+from lab.full_wave.grid import HALF_LENGTH
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 ORIGIN_M = (0.0, 0.0)

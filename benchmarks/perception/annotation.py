@@ -19,7 +19,15 @@ import numpy as np
 
 from contrib.annotate.registration import PosedCloud, RegistrationParams, moved, register, rounded_pose
 from contrib.annotate.simulated_clouds import LidarCloud, LidarParams, choose_viewpoints, lidar_cloud, rigid
-from contrib.annotate.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
+from contrib.annotate.slice_labels import (
+    MIN_HEIGHT_M,
+    Disc,
+    PointLabel,
+    SliceLabels,
+    SliceParams,
+    WallRules,
+    label_slice,
+)
 from models.physics.mirror import blocked, reflect, wall_from_ends
 from models.physics.plane import segment_distance_m
 from msgs.files.shipped import CHECKOUT
@@ -54,7 +62,7 @@ def placed_clouds(clouds: list[LidarCloud], seed: int, given: bool, row: dict[st
     how = "given" if given else "global"
     while waiting:
         tried = (
-            (index, cloud, register(cloud.points_m, placed, guess if given else None, PARAMS, seed))
+            (index, cloud, register(cloud.points_m, placed, guess if given else None, seed))
             for index, (cloud, guess) in enumerate(waiting)
         )
         held = next((one for one in tried if one[2].fault(PARAMS) is None), None)
@@ -72,7 +80,7 @@ def placed_clouds(clouds: list[LidarCloud], seed: int, given: bool, row: dict[st
 
 def by_hand(scene: Scene) -> WallRules:
     """What a person would say of the scene: its trucks and buses, as tall and straight as walls, are objects."""
-    tall = [thing for thing in scene.objects if thing.kind.height_m >= WallRules().min_height_m]
+    tall = [thing for thing in scene.objects if thing.kind.height_m >= MIN_HEIGHT_M]
     discs = [Disc(x_m=thing.x_m, y_m=thing.y_m, radius_m=0.5 * thing.kind.length_m + 0.5) for thing in tall]
     return WallRules(objects=tuple(discs))
 

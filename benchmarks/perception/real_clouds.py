@@ -80,7 +80,7 @@ def first_pose(pair: Pair, seed: int) -> np.ndarray:
 
 def registered(pair: Pair, first: np.ndarray | None, seed: int = 0) -> Registration:
     """Return the pose that `mirrorwave annotate` finds, without its verdict."""
-    return register(pair.source_m, [PosedCloud(pair.target_m, np.eye(4))], first, PARAMS, seed)
+    return register(pair.source_m, [PosedCloud(pair.target_m, np.eye(4))], first, seed)
 
 
 def plain_icp(pair: Pair, first: np.ndarray) -> np.ndarray:

@@ -206,7 +206,7 @@ def _registered(clouds: Clouds, name: str, read: tuple[Cloud, np.ndarray, int], 
     cloud, points_m, dropped = read
     first = None if cloud.radar_from_lidar is None else cloud.radar_from_lidar.transform()
     try:
-        registration = register(points_m, clouds.placed, first, manifest.registration, manifest.seed)
+        registration = register(points_m, clouds.placed, first, manifest.seed)
         fault = registration.fault(manifest.registration)
     except ValueError as error:
         registration, fault = None, str(error)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from contrib.annotate.registration import RegistrationParams
 from contrib.annotate.slice_labels import SliceParams, WallRules
@@ -53,14 +54,10 @@ class Cloud(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """
 
     file: str
-    scan: int = 0
+    scan: Annotated[int, Meta(ge=0)] = 0
     unit: Literal["m", "mm"] = "m"
     radar_from_lidar: Pose | None = None
     calibrated: bool = False
-
-    def __post_init__(self) -> None:
-        if self.scan < 0:
-            raise ValueError(f"scan must not be negative, got {self.scan!r}")
 
     @property
     def is_recorded(self) -> bool:
@@ -70,6 +67,12 @@ class Cloud(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A scene to annotate."""
+
+    formerly: ClassVar[dict[str, str]] = {
+        "slice": "contrib.annotate.slice_labels",
+        "walls": "contrib.annotate.slice_labels",
+        "registration": "contrib.annotate.registration",
+    }
 
     name: str
     #: Of the antenna over the ground.

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numba
 import numpy as np
-
-from msgs.values.arrays import require_positive
+from msgspec import Meta
 
 #: The system libraries that open3d loads, as Debian and Ubuntu name them.
 APT_LINE = "apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1"
@@ -38,33 +37,22 @@ FIRM_M = 0.05
 SLIDES_M, WELL_HELD = (-1.0, -0.5, 0.5, 1.0), 0.05
 #: Bins of directions, elevation and azimuth, of a sensor's view; margin in range that makes a conflict.
 SIGHT_BINS, SIGHT_MARGIN_M = (90, 180), 0.5
+#: Voxels of the ICP, coarse to fine; correspondences reach twice as far. Its most steps.
+VOXELS_M, MAX_ITERATIONS = (0.8, 0.4, 0.2), 60
+#: Voxel of the features of global registration, and its rounds.
+GLOBAL_VOXEL_M, GLOBAL_ROUNDS = 0.8, 100_000
 
 
 class RegistrationParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of registration and the limits below which it is refused."""
+    """Limits of a registration, beyond which it is refused."""
 
-    #: Voxels of the ICP, coarse to fine; correspondences reach twice as far.
-    voxels_m: tuple[float, ...] = (0.8, 0.4, 0.2)
-    #: Voxel of the features of global registration.
-    global_voxel_m: float = 0.8
-    global_rounds: int = 100_000
-    max_iterations: int = 60
     #: Share of a cloud's points that must find a partner, counted within the possible overlap.
-    min_fitness: float = 0.3
-    max_rmse_m: float = 0.08
+    min_fitness: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.3
+    max_rmse_m: Annotated[float, Meta(gt=0.0)] = 0.08
     #: Mean squared share of a unit motion, in the worst direction, that the planes resist.
-    min_hold: float = 0.01
+    min_hold: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.01
     #: Maximum share of points that lie where another viewpoint looked through.
-    max_conflict: float = 0.003
-
-    def __post_init__(self) -> None:
-        for name in ("global_voxel_m", "global_rounds", "max_iterations", "max_rmse_m"):
-            require_positive(f"registration.{name}", getattr(self, name))
-        if not self.voxels_m or not all(0.0 < voxel < math.inf for voxel in self.voxels_m):
-            raise ValueError(f"registration.voxels_m must be positive numbers, got {list(self.voxels_m)!r}")
-        for name in ("min_fitness", "min_hold", "max_conflict"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"registration.{name} must be 0..1, got {getattr(self, name)!r}")
+    max_conflict: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +154,7 @@ def import_open3d() -> Any:
 
 
 def register(
-    source_m: np.ndarray,
-    targets: list[PosedCloud],
-    target_from_source: np.ndarray | None,
-    params: RegistrationParams,
-    seed: int = 0,
+    source_m: np.ndarray, targets: list[PosedCloud], target_from_source: np.ndarray | None, seed: int = 0
 ) -> Registration:
     """Register a source cloud [N, 3] to posed ones from a first pose [4, 4], or from any pose on level ground (None).
 
@@ -183,10 +167,9 @@ def register(
             raise ValueError(f"{name} must be finite points of shape (N, 3), got {points_m.dtype} {points_m.shape}")
     clouds = _Clouds(source_m, targets)
     if target_from_source is None:
-        coarse_m = params.voxels_m[0]
+        coarse_m = VOXELS_M[0]
         candidates = [
-            _judged(clouds, _icp(clouds, pose, (coarse_m,), params.max_iterations), coarse_m, "global")
-            for pose in _global_poses(clouds, params, seed)
+            _judged(clouds, _icp(clouds, pose, (coarse_m,)), coarse_m, "global") for pose in _global_poses(clouds, seed)
         ]
         target_from_source, start = (
             max(candidates, key=lambda registration: registration.score).target_from_source,
@@ -194,19 +177,19 @@ def register(
         )
     else:
         start = "given"
-    pose = _icp(clouds, target_from_source, params.voxels_m, params.max_iterations)
-    result = _judged(clouds, pose, params.voxels_m[-1], start)
-    return max([result, *_searched_along_slide(clouds, result, params)], key=lambda registration: registration.score)
+    pose = _icp(clouds, target_from_source, VOXELS_M)
+    result = _judged(clouds, pose, VOXELS_M[-1], start)
+    return max([result, *_searched_along_slide(clouds, result)], key=lambda registration: registration.score)
 
 
-def _searched_along_slide(clouds: _Clouds, first: Registration, params: RegistrationParams) -> list[Registration]:
+def _searched_along_slide(clouds: _Clouds, first: Registration) -> list[Registration]:
     """Repeat the search at offsets along the least resisted slide, where false minima lie."""
     repeated = []
     for offset_m in SLIDES_M if first.hold.slide.any() and first.hold.least < WELL_HELD else ():
         start_pose = first.target_from_source.copy()
         start_pose[:3, 3] += offset_m * first.hold.slide
-        pose = _icp(clouds, start_pose, params.voxels_m[-2:], params.max_iterations)
-        repeated.append(_judged(clouds, pose, params.voxels_m[-1], first.start))
+        pose = _icp(clouds, start_pose, VOXELS_M[-2:])
+        repeated.append(_judged(clouds, pose, VOXELS_M[-1], first.start))
     return repeated
 
 
@@ -225,10 +208,10 @@ class _Clouds:
         return self._thinned[voxel_m]
 
 
-def _icp(clouds: _Clouds, pose: np.ndarray, voxels_m: tuple[float, ...], max_iterations: int) -> np.ndarray:
+def _icp(clouds: _Clouds, pose: np.ndarray, voxels_m: tuple[float, ...]) -> np.ndarray:
     """Return the point-to-plane ICP from a pose over voxels, coarse to fine."""
     registration = import_open3d().pipelines.registration
-    criteria = registration.ICPConvergenceCriteria(1e-7, 1e-7, max_iterations)
+    criteria = registration.ICPConvergenceCriteria(1e-7, 1e-7, MAX_ITERATIONS)
     for voxel_m in voxels_m:
         # clouds of different viewpoints share only a part: points without a partner must not pull
         loss = registration.TukeyLoss(0.5 * voxel_m)
@@ -256,23 +239,23 @@ def planar_cloud(points_m: np.ndarray, voxel_m: float) -> Any:
     return cloud
 
 
-def _global_poses(clouds: _Clouds, params: RegistrationParams, seed: int) -> list[np.ndarray]:
+def _global_poses(clouds: _Clouds, seed: int) -> list[np.ndarray]:
     """Return poses by RANSAC over FPFH features of upright structures: ground looks alike everywhere."""
     o3d = import_open3d()
     o3d.utility.random.seed(seed)
-    registration, voxel_m = o3d.pipelines.registration, params.global_voxel_m
-    source, target = (_upright(cloud) for cloud in clouds.planar(voxel_m))
-    search = o3d.geometry.KDTreeSearchParamHybrid(radius=5.0 * voxel_m, max_nn=100)
+    registration = o3d.pipelines.registration
+    source, target = (_upright(cloud) for cloud in clouds.planar(GLOBAL_VOXEL_M))
+    search = o3d.geometry.KDTreeSearchParamHybrid(radius=5.0 * GLOBAL_VOXEL_M, max_nn=100)
     features = [registration.compute_fpfh_feature(cloud, search) for cloud in (source, target)]
     checks = [
         registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-        registration.CorrespondenceCheckerBasedOnDistance(1.5 * voxel_m),
+        registration.CorrespondenceCheckerBasedOnDistance(1.5 * GLOBAL_VOXEL_M),
     ]
     estimation = registration.TransformationEstimationPointToPoint(False)
-    criteria = registration.RANSACConvergenceCriteria(params.global_rounds, 0.999)
+    criteria = registration.RANSACConvergenceCriteria(GLOBAL_ROUNDS, 0.999)
     transforms = [
         registration.registration_ransac_based_on_feature_matching(
-            source, target, *features, False, 1.5 * voxel_m, estimation, 3, checks, criteria
+            source, target, *features, False, 1.5 * GLOBAL_VOXEL_M, estimation, 3, checks, criteria
         ).transformation
         for _ in range(GLOBAL_TRIES)
     ]

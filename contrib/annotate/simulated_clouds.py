@@ -30,24 +30,17 @@ CLEARANCE_M, FARTHEST_STEP_M = 1.2, 14.0
 LEAST_COSINE = 0.3
 #: Most viewpoints of a scene, and the spacing of the positions that are tried.
 MAX_VIEWPOINTS, SPACING_M = 3, 1.0
+#: Rays of a LiDAR: their elevations and the farthest hit.
+ELEVATION_LIMIT_DEG, MAX_RANGE_M = 22.5, 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class LidarParams:
-    """A spinning LiDAR: `channels` elevations over +-`elevation_limit_deg`, `azimuths` a turn; noise is one sigma."""
+    """A spinning LiDAR: `channels` elevations over +-`ELEVATION_LIMIT_DEG`, `azimuths` a turn; noise is one sigma."""
 
     channels: int = 128
     azimuths: int = 1024
-    elevation_limit_deg: float = 22.5
-    max_range_m: float = 100.0
     range_noise_m: float = 0.02
-
-    def __post_init__(self) -> None:
-        for name in ("channels", "azimuths", "elevation_limit_deg", "max_range_m"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"lidar.{name} must be positive, got {getattr(self, name)!r}")
-        if not 0.0 <= self.range_noise_m < math.inf:
-            raise ValueError(f"lidar.range_noise_m must not be negative, got {self.range_noise_m!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +84,7 @@ def rigid(position_m: tuple[float, float, float], roll_rad: float, pitch_rad: fl
 
 def ray_directions(params: LidarParams) -> np.ndarray:
     """Return the unit vectors [channels * azimuths, 3] in the LiDAR's frame, channel after channel from below."""
-    limit_rad = math.radians(params.elevation_limit_deg)
+    limit_rad = math.radians(ELEVATION_LIMIT_DEG)
     elevation = np.linspace(-limit_rad, limit_rad, params.channels)[:, None]
     azimuth = np.linspace(-np.pi, np.pi, params.azimuths, endpoint=False)[None]
     x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
@@ -154,7 +147,7 @@ def lidar_cloud(scene: Scene, viewpoint: Viewpoint, params: LidarParams, seed: i
     scene_from_lidar = viewpoint.scene_from_lidar()
     directions = ray_directions(params)
     range_m, surface = nearest_hits(
-        scene, scene_from_lidar[:3, 3], directions @ scene_from_lidar[:3, :3].T, params.max_range_m
+        scene, scene_from_lidar[:3, 3], directions @ scene_from_lidar[:3, :3].T, MAX_RANGE_M
     )
     noisy_m = range_m + np.random.default_rng(seed).normal(0.0, params.range_noise_m, len(range_m))
     hit = np.isfinite(range_m) & (noisy_m > 0.0)

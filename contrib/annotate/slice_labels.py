@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Annotated
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 from scipy.spatial import cKDTree
 
 from models.perception.mirrors.clustering import NOISE, dbscan
 from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.mirror import crosses, reflect, specular_points, wall_from_ends
 from models.physics.plane import segment_distance_m
-from msgs.values.arrays import require_positive
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
 ORIGIN = np.zeros(2)
@@ -32,25 +33,20 @@ CORNER_M = 0.6
 SHORT_SIDE_M = 1.2
 #: Hypotheses of each search for a wall, and the share of a shortest wall's squares that must be filled.
 WALL_ROUNDS, WALL_FILL = 600, 0.5
+#: Distance of a wall's points from it, the largest gap in a wall, and the least height of one over the ground: above
+#: cars and vans, below most walls.
+INLIER_M, MAX_GAP_M, MIN_HEIGHT_M = 0.12, 2.0, 2.4
+#: Points with fewer others within reach are stray, and farther ones are left out.
+MIN_NEIGHBOURS, NEIGHBOUR_M, MAX_RANGE_M = 3, 0.5, 110.0
 
 
 class SliceParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Labelled part of the cloud, and its resolution."""
 
     #: Height of the slice, half above the antenna and half below.
-    thickness_m: float = 0.3
+    thickness_m: Annotated[float, Meta(gt=0.0)] = 0.3
     #: One labelled point in a square of this size, the mean of its points.
-    spacing_m: float = 0.2
-    #: Points with fewer others within reach are stray.
-    min_neighbours: int = 3
-    neighbour_m: float = 0.5
-    max_range_m: float = 110.0
-
-    def __post_init__(self) -> None:
-        for name in ("thickness_m", "spacing_m", "neighbour_m", "max_range_m"):
-            require_positive(f"slice.{name}", getattr(self, name))
-        if self.min_neighbours < 0:
-            raise ValueError(f"slice.min_neighbours must not be negative, got {self.min_neighbours!r}")
+    spacing_m: Annotated[float, Meta(gt=0.0)] = 0.2
 
 
 class Disc(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -58,32 +54,21 @@ class Disc(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     x_m: float
     y_m: float
-    radius_m: float
-
-    def __post_init__(self) -> None:
-        require_positive("radius_m", self.radius_m)
+    radius_m: Annotated[float, Meta(gt=0.0)]
 
 
 class WallRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Criteria of a wall in a slice: straight, long and tall. `given_m` adds walls by hand; points in `objects` are of
     an object, however straight."""
 
-    min_length_m: float = 3.0
-    #: Over the ground: above cars and vans, below most walls.
-    min_height_m: float = 2.4
-    max_gap_m: float = 2.0
-    inlier_m: float = 0.12
+    min_length_m: Annotated[float, Meta(gt=0.0)] = 3.0
     given_m: tuple[Segment, ...] = ()
     objects: tuple[Disc, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("min_length_m", "max_gap_m", "inlier_m"):
-            require_positive(f"walls.{name}", getattr(self, name))
-        if not 0.0 <= self.min_height_m < math.inf:
-            raise ValueError(f"walls.min_height_m must not be negative, got {self.min_height_m!r}")
         for index, (a, b) in enumerate(self.given_m):
-            if not math.dist(a, b) > self.inlier_m:
-                raise ValueError(f"walls.given_m[{index}] must be longer than inlier_m, got {a} to {b}")
+            if not math.dist(a, b) > INLIER_M:
+                raise ValueError(f"walls.given_m[{index}] must be longer than {INLIER_M:g} m, got {a} to {b}")
 
 
 class PointLabel(IntEnum):
@@ -140,19 +125,17 @@ def cut_slice(cloud_m: np.ndarray, params: SliceParams) -> tuple[np.ndarray, int
     Raises ValueError if no point is left.
     """
     within = (np.abs(cloud_m[:, 2]) <= 0.5 * params.thickness_m) & (
-        np.hypot(cloud_m[:, 0], cloud_m[:, 1]) <= params.max_range_m
+        np.hypot(cloud_m[:, 0], cloud_m[:, 1]) <= MAX_RANGE_M
     )
     plan_m = cloud_m[within, :2]
     if len(plan_m) == 0:
         raise ValueError(
             f"cloud must hold points within {0.5 * params.thickness_m:g} m of the radar's height, has none"
         )
-    neighbours = cKDTree(plan_m).query_ball_point(plan_m, params.neighbour_m, return_length=True) - 1
-    kept = plan_m[neighbours >= params.min_neighbours]
+    neighbours = cKDTree(plan_m).query_ball_point(plan_m, NEIGHBOUR_M, return_length=True) - 1
+    kept = plan_m[neighbours >= MIN_NEIGHBOURS]
     if len(kept) == 0:
-        raise ValueError(
-            f"slice must hold points with {params.min_neighbours} others near, all {len(plan_m)} are stray"
-        )
+        raise ValueError(f"slice must hold points with {MIN_NEIGHBOURS} others near, all {len(plan_m)} are stray")
     return thinned(kept, params.spacing_m), len(plan_m) - len(kept)
 
 
@@ -196,21 +179,21 @@ def fit_walls(
     walls_m = np.array(rules.given_m, np.float64).reshape(-1, 2, 2)
     # the ends of a container are shorter than any isolated wall: they count if they turn a wall's corner
     for min_length_m in (rules.min_length_m, min(SHORT_SIDE_M, rules.min_length_m)):
-        remaining = candidates[_nearest_wall(candidates, walls_m, rules.inlier_m) < 0]
-        pieces = _straight(remaining, min_length_m, spacing_m, rules, seed)
-        tall = [_height_m(cloud_m, ends) - ground_z_m >= rules.min_height_m for ends in pieces]
+        remaining = candidates[_nearest_wall(candidates, walls_m) < 0]
+        pieces = _straight(remaining, min_length_m, spacing_m, seed)
+        tall = [_height_m(cloud_m, ends) - ground_z_m >= MIN_HEIGHT_M for ends in pieces]
         at_corner = [min_length_m == rules.min_length_m or _turns_corner(ends, walls_m) for ends in pieces]
         walls_m = np.concatenate([walls_m, pieces[np.array(tall, bool) & np.array(at_corner, bool)]])
     walls_m = _corners_closed(walls_m)
     wall_of_point = np.full(len(points_m), -1, np.int64)
-    wall_of_point[free] = _nearest_wall(candidates, walls_m, rules.inlier_m)
+    wall_of_point[free] = _nearest_wall(candidates, walls_m)
     return walls_m, wall_of_point
 
 
-def _straight(points_m: np.ndarray, min_length_m: float, spacing_m: float, rules: WallRules, seed: int) -> np.ndarray:
+def _straight(points_m: np.ndarray, min_length_m: float, spacing_m: float, seed: int) -> np.ndarray:
     """Return ends [F, 2, 2] of the straight runs of points [N, 2] in the slice."""
     params = WallParams(
-        error_model="euclidean", inlier_m=rules.inlier_m, min_length_m=min_length_m, max_gap_m=rules.max_gap_m,
+        error_model="euclidean", inlier_m=INLIER_M, min_length_m=min_length_m, max_gap_m=MAX_GAP_M,
         min_inliers=max(int(WALL_FILL * min_length_m / spacing_m), 4), min_offset_m=0.05, max_walls=1000,
         rounds=WALL_ROUNDS, joined=False, curved=False, seed=seed,
     )  # fmt: skip
@@ -218,13 +201,13 @@ def _straight(points_m: np.ndarray, min_length_m: float, spacing_m: float, rules
     return np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
 
 
-def _nearest_wall(points_m: np.ndarray, walls_m: np.ndarray, inlier_m: float) -> np.ndarray:
+def _nearest_wall(points_m: np.ndarray, walls_m: np.ndarray) -> np.ndarray:
     """Return the index of the wall that each point [N, 2] lies on, -1 if none."""
     if not len(walls_m) or not len(points_m):
         return np.full(len(points_m), -1)
     distance_m = segment_distance_m(points_m, walls_m[:, 0], walls_m[:, 1])
     nearest = np.argmin(distance_m, axis=1)
-    return np.where(distance_m[np.arange(len(points_m)), nearest] <= 2.0 * inlier_m, nearest, -1)
+    return np.where(distance_m[np.arange(len(points_m)), nearest] <= 2.0 * INLIER_M, nearest, -1)
 
 
 def _turns_corner(ends_m: np.ndarray, walls_m: np.ndarray) -> bool:

@@ -33,19 +33,12 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     channel_y_m: tuple[float, ...] = tuple(0.5 * SPEED_OF_LIGHT_MPS / 78.956e9 * n for n in range(8))
     #: Beat frequency of zero range (boards that offset their intermediate frequency).
     beat_offset_hz: float = 0.0
-    #: +1 where beats have positive frequency for positive range, -1 where the hardware differs.
-    beat_sign: int = 1
-    #: Power in milliwatt of a complex tone of amplitude one in the samples.
-    milliwatt_per_unit_squared: float = 1.0
     #: Take the mean over chirps off every channel: what stands still disappears.
     remove_static: bool = False
-    #: A name in `WINDOW_TAPS`, over fast and slow time alike.
-    window: str = "hann"
 
     def __post_init__(self) -> None:
         for name in ("carrier_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "chirp_interval_s"):
             require_positive(f"digital_array.{name}", getattr(self, name))
-        require_positive("digital_array.milliwatt_per_unit_squared", self.milliwatt_per_unit_squared)
         require_finite("digital_array.beat_offset_hz", self.beat_offset_hz)
         require_finite("digital_array.channel_y_m", *self.channel_y_m)
         if not self.channel_slot or len(self.channel_slot) != len(self.channel_y_m):
@@ -55,10 +48,6 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
             )
         if min(self.channel_slot) < 0:
             raise ValueError(f"digital_array.channel_slot must not be negative, got {self.channel_slot}")
-        if self.beat_sign not in (1, -1):
-            raise ValueError(f"digital_array.beat_sign must be +1 or -1, got {self.beat_sign!r}")
-        if self.window not in WINDOW_TAPS:
-            raise ValueError(f"digital_array.window must be one of {sorted(WINDOW_TAPS)}, got {self.window!r}")
 
     @property
     def wavelength_m(self) -> float:
@@ -94,7 +83,7 @@ class DigitalArrayMap:
 
 def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray:
     """Return the spectra complex64 [Doppler, channels, range] in sqrt(mW), TDM phases turned back, of unit coherent
-    gain.
+    gain; a tone of amplitude one has one milliwatt.
 
     `samples` complex64 [chirps, channels, samples], a chirp of every transmitter counted once. Raises `ValueError`
     where there are none or one is not finite.
@@ -105,18 +94,16 @@ def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
     # the transforms would spread a single bad value over every cell
     if not np.isfinite(samples).all():
         raise ValueError(f"samples must be finite, got {np.count_nonzero(~np.isfinite(samples))} that are not")
-    series = samples.conj() if params.beat_sign < 0 else samples
     if params.remove_static:
         # summed in float64: what stands still may be 100 dB over what moves, and there are thousands of chirps
-        series = series - series.mean(axis=0, dtype=np.complex128).astype(np.complex64)
-    chirps, _, length = series.shape
+        samples = samples - samples.mean(axis=0, dtype=np.complex128).astype(np.complex64)
+    chirps, _, length = samples.shape
     offset_turns = params.beat_offset_hz / params.sample_rate_hz * np.arange(length)
-    ramp = np.exp(-2j * np.pi * (offset_turns % 1.0)) * _window(length, params.window)
-    series = series * ramp.astype(np.complex64)
-    series *= _window(chirps, params.window).astype(np.float32)[:, None, None]
+    ramp = np.exp(-2j * np.pi * (offset_turns % 1.0)) * _window(length)
+    series = samples * ramp.astype(np.complex64)
+    series *= _window(chirps).astype(np.float32)[:, None, None]
     spectra = scipy.fft.fft2(series, axes=(0, 2), workers=1, overwrite_x=True)
-    scale = np.sqrt(params.milliwatt_per_unit_squared) / (chirps * length)
-    spectra *= np.float32(scale) * _slot_turns(chirps, params)
+    spectra *= np.float32(1.0 / (chirps * length)) * _slot_turns(chirps, params)
     return spectra
 
 
@@ -147,9 +134,9 @@ def _slot_turns(chirps: int, params: DigitalArrayParams) -> np.ndarray:
     return np.exp(-2j * np.pi * turns).astype(np.complex64)[..., None]
 
 
-def _window(count: int, name: str) -> np.ndarray:
-    """Return the periodic window of unit mean whose spectrum is the named taps; a single value stays as it is."""
-    taps = WINDOW_TAPS[name]
+def _window(count: int) -> np.ndarray:
+    """Return the periodic Hann window of unit mean; a single value stays as it is."""
+    taps = WINDOW_TAPS["hann"]
     if count < len(taps):
         return np.ones(count)
     turns = np.multiply.outer(np.arange(len(taps)) - len(taps) // 2, np.arange(count)) / count

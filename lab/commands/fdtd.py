@@ -1,10 +1,10 @@
-"""`mirrorwave sim reflectance` and `sim wall`: tables of simulated walls, and a wave on its way through one."""
+"""`mirrorwave sim reflectance`: tables of simulated walls."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,8 +12,6 @@ from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from lab.full_wave.reflectance import ReflectanceTable
-
-PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Picture to write (png, svg, pdf).")]
 
 
 def reflectance(
@@ -24,12 +22,12 @@ def reflectance(
         Path | None, typer.Option(metavar="FILE", help="Table to write (.npz) or to read; none is the shipped one.")
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes of a rebuild.")] = 1,
-    plot: PlotFile = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write (png, svg, pdf).")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Tables of what walls reflect by FDTD, and where they agree with the formula that the ray tracer uses."""
     from lab.full_wave.reflectance import SHIPPED, load_table
-    from lab.walls.transmission import as_document, rebuild_table
+    from lab.walls.simulated_table import as_document, rebuild_table
 
     path = SHIPPED if out is None else out
     if path.suffix != ".npz":
@@ -38,46 +36,13 @@ def reflectance(
         rebuild_table(path, workers)
     table = load_table(path)
     if plot is not None:
-        from lab.walls.transmission_figure import draw_comparison
+        from lab.walls.table_figure import draw_comparison
 
         draw_comparison(table, plot)
     if as_json:
         print_json(as_document(table))
         return
     _print_table(table, path)
-    if plot is not None:
-        print_line(f"{plot}")
-
-
-def wall(
-    material: Annotated[str, typer.Option(help="Material or construction.")] = "concrete",
-    thickness_mm: Annotated[
-        float | None, typer.Option(help="Thickness; 400 if none; a construction has its own.", show_default=False)
-    ] = None,
-    frequency_ghz: float = 10.0,
-    angle_deg: Annotated[float, typer.Option(help="Angle of incidence, at most 60.")] = 0.0,
-    polarisation: Annotated[Literal["te", "tm"], typer.Option(help="te: field along the vertical.")] = "te",
-    plot: PlotFile = None,
-    as_json: AsJson = False,
-) -> None:
-    """Compute what a wall of finite thickness reflects and transmits, by FDTD and exactly; --plot draws a beam."""
-    from lab.walls.transmission import answer, wall_document, wall_of
-
-    title, layers = wall_of(material, thickness_mm, frequency_ghz)
-    if not 0.0 <= angle_deg <= 60.0:
-        raise ValueError(f"--angle-deg must lie in 0..60, got {angle_deg!r}")
-    result = answer(title, layers, 1e9 * frequency_ghz, angle_deg, polarisation, picture=plot is not None)
-    if plot is not None:
-        from lab.walls.transmission_figure import draw_wall
-
-        draw_wall(result, plot)
-    if as_json:
-        print_json(wall_document(result))
-        return
-    from lab.walls.transmission import levels_of
-
-    print_line(f"{result.title} at {result.frequency_hz / 1e9:g} GHz, {result.angle_deg:g} deg, {result.polarisation}")
-    print_table(("", "R dB", "T dB"), [(name, f"{r_db:.2f}", f"{t_db:.2f}") for name, r_db, t_db in levels_of(result)])
     if plot is not None:
         print_line(f"{plot}")
 

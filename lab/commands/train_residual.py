@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mirrorwave.console import print_line, progress_bar
 
 if TYPE_CHECKING:
-    from lab.training.data.residual_samples import FoldedImages, SampleConfig
+    from lab.training.data.residual_samples import FoldedImages
     from lab.training.train_residual import ResidualEpoch, ResidualTraining
 
 #: In the run folder: the network of a finished run with its card beside it, the curves, and the samples of a split.
@@ -20,9 +20,6 @@ MODEL_FILE, CURVES_PICTURE, SAMPLES = "residual.onnx", "curves.png", "samples-{}
 def residual(
     data: Annotated[Path, typer.Option(metavar="DIR", help="Data set; its fixed splits are used.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
-    geometry: Annotated[
-        Literal["ours", "published"], typer.Option(help="Walls and association that peaks are folded by.")
-    ] = "ours",
     model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
     ] = None,
@@ -34,10 +31,8 @@ def residual(
     init: Annotated[Path | None, typer.Option(metavar="FILE", help="Checkpoint to start from.")] = None,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
 ) -> None:
-    """Train the network that corrects what the mirror law of a fitted wall leaves over."""
-
+    """Train the network that corrects what the mirror law of the specification's walls leaves over."""
     from lab.training.data.frames import fixed_splits
-    from lab.training.data.residual_samples import SampleConfig
     from lab.training.export.residual import export_residual_run
     from lab.training.run_folder import adopt_config
     from lab.training.train_residual import ResidualRunConfig, ResidualTraining, TrainResidualConfig
@@ -47,7 +42,6 @@ def residual(
     detector = model or DEFAULT_MODEL
     config = ResidualRunConfig(
         training=TrainResidualConfig(epochs=epochs, seed=seed, reach_m=reach_m, threads=threads, init=str(init or "")),
-        samples=SampleConfig(geometry=geometry),
         data={
             "directory": str(data),
             "test_sha256": fixed_splits(data).test_sha256,
@@ -55,12 +49,12 @@ def residual(
         },
     )
     adopt_config(out, config)
-    folded = _folded(data, detector, config.samples, out)
+    folded = _folded(data, detector, out)
     training = ResidualTraining(config, folded["train"], folded["validation"], out)
     _run(training)
     draw_residual_curves(training.reports, out / CURVES_PICTURE)
     command = f"mirrorwave train residual --data {data} --out {out}"
-    command += f" --geometry {geometry} --model {detector} --reach-m {reach_m:g} --epochs {epochs} --seed {seed}"
+    command += f" --model {detector} --reach-m {reach_m:g} --epochs {epochs} --seed {seed}"
     command += f" --init {init}" if init else ""
     scores = export_residual_run(out, folded["test"], out / MODEL_FILE, command).metrics
     print_line(
@@ -69,7 +63,7 @@ def residual(
     )
 
 
-def _folded(data: Path, model: Path, config: SampleConfig, out: Path) -> dict[str, FoldedImages]:
+def _folded(data: Path, model: Path, out: Path) -> dict[str, FoldedImages]:
     """Folded images of each split, kept in the run folder."""
     from lab.training.data.frames import DataSet, fixed_splits
     from lab.training.data.residual_samples import fold_scenes, load_folded, save_folded
@@ -81,9 +75,9 @@ def _folded(data: Path, model: Path, config: SampleConfig, out: Path) -> dict[st
         if not path.exists():
             indices = splits.of(split)
             # the published chain takes the heatmap's maxima
-            detector = NetworkDetector(scenes.setup, model, refine=config.geometry == "ours")
+            detector = NetworkDetector(scenes.setup, model, refine=False)
             with progress_bar(f"{split} scenes", len(indices)) as on_scene:
-                save_folded(path, fold_scenes(scenes, indices, detector, config, on_scene))
+                save_folded(path, fold_scenes(scenes, indices, detector, on_scene))
         folded[split] = load_folded(path)
     return folded
 

@@ -52,6 +52,8 @@ WALLS: dict[str, WallKind] = {
 }
 #: Variation of poses: azimuth of the specular point, heading against the wall, position.
 AZIMUTH_DEG, YAW_DEG, SHIFT_M = 12.0, 10.0, 0.3
+#: Share of the range that lies before the wall, and the height of both walls.
+WALL_SHARE, HEIGHT_M = 0.4, 3.0
 #: The relay wall reaches this far beyond the outermost specular point, and by this share of the image's range.
 REACH_M, REACH_SHARE = 3.0, 0.03
 #: Room between the object and both walls, and between the hiding wall and each of the two paths beside it.
@@ -66,9 +68,8 @@ TRUTH_SPACING_M = 0.5
 class Corner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One setting: range of the image, incidence and material of the wall, hidden object."""
 
-    #: R = r1 + r2, and the share of it before the wall.
+    #: R = r1 + r2.
     range_m: float = 8.0
-    wall_share: float = 0.4
     #: Against the wall's normal.
     incidence_deg: float = 45.0
     #: A name in `WALLS`.
@@ -76,15 +77,9 @@ class Corner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: None: that of the wall.
     roughness_mm: float | None = None
     object_class: ObjectClass = "car"
-    height_m: float = 3.0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("range_m", 3.0, 1000.0),
-            ("wall_share", 0.1, 0.9),
-            ("incidence_deg", 5.0, 80.0),
-            ("height_m", 1.5, 100.0),
-        ):
+        for name, low, high in (("range_m", 3.0, 1000.0), ("incidence_deg", 5.0, 80.0)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"corner.{name} must lie in {low:g}..{high:g}, got {getattr(self, name)!r}")
         if self.roughness_mm is not None and not 0.0 <= self.roughness_mm <= 1e3:
@@ -118,7 +113,7 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
     """Return one attempt; the same numbers are drawn whatever the setting."""
     azimuth_rad, yaw_rad = np.radians(rng.uniform(-1.0, 1.0, 2) * [AZIMUTH_DEG, YAW_DEG]).tolist()
     shift_m, flip = rng.uniform(-SHIFT_M, SHIFT_M, 2), float(rng.choice([-1.0, 1.0]))
-    theta, near_m = math.radians(corner.incidence_deg), corner.wall_share * corner.range_m
+    theta, near_m = math.radians(corner.incidence_deg), WALL_SHARE * corner.range_m
     away = np.array([math.sin(theta), math.cos(theta)])
     radar = near_m * away * [-1.0, 1.0]
     at_origin = SceneObject(class_=corner.object_class, x_m=0.0, y_m=0.0, yaw_deg=math.degrees(yaw_rad))
@@ -131,10 +126,10 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
     reach_m = REACH_M + REACH_SHARE * corner.range_m
     frame = _Frame(near_m, azimuth_rad, theta, flip)
     ends = [[specular.min() - reach_m, 0.0], [specular.max() + reach_m, 0.0]]
-    relay = _wall(corner.wall, frame.points(ends), corner.height_m)
+    relay = _wall(corner.wall, frame.points(ends))
     if corner.roughness_mm is not None:
         relay = msgspec.structs.replace(relay, roughness_mm=corner.roughness_mm)
-    hiding = _wall("concrete", frame.points([[0.0, span[0]], [0.0, span[1]]]), corner.height_m)
+    hiding = _wall("concrete", frame.points([[0.0, span[0]], [0.0, span[1]]]))
     hiding = msgspec.structs.replace(hiding, role="occluder")
     x_m, y_m = frame.points([centre])[0]
     hidden_object = msgspec.structs.replace(
@@ -143,14 +138,14 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
     return Scene(name=name, surfaces=(relay, hiding), objects=(hidden_object,))
 
 
-def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
+def _wall(name: str, polyline_m: tuple[Point, ...]) -> Surface:
     """Return a wall of `WALLS`."""
     kind = WALLS[name]
     return Surface(
         role="relay",
         material=kind.material,
         polyline_m=polyline_m,
-        height_m=height_m,
+        height_m=HEIGHT_M,
         thickness_mm=kind.thickness_mm,
         roughness_mm=kind.roughness_mm,
     )

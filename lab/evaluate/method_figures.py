@@ -75,12 +75,13 @@ def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], ref
         for index, column in enumerate(part):
             _draw_column(panels[:, index], column, shown)
         legend_of_figure(figure, handles_of(*panels[2:].ravel(), *panels[0]), columns=len(part), fontsize=10)
-        _save(figure, out if not start else out.with_stem(f"{out.stem}-{start // COLUMNS + 1}"))
+        save(figure, out if not start else out.with_stem(f"{out.stem}-{start // COLUMNS + 1}"), dpi=100)
 
 
 def scene_panels(labels: Sequence[str], columns: int) -> tuple[Figure, np.ndarray]:
     """Return a figure of a column a scene, with its rows named."""
-    figure, panels = _figure((SCENE_INCH * columns + 0.6, SCENE_INCH * len(labels)), len(labels), columns)
+    figure = new_figure(SCENE_INCH * columns + 0.6, SCENE_INCH * len(labels))
+    panels = figure.subplots(len(labels), columns, squeeze=False)
     for axes, label in zip(panels[:, 0], labels, strict=True):
         axes.set_ylabel(label, fontsize=12)
     return figure, panels
@@ -186,12 +187,3 @@ def _limits_m(truth: FrameTruth) -> tuple[float, float]:
     every = np.concatenate([truth.points_m, truth.places_m, [[20.0, 10.0]]])
     forward, side = np.quantile(every[:, 0], 0.98) + 4.0, np.quantile(np.abs(every[:, 1]), 0.98) + 4.0
     return float(max(forward, 1.2 * side)), float(max(side, 0.6 * forward))
-
-
-def _figure(size_inch: tuple[float, float], rows: int, columns: int) -> tuple[Figure, np.ndarray]:
-    figure = new_figure(*size_inch)
-    return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def _save(figure: Figure, out: Path) -> None:
-    save(figure, out, dpi=100)

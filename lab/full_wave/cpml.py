@@ -12,6 +12,10 @@ import numpy as np
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 VACUUM_PERMITTIVITY_F_PER_M = 8.854_187_812_8e-12
 VACUUM_IMPEDANCE_OHM = 1.0 / (SPEED_OF_LIGHT_MPS * VACUUM_PERMITTIVITY_F_PER_M)
+#: Power of the grading of sigma and kappa.
+ORDER = 3.0
+#: alpha at the inner end as a share of w eps0 at the frequency of interest, 0 at the outer one.
+ALPHA_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -20,20 +24,16 @@ class CpmlParams:
 
     #: Thickness in cells.
     cells: int = 40
-    #: Power of the grading of sigma and kappa.
-    order: float = 3.0
     #: Round-trip amplitude that the continuous layer would let back at the design angle.
     leak: float = 1e-9
     #: kappa at the outer end, 1 at the inner one.
     kappa_max: float = 4.0
-    #: alpha at the inner end as a share of w eps0 at the frequency of interest, 0 at the outer one.
-    alpha_share: float = 0.02
 
     def __post_init__(self) -> None:
         if self.cells < 1:
             raise ValueError(f"cells must be at least 1, got {self.cells!r}")
-        if not (0.0 < self.leak < 1.0 and self.kappa_max >= 1.0 and self.alpha_share >= 0.0):
-            raise ValueError(f"CPML needs 0 < leak < 1, kappa_max >= 1, alpha_share >= 0, got {self!r}")
+        if not (0.0 < self.leak < 1.0 and self.kappa_max >= 1.0):
+            raise ValueError(f"CPML needs 0 < leak < 1, kappa_max >= 1, got {self!r}")
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ def layer(
     """
     share = np.clip(np.asarray(depth, np.float64) / params.cells, 0.0, 1.0)
     thickness_m = params.cells * cell_m
-    peak = -(params.order + 1.0) * np.log(params.leak) / (2.0 * VACUUM_IMPEDANCE_OHM * thickness_m * normal_index)
-    grading = share**params.order
+    peak = -(ORDER + 1.0) * np.log(params.leak) / (2.0 * VACUUM_IMPEDANCE_OHM * thickness_m * normal_index)
+    grading = share**ORDER
     sigma, kappa = peak * grading, 1.0 + (params.kappa_max - 1.0) * grading
     angular_hz = 2.0 * np.pi * frequency_hz
-    alpha = np.where(share > 0.0, params.alpha_share * angular_hz * VACUUM_PERMITTIVITY_F_PER_M * (1.0 - share), 0.0)
+    alpha = np.where(share > 0.0, ALPHA_SHARE * angular_hz * VACUUM_PERMITTIVITY_F_PER_M * (1.0 - share), 0.0)
     decay, drive = recursion(sigma, kappa, alpha, step_s)
     return Cpml(np.where(share > 0.0, decay, 0.0), drive, 1.0 / kappa)

@@ -21,6 +21,8 @@ from models.physics.fresnel import Polarisation
 
 #: Absorber of a plain grid.
 ABSORBER = CpmlParams(cells=20, leak=1e-6)
+#: Of a pulse, in deviations.
+HALF_LENGTH = 5.0
 #: Steps between checks of the field's level (and flushes of nearly subnormal numbers).
 LOOK_STEPS = 64
 #: Smaller values become zero, long before subnormal numbers slow the steps.
@@ -90,7 +92,7 @@ class GridParams:
 
 @dataclass(frozen=True)
 class Drive:
-    """Pulse on a row of u: row, complex profile along x [nx], deviation [steps], half length in deviations.
+    """Pulse on a row of u: row, complex profile along x [nx], deviation [steps].
 
     The pulse is odd about its middle: a DC part would leave static charge. A real grid carries the
     real part of profile times the analytic pulse, so a phase along x steers the beam.
@@ -99,12 +101,11 @@ class Drive:
     row: int
     profile: np.ndarray
     deviation_steps: float
-    half_length: float = 5.0
 
     @property
     def steps(self) -> int:
         """Length of the pulse in steps."""
-        return int(2.0 * self.half_length * self.deviation_steps)
+        return int(2.0 * HALF_LENGTH * self.deviation_steps)
 
 
 class YeeGrid:
@@ -132,19 +133,10 @@ class YeeGrid:
         self.peak = 0.0
         self.level = 0.0
 
-    def run(
-        self,
-        drive: Drive,
-        rows: tuple[int, ...],
-        steps: int,
-        spectra: np.ndarray,
-        picture: np.ndarray | None = None,
-        picture_every: int = 1,
-    ) -> None:
-        """Take `steps` steps; add the phasors of u at rows to spectra complex128 [rows, nx], u's map to picture."""
+    def run(self, drive: Drive, rows: tuple[int, ...], steps: int, spectra: np.ndarray) -> None:
+        """Take `steps` steps; add the phasors of u at rows to spectra complex128 [rows, nx]."""
         source = np.stack([drive.profile.real, drive.profile.imag])
-        map_ = np.zeros((0, 0), np.complex128) if picture is None else picture
-        shape = (float(drive.row), self.params.phase_per_step, drive.deviation_steps, drive.half_length)
+        shape = (float(drive.row), self.params.phase_per_step, drive.deviation_steps)
         threads = numba.get_num_threads()
         numba.set_num_threads(threads if self.u.size >= PARALLEL_CELLS else 1)
         taken = 0
@@ -166,8 +158,6 @@ class YeeGrid:
                 shape,
                 np.array(rows, np.int64),
                 spectra,
-                map_,
-                picture_every,
                 self.steps,
                 batch,
             )
@@ -379,22 +369,20 @@ def _run(  # type: ignore[no-untyped-def]
     shape,
     rows,
     spectra,
-    picture,
-    picture_every,
     start,
     steps,
 ):
     """Run the steps: v, wrap, u, source, wrap, phasors."""
     cosine, sine, periodic = wrap
-    row, phase, deviation, half_length = shape
+    row, phase, deviation = shape
     nx, k = u.shape[1] - 2, int(row)
     for step in range(start + 1, start + steps + 1):
         _advance_v(u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z[0], psi_x[0])
         if periodic:
             _wrap(vz, 0, nx, cosine, sine)
         _advance_u(u, vx, vz, at_u, along_z, along_x, psi_z[1], psi_x[1])
-        late = step - half_length * deviation
-        if late < half_length * deviation:
+        late = step - HALF_LENGTH * deviation
+        if late < HALF_LENGTH * deviation:
             envelope = math.exp(-0.5 * (late / deviation) ** 2)
             odd, even = envelope * math.sin(phase * late), envelope * math.cos(phase * late)
             for i in range(nx):
@@ -411,8 +399,6 @@ def _run(  # type: ignore[no-untyped-def]
                 spectra[r, i] += u[0, i + 1, rows[r]] * turn
                 if periodic:
                     spectra[r, i] += u[1, i + 1, rows[r]] * (1j * turn)
-        if picture.shape[0] > 0 and step % picture_every == 0:
-            _add_picture(u, turn, picture)
 
 
 @numba.njit(cache=True)
@@ -447,14 +433,6 @@ def _run_node(  # type: ignore[no-untyped-def]
                 if row == node[0]:
                     u[0, i, node[1]] += drive[first + t]
                     record[first + t] = u[0, i, node[1]]
-
-
-@numba.njit(parallel=True, cache=True)
-def _add_picture(u, turn, picture):  # type: ignore[no-untyped-def]
-    """Add the phasor map of a real grid."""
-    for i in numba.prange(picture.shape[0]):
-        for k in range(picture.shape[1]):
-            picture[i, k] += u[0, i + 1, k] * turn
 
 
 @numba.njit(parallel=True, cache=True)

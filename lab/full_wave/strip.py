@@ -38,7 +38,6 @@ class StripParams:
     cells_per_wavelength: float = 20.0
     courant: float = COURANT
     dtype: str = "float64"
-    absorber: CpmlParams = ABSORBER
 
     def __post_init__(self) -> None:
         if not self.cells_per_wavelength >= 4.0:
@@ -97,7 +96,7 @@ def build_strips(layers: Layers, angle_rad: float, frequency_hz: float, params: 
     media = [(float(eps_r), float(sigma)) for eps_r, sigma in (real_medium(eps, frequency_hz) for eps, _ in layers)]
     finest = [wavelength_m / (params.cells_per_wavelength * np.sqrt(eps).real) for eps, _ in layers]
     counts = [
-        params.absorber.cells + GAP_CELLS if math.isinf(depth) else math.ceil(depth / cell - 1e-9)
+        ABSORBER.cells + GAP_CELLS if math.isinf(depth) else math.ceil(depth / cell - 1e-9)
         for cell, (_, depth) in zip(finest, layers, strict=True)
     ]
     sizes = [
@@ -108,7 +107,7 @@ def build_strips(layers: Layers, angle_rad: float, frequency_hz: float, params: 
     reach = [size * math.sqrt(eps_r - sine**2) for size, (eps_r, _) in zip(sizes, media, strict=True)]
     step_s = params.courant * min(normal, *reach) / SPEED_OF_LIGHT_MPS
     air = (normal / cosine, 1.0, 0.0)
-    open_end = params.absorber.cells + GAP_CELLS
+    open_end = ABSORBER.cells + GAP_CELLS
     front = open_end + GAP_CELLS
     wall = [(size, *medium) for size, medium, count in zip(sizes, media, counts, strict=True) for _ in range(count)]
     endless = math.isinf(layers[-1][1])
@@ -136,8 +135,8 @@ def run_strip(strip: Strip, frequency_hz: float, polarisation: Polarisation, par
         _node_mean(strip.eps_r, strip.cell_m), _node_mean(strip.sigma_s_per_m, strip.cell_m), strip.step_s
     )
     at_cells = electric_coefficients(strip.eps_r, strip.sigma_s_per_m, strip.step_s)
-    node_layer = _absorbers(strip, np.arange(cells + 1.0), params.absorber, frequency_hz)
-    cell_layer = _absorbers(strip, np.arange(cells) + 0.5, params.absorber, frequency_hz)
+    node_layer = _absorbers(strip, np.arange(cells + 1.0), frequency_hz)
+    cell_layer = _absorbers(strip, np.arange(cells) + 0.5, frequency_hz)
     arrays = (*at_nodes, *at_cells, reach_m / dual_m, reach_m / strip.cell_m, *node_layer, *cell_layer)
     sine = strip.transverse_per_m * reach_m / (2.0 * math.sin(math.pi * frequency_hz * strip.step_s))
     deviation_hz = frequency_hz * min(WIDEST_SHARE, (1.0 - sine) / CUT_OFF_DEVIATIONS)
@@ -168,16 +167,14 @@ def _node_mean(per_cell: np.ndarray, cell_m: np.ndarray) -> np.ndarray:
     return mean
 
 
-def _absorbers(
-    strip: Strip, position: np.ndarray, absorber: CpmlParams, frequency_hz: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _absorbers(strip: Strip, position: np.ndarray, frequency_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the decay, drive and 1/kappa of both ends at positions counted in cells."""
     low = layer(
-        absorber, absorber.cells - position, float(strip.cell_m[0]), strip.absorbed_index[0], strip.step_s, frequency_hz
+        ABSORBER, ABSORBER.cells - position, float(strip.cell_m[0]), strip.absorbed_index[0], strip.step_s, frequency_hz
     )
     high = layer(
-        absorber,
-        position - (len(strip.cell_m) - absorber.cells),
+        ABSORBER,
+        position - (len(strip.cell_m) - ABSORBER.cells),
         float(strip.cell_m[-1]),
         strip.absorbed_index[1],
         strip.step_s,

@@ -6,7 +6,6 @@ own evidence once more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -14,40 +13,30 @@ from torch import Tensor, nn
 
 from lab.networks.compact_unet import ResidualBlock, halved
 
-
-@dataclass(frozen=True, kw_only=True)
-class EvidenceUNetConfig:
-    """Shape of an `EvidenceUNet`."""
-
-    in_channels: int
-    answers: int
-    widths: tuple[int, ...] = (32, 64, 96, 128)
-    stem_width: int = 48
-    head_width: int = 64
-    #: Initial logit of an object in every cell: a hundredth.
-    head_bias: float = -4.6
+#: Channels at each resolution; each step halves both sides.
+WIDTHS = (32, 64, 96, 128)
+STEM_WIDTH, HEAD_WIDTH = 48, 64
+#: Initial logit of an object in every cell: a hundredth.
+HEAD_BIAS = -4.6
 
 
 class EvidenceUNet(nn.Module):
     """Evidence [batch, channels, x, y] to answers [batch, answers, x, y]; both sides multiples of 8."""
 
-    def __init__(self, config: EvidenceUNetConfig) -> None:
+    def __init__(self, in_channels: int, answers: int) -> None:
         super().__init__()
-        self.config = config
-        widths, steps = config.widths, list(pairwise(config.widths))
-        self.stem = nn.Sequential(
-            *_of_each_cell(config.in_channels, config.stem_width), *_of_each_cell(config.stem_width, widths[0])
-        )
-        self.encode = nn.ModuleList(ResidualBlock(width) for width in widths)
+        steps = list(pairwise(WIDTHS))
+        self.stem = nn.Sequential(*_of_each_cell(in_channels, STEM_WIDTH), *_of_each_cell(STEM_WIDTH, WIDTHS[0]))
+        self.encode = nn.ModuleList(ResidualBlock(width) for width in WIDTHS)
         self.down = nn.ModuleList(halved(fine, coarse) for fine, coarse in steps)
         self.up = nn.ModuleList(nn.ConvTranspose2d(coarse, fine, 2, stride=2) for fine, coarse in reversed(steps))
-        self.decode = nn.ModuleList(ResidualBlock(width) for width in reversed(widths[:-1]))
-        last = nn.Conv2d(config.head_width, config.answers, 1)
-        self.head = nn.Sequential(*_of_each_cell(widths[0] + config.in_channels, config.head_width), last)
+        self.decode = nn.ModuleList(ResidualBlock(width) for width in reversed(WIDTHS[:-1]))
+        last = nn.Conv2d(HEAD_WIDTH, answers, 1)
+        self.head = nn.Sequential(*_of_each_cell(WIDTHS[0] + in_channels, HEAD_WIDTH), last)
         nn.init.normal_(last.weight, std=0.01)
         nn.init.zeros_(last.bias)
         with torch.no_grad():
-            last.bias[0] = config.head_bias
+            last.bias[0] = HEAD_BIAS
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the answers of every place."""

@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 
-@dataclass(frozen=True, kw_only=True)
-class ResidualReflectNetConfig:
-    """Shape of a `ResidualReflectNet`; widths are those of Table 4."""
-
-    #: LOS points in the patch of each image.
-    neighbours: int = 16
-
-    def __post_init__(self) -> None:
-        if self.neighbours < 1:
-            raise ValueError(f"neighbours must be at least 1, got {self.neighbours}")
-
-    @property
-    def output_shape(self) -> tuple[int]:
-        """(x, y) of one residual."""
-        return (2,)
-
-
 class ResidualReflectNet(nn.Module):
     """Images with their patch of LOS points and their wall to the correction of the mirror law, Eqs. (20)-(21)."""
 
-    def __init__(self, config: ResidualReflectNetConfig | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.config = config or ResidualReflectNetConfig()
         self.patch_encoder = _perceptron(2, 64, 128, 128)
         self.query_encoder = _perceptron(2, 64, 128)
         self.state_encoder = _perceptron(6, 64, 64)

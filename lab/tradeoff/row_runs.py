@@ -138,7 +138,9 @@ class PlaceTruth:
     @classmethod
     def of(cls, place: LabelledPlace) -> PlaceTruth:
         """Return the truth of the first scan of a place."""
-        return cls(truth_of_place(place), place.player.truth(0), image_truth(place.player))
+        labels = place.labels
+        points = truth_of_points(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), place.hidden)
+        return cls(points, place.player.truth(0), image_truth(place.player))
 
 
 @dataclass(frozen=True)
@@ -332,12 +334,6 @@ class _Pass:
             "geometry": self._times_ms["geometry", variant.geometry],
             BEFORE: self._times_ms[BEFORE, variant.former],
         }
-
-
-def truth_of_place(place: LabelledPlace) -> FrameTruth:
-    """Return the truth of a place."""
-    labels = place.labels
-    return truth_of_points(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), place.hidden)
 
 
 def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None) -> list[FrameResult]:

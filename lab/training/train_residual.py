@@ -11,12 +11,19 @@ import torch
 from torch import Tensor, nn
 
 from lab.networks.residual_reflect_net import ResidualReflectNet
-from lab.training.data.residual_samples import FoldedImages, SampleConfig, recovered_scores
+from lab.training.data.residual_samples import FoldedImages, recovered_scores
 from lab.training.loop import TrainingLoop
 from lab.training.pretrained import load_initial
 from lab.training.run_folder import BEST, adopt_config, load_config, load_state
 from models.perception.mirrors.recovery import ReflectionState
 from models.perception.mirrors.residual_model import ResidualFrame, bounded, image_frames, in_frames
+
+#: Coordinates that the network sees an image in: those of its wall.
+FRAME: ResidualFrame = "wall"
+#: Longest gradient.
+_CLIP_NORM = 1.0
+#: Weight of an image without a wall of its own (eta = 1) in the loss, relative to 1 for all others.
+_UNRELIABLE_WEIGHT = 0.1
 
 
 class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -26,13 +33,9 @@ class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     batch_size: int = 128
     learning_rate: float = 1e-4
-    clip_norm: float = 1.0
-    #: Weight of an image without a wall of its own (eta = 1) in the loss, relative to 1 for all others.
-    unreliable_weight: float = 0.1
     #: Images that the mirror law leaves further than this from their true position were mirrored elsewhere: they are
     #: excluded from training and from the selection of the checkpoint. The published training uses all (1000).
     reach_m: float = 2.0
-    frame: ResidualFrame = "wall"
     threads: int = 1
     #: File of initial weights.
     init: str = ""
@@ -46,7 +49,6 @@ class ResidualRunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Complete configuration of a run; its JSON lies in the run folder."""
 
     training: TrainResidualConfig
-    samples: SampleConfig
     #: Folder of the data set, and the hash of its test scenes; detector and its SHA-256.
     data: dict[str, str]
 
@@ -74,7 +76,7 @@ class ResidualTraining(TrainingLoop[ResidualEpoch]):
 
     def __init__(self, config: ResidualRunConfig, train: FoldedImages, validation: FoldedImages, run_dir: Path) -> None:
         self.run_config, self.config = config, config.training
-        super().__init__(run_dir, self.config.epochs, self.config.clip_norm, ResidualEpoch)
+        super().__init__(run_dir, self.config.epochs, _CLIP_NORM, ResidualEpoch)
         self.device = torch.device("cpu")
         reach_m = self.config.reach_m
         samples = train.select(train.within(reach_m))
@@ -86,10 +88,10 @@ class ResidualTraining(TrainingLoop[ResidualEpoch]):
         self.network = ResidualReflectNet()
         self.optimiser = torch.optim.Adam(self.network.parameters(), self.config.learning_rate)
         self.scene, self.validation = samples.scene, validation
-        frames = image_frames(samples.reflection, self.config.frame)
+        frames = image_frames(samples.reflection, FRAME)
         self.inputs = tensors(in_frames(samples.reflection, frames))
         self.target = _tensor(frames.from_radar(samples.target_m))
-        self.weight = _tensor(np.where(samples.state[:, 5] > 0.5, self.config.unreliable_weight, 1.0))
+        self.weight = _tensor(np.where(samples.state[:, 5] > 0.5, _UNRELIABLE_WEIGHT, 1.0))
         self.without = recovered_scores(validation, np.zeros_like(validation.folded_m), reach_m)
         run_dir.mkdir(parents=True, exist_ok=True)
         adopt_config(run_dir, config)
@@ -116,7 +118,7 @@ class ResidualTraining(TrainingLoop[ResidualEpoch]):
 
     def judge(self, epoch: int, train_loss: float) -> ResidualEpoch:
         """Return the scores on the validation scenes."""
-        offsets_m = network_offsets(self.network, self.validation, self.config.frame)
+        offsets_m = network_offsets(self.network, self.validation)
         scores = recovered_scores(self.validation, offsets_m, self.config.reach_m)
         return ResidualEpoch(
             epoch=epoch,
@@ -135,10 +137,10 @@ def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     return (weight * error_m).sum() / weight.sum().clamp_min(1e-9)
 
 
-def network_offsets(network: nn.Module, folded: FoldedImages, frame: ResidualFrame) -> np.ndarray:
+def network_offsets(network: nn.Module, folded: FoldedImages) -> np.ndarray:
     """Return corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
     network.eval()
-    frames = image_frames(folded.reflection, frame)
+    frames = image_frames(folded.reflection, FRAME)
     with torch.no_grad():
         answer = network(*tensors(in_frames(folded.reflection, frames))).numpy().astype(np.float64)
     return bounded(frames.to_radar(answer))

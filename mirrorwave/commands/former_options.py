@@ -37,7 +37,7 @@ _CONSTANTS = {
     "import xradarnlos": {"--keys": "L,G,T"},
     "import dca1000": {"--returns": "5"},
     "import transients": {"--snr": "1"},
-    "train residual": {"--source": "peaks", "--frame": "wall"},
+    "train residual": {"--source": "peaks", "--frame": "wall", "--geometry": "that of the specification"},
     "train objects": {"--field-epochs": "as many as --epochs"},
     "train probabilities": {"--false-cost": "1"},
     "train dense": {"--objective": "that of the network", "--without": "all scenes"},

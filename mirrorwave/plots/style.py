@@ -71,8 +71,8 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     figure.savefig(path, dpi=dpi, metadata={"Software": None} if path.suffix == ".png" else None)
 
 
-def png(figure: Figure, dpi: int = 80) -> bytes:
-    """Return a figure as PNG, by default of a size for a notebook."""
+def png(figure: Figure) -> bytes:
+    """Return a figure as PNG, of a size for a notebook."""
     content = BytesIO()
-    figure.savefig(content, format="png", dpi=dpi, metadata={"Software": None})
+    figure.savefig(content, format="png", dpi=80, metadata={"Software": None})
     return content.getvalue()

@@ -8,7 +8,6 @@ import sys
 import termios
 import tty
 from enum import Enum
-from types import TracebackType
 from typing import Any, Self
 
 
@@ -66,9 +65,7 @@ class Keyboard:
             tty.setcbreak(self._descriptor)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._descriptor is not None:
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 

@@ -24,7 +24,8 @@ class FormerField(NamedTuple):
     value: Any
 
     def __str__(self) -> str:
-        return f"{self.place} is a constant: {self.constant}; the value here is not used"
+        today = "has left" if self.value is None else f"is a constant: {self.constant}"
+        return f"{self.place} {today}; the value here is not used"
 
 
 def without_former(value: Any, wanted: Any) -> tuple[Any, list[FormerField]]:

@@ -11,6 +11,8 @@ from msgs.values.wording import counted
 from nodes.node import ShedTally
 
 Answer = TypeVar("Answer")
+#: Why a stage leaves input out that it cannot take.
+REFUSED = "refused"
 
 
 class Refusals:
@@ -29,7 +31,7 @@ class Refusals:
         """Count `kind`, in the log called `name`, as refused for an error; log the error unless it is the last one."""
         is_counted = kind == self._unit
         self._count += is_counted
-        self._shed.add(kind, "refused")
+        self._shed.add(kind, REFUSED)
         if str(error) != self.reason:
             so_far = f"{error} ({counted(self._count, kind)} refused so far)"
             self._log.warning("%s", so_far if is_counted else f"{name or kind} refused: {error}")

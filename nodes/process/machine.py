@@ -24,7 +24,7 @@ _PACKAGES = ("mirrorwave", "numpy", "scipy", "onnxruntime", "pyzmq", "msgspec", 
 def machine_facts() -> dict[str, Any]:
     """Return processor, cores, memory in bytes, kernel, Python and package versions; no name and no address."""
     return {
-        "processor": _processor(),
+        "processor": _fact(_CPUINFO, "model name") or platform.machine(),
         "cores": os.cpu_count(),
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         "kernel": f"{platform.system()} {platform.release()}",
@@ -68,10 +68,6 @@ def integer_kernels(cpuinfo: Path = _CPUINFO) -> str:
     """Return the instructions that networks of whole numbers run on, as this processor names its own."""
     flags = {word for key in ("flags", "Features") for word in _fact(cpuinfo, key).split()}
     return next((name for flag, name in _INTEGER_KERNELS.items() if flag in flags), f"{platform.machine()} alone")
-
-
-def _processor() -> str:
-    return _fact(_CPUINFO, "model name") or platform.machine()
 
 
 def _fact(cpuinfo: Path, key: str) -> str:

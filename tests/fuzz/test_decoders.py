@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from fuzz.mutations import CHANGES, joined, mutated, split
+from fuzz.seeds import SEEDS
 from fuzz.targets import TARGETS, Box, Target, execute
 from msgs.files.shipped import CHECKOUT
 
@@ -54,7 +55,7 @@ def _quiet() -> Iterator[None]:
 @pytest.mark.parametrize("name", TARGETS)
 def test_valid_inputs_are_read_and_changed_ones_read_or_refused(name: str, tmp_path: Path) -> None:
     target = TARGETS[name]
-    seeds = target.seeds()
+    seeds = SEEDS[name]()
     read = [execute(target, parts, tmp_path / "box") for parts in seeds[:4]]
     assert any(read) or name in NEVER_WHOLE
     rng = random.Random(zlib.crc32(name.encode()))
@@ -83,9 +84,9 @@ def test_a_reader_that_fails_otherwise_is_caught(tmp_path: Path) -> None:
         box.put("a", parts[0]).write_bytes(b"other")
 
     with pytest.raises(KeyError):
-        execute(Target(wrong, ("bytes",), list), [b"x"], tmp_path)
+        execute(Target(wrong, ("bytes",)), [b"x"], tmp_path)
     with pytest.raises(AssertionError, match="was changed by its reader"):
-        execute(Target(greedy, ("bytes",), list), [b"x"], tmp_path)
+        execute(Target(greedy, ("bytes",)), [b"x"], tmp_path)
 
 
 def test_parts_survive_as_one_string_and_any_string_has_parts() -> None:
@@ -97,7 +98,7 @@ def test_parts_survive_as_one_string_and_any_string_has_parts() -> None:
 
 @pytest.mark.parametrize("kind", CHANGES)
 def test_a_change_changes_and_is_the_same_for_the_same_seed(kind: str) -> None:
-    parts = next(parts for target in TARGETS.values() if kind in target.kinds for parts in target.seeds())
+    parts = next(parts for name, target in TARGETS.items() if kind in target.kinds for parts in SEEDS[name]())
     changed = [mutated(parts, (kind,), random.Random(seed)) for seed in range(20)]
     assert [mutated(parts, (kind,), random.Random(seed)) for seed in range(20)] == changed
     assert sum(one != parts for one in changed) >= 15

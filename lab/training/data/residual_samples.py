@@ -1,7 +1,7 @@
 """Training samples of the residual network: images folded back by the mirror law, and their true positions.
 
-They are the real input of the geometry stage, by its own code: the peaks a network detects, behind the walls found from
-them.
+They are the real input of the back end of the specification, by its own code: the peaks a network detects, behind the
+walls found from them. Behind our walls the network corrects nothing.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,7 +17,6 @@ import numpy as np
 from lab.measures.point_scores import Counts, chamfer, match_points, recovered_counts
 from lab.training.data.frames import DataSet, FrameLabels
 from models.perception.find.detectors import Detector
-from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
 from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
 from models.perception.mirrors.recovery import NEIGHBOURS, Recovered, ReflectionState, recover, reflection_state
 from msgs.files.array_files import load_arrays
@@ -26,16 +24,8 @@ from msgs.files.whole_files import whole
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks
 
-Geometry = Literal["ours", "published"]
 #: A detected image is assigned to the nearest truth image within this (one to one).
 GATE_M = 2.0
-
-
-class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Source of samples; part of a run's configuration."""
-
-    #: Walls and association behind which detected images are folded.
-    geometry: Geometry = "ours"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,20 +92,11 @@ def _none() -> FoldedImages:
 Folded = tuple[Recovered, ReflectionState]
 
 
-def fold_ours(peaks: Peaks) -> Folded:
-    """Return the images of a scene as folded by the geometry stage, hidden or not."""
-    scan = fold_scan(peaks, GeometryParams())
-    return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
-
-
 def fold_published(peaks: Peaks) -> Folded:
     """Return the images of a scene as folded by the published back end."""
     returns, walls = published_structure(peaks, PublishedParams())
     recovered = recover(peaks, walls, returns, BUDDY)
     return recovered, reflection_state(recovered, walls, returns)
-
-
-GEOMETRIES: dict[Geometry, Callable[[Peaks], Folded]] = {"ours": fold_ours, "published": fold_published}
 
 
 def true_images(labels: FrameLabels) -> tuple[FrameLabels, np.ndarray]:
@@ -164,17 +145,12 @@ def truth_peaks(labels: FrameLabels) -> Peaks:
 
 
 def fold_scenes(
-    data: DataSet,
-    indices: Iterable[int],
-    detector: Detector,
-    config: SampleConfig,
-    on_scene: Callable[[], None] = lambda: None,
+    data: DataSet, indices: Iterable[int], detector: Detector, on_scene: Callable[[], None] = lambda: None
 ) -> FoldedImages:
     """Return the images of many scenes; `on_scene` is called for each."""
     parts: list[FoldedImages] = []
     for frame in data.frames(indices):
-        folded = GEOMETRIES[config.geometry](detector.detect(frame.ra_map))
-        parts.append(with_truth(folded, frame.labels, frame.index))
+        parts.append(with_truth(fold_published(detector.detect(frame.ra_map)), frame.labels, frame.index))
         on_scene()
     return join(parts)
 

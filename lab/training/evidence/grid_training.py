@@ -29,8 +29,6 @@ class GridSchedule(ScheduleConfig):
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     clip_norm: float = 5.0
-    #: Validation begins at this share of the run: it takes longer than an epoch where training is fast.
-    validated_from: float = 0.0
     seed: int = 0
     threads: int = 1
     #: bfloat16 in forward and backward passes.
@@ -82,10 +80,8 @@ class GridTraining(TrainingLoop[GridEpoch]):
         return self._share(epoch, 0.0) >= 1.0
 
     def judge(self, epoch: int, train_loss: float) -> GridEpoch:
-        """Return the scores on the validation scans; none before they are asked for."""
-        loss, scores = math.inf, dict[str, float]()
-        if self._share(epoch + 1, 0.0) >= self.schedule.validated_from:
-            loss, scores = self.validate()
+        """Return the scores on the validation scans."""
+        loss, scores = self.validate()
         best = loss < min((entry.loss for entry in self.reports), default=math.inf)
         return GridEpoch(
             epoch=epoch, train_loss=train_loss, seconds=self._spent_s, loss=loss, scores=scores, is_best=best

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lab.networks.evidence_unet import EvidenceUNet, EvidenceUNetConfig
+from lab.networks.evidence_unet import EvidenceUNet
 from lab.training.data.evidence_samples import SCALE, EvidenceObjects, joined_objects
 from lab.training.data.evidence_store import load_objects, load_truths
 from lab.training.evidence.grid_training import GridSchedule, GridTraining
 from lab.training.evidence.scoring import SHOWN_FALSE, EvidenceTally, recall_at
-from lab.training.objectives.evidence import EvidenceLossConfig, EvidenceTargets, evidence_loss
+from lab.training.objectives.evidence import EvidenceTargets, evidence_loss
 from models.perception.see.detections import ANSWERS
 from models.perception.see.gathering import BY_MIRROR
 from models.perception.see.scan_evidence import EvidenceEncoding
@@ -36,12 +36,11 @@ class EvidenceTraining(GridTraining):
         grid: RangeAzimuthGrid,
         schedule: GridSchedule,
         run_dir: Path,
-        loss: EvidenceLossConfig | None = None,
     ) -> None:
         torch.manual_seed(schedule.seed)
-        network = EvidenceUNet(EvidenceUNetConfig(in_channels=encoding.shape[0], answers=ANSWERS))
+        network = EvidenceUNet(encoding.shape[0], ANSWERS)
         super().__init__(network, schedule, run_dir)
-        self._encoding, self._loss_config = encoding, loss or EvidenceLossConfig()
+        self._encoding = encoding
         self._azimuth_rad = grid.azimuth_at(np.arange(grid.azimuth_bins))
         self._x_m, self._y_m = (
             torch.from_numpy(axis).float().to(self.device) for axis in (encoding.grid.x_m, encoding.grid.y_m)
@@ -82,7 +81,7 @@ class EvidenceTraining(GridTraining):
         inputs = self._inputs(channels, flip)
         answer = self.forward(inputs)
         targets = self._targets(objects, flip)
-        return evidence_loss(answer, targets, inputs[:, TOWARD], self._x_m, self._y_m, self._loss_config)[0], answer
+        return evidence_loss(answer, targets, inputs[:, TOWARD], self._x_m, self._y_m), answer
 
     def _targets(self, objects: Sequence[EvidenceObjects], flip: bool) -> EvidenceTargets:
         table, scan = joined_objects(objects)

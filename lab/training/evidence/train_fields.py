@@ -46,10 +46,9 @@ class FieldTraining(GridTraining):
         grid: RangeAzimuthGrid,
         schedule: GridSchedule,
         run_dir: Path,
-        widths: tuple[int, ...] = (24, 48, 96, 128),
     ) -> None:
         torch.manual_seed(schedule.seed)
-        network = CompactUNet(field_network(len(channels), widths))
+        network = CompactUNet(field_network(len(channels)))
         super().__init__(network, schedule, run_dir)
         self._odd = [index for index, name in enumerate(channels) if name == "azimuth"]
         self._train, self._validation = self._loaded(train), self._loaded(validation)
@@ -133,6 +132,6 @@ class FieldTraining(GridTraining):
         return right, is_wall, logit > -1.0
 
 
-def field_network(channels: int, widths: tuple[int, ...] = (24, 48, 96, 128)) -> CompactUNetConfig:
+def field_network(channels: int) -> CompactUNetConfig:
     """Return the shape of a field network with so many input channels."""
-    return replace(CompactUNetConfig(), in_channels=channels, classes=FIELD_ANSWERS, widths=widths, head_bias=-3.0)
+    return replace(CompactUNetConfig(), in_channels=channels, classes=FIELD_ANSWERS, head_bias=-3.0)

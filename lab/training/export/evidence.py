@@ -12,7 +12,7 @@ from scipy.special import expit
 from torch import nn
 
 from lab.networks.compact_unet import CompactUNet
-from lab.networks.evidence_unet import EvidenceUNet, EvidenceUNetConfig
+from lab.networks.evidence_unet import EvidenceUNet
 from lab.training.data.frames import DataSet
 from lab.training.evidence.train_fields import field_network
 from lab.training.export.onnx import require_onnx, write_card, write_onnx
@@ -57,7 +57,7 @@ def export_fields(
 def export_evidence(run_dir: Path, encoding: EvidenceEncoding, model_path: Path, **said: Any) -> EvidenceCard:
     """Export the best evidence network of a run and write its card; as `export_fields`."""
     require_onnx(model_path)
-    network = EvidenceUNet(EvidenceUNetConfig(in_channels=encoding.shape[0], answers=ANSWERS))
+    network = EvidenceUNet(encoding.shape[0], ANSWERS)
     epoch = _load(network, run_dir)
     _write(network, encoding.shape, model_path)
     facts = _facts(network, model_path, encoding.shape, (ANSWERS, *encoding.grid.shape), epoch, said)

@@ -13,7 +13,8 @@ import torch
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.data.residual_samples import FoldedImages, RecoveredScores, recovered_scores
 from lab.training.export.onnx import require_onnx, write_card, write_onnx
-from lab.training.train_residual import ResidualRunConfig, load_best_residual, network_offsets
+from lab.training.train_residual import FRAME, ResidualRunConfig, load_best_residual, network_offsets
+from models.perception.mirrors.recovery import NEIGHBOURS
 from models.perception.mirrors.residual_model import INPUTS, LearnedResidual, ResidualCard
 from msgs.files.checksums import file_sha256
 
@@ -23,9 +24,8 @@ PARITY_M = 1e-3
 
 def export_residual_onnx(network: ResidualReflectNet, path: Path) -> str:
     """Write a network for any number of images as ONNX fp32; returns the file's sha256."""
-    neighbours = network.config.neighbours
     # two, because a batch of one may be folded into the graph
-    example = (torch.zeros(2, 2), torch.zeros(2, neighbours, 2), torch.zeros(2, 6))
+    example = (torch.zeros(2, 2), torch.zeros(2, NEIGHBOURS, 2), torch.zeros(2, 6))
     axes = {name: {0: "images"} for name in (*INPUTS, "residual")}
     names = {"input_names": list(INPUTS), "output_names": ["residual"], "dynamic_axes": axes}
     write_onnx(network.eval(), example, path, **names)
@@ -45,7 +45,7 @@ def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, com
         draft = _draft(network, run, epoch, export_residual_onnx(network, file), model_path.stem, command)
         write_card(draft, file)
         offsets_m = LearnedResidual(file)(test.reflection)
-        _check_parity(model_path, offsets_m, network_offsets(network, test, run.training.frame))
+        _check_parity(model_path, offsets_m, network_offsets(network, test))
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
     card = msgspec.structs.replace(draft, metrics=_metrics(test, offsets_m, run.training.reach_m))
@@ -61,10 +61,10 @@ def _draft(
         name=name,
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
-        frame=run.training.frame,
-        neighbours=network.config.neighbours,
+        frame=FRAME,
+        neighbours=NEIGHBOURS,
         source="peaks",
-        geometry=run.samples.geometry,
+        geometry="published",
         seed=run.training.seed,
         command=command,
         data=dict(run.data),

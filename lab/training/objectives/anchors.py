@@ -15,18 +15,14 @@ from models.perception.find.anchors import NOISE, anchor_cells
 
 
 def anchor_targets(
-    labels: Sequence[PointLabels], shape: tuple[int, int], stride: int = 1, radius_cells: float | None = None
+    labels: Sequence[PointLabels], shape: tuple[int, int], stride: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return class [batch, rows, columns] (int64), offset [batch, 2, rows, columns] (float32, cells) of every anchor.
 
-    `shape` is (rows, columns) of the anchors. An anchor within `radius_cells` of a point takes the class of the nearest
-    and the offset to it, any other is noise; the default of 1.5 cells or one stride gives every point an anchor.
-    Raises ValueError for a radius that leaves points between anchors without one.
+    `shape` is (rows, columns) of the anchors. An anchor within 1.5 cells or one stride of a point takes the class of
+    the nearest and the offset to it, any other is noise: every point has an anchor.
     """
-    radius = max(1.5, float(stride)) if radius_cells is None else radius_cells
-    if radius < stride / math.sqrt(2.0):
-        raise ValueError(f"radius_cells must be at least {stride / math.sqrt(2.0):.3f} (stride {stride}), got {radius}")
-    targets = [_map_targets(at, shape, stride, radius) for at in labels]
+    targets = [_map_targets(at, shape, stride, max(1.5, float(stride))) for at in labels]
     return np.stack([classes for classes, _ in targets]), np.stack([offsets for _, offsets in targets])
 
 
@@ -60,12 +56,12 @@ def _anchors_about(at: np.ndarray, stride: int, radius: float) -> tuple[np.ndarr
     return anchor, at[owner] - (first + stride * anchor), owner
 
 
-def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor, background_weight: float = 1.0) -> Tensor:
+def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor) -> Tensor:
     """Return the loss of an answer [batch, 5, rows, columns] against the targets of `anchor_targets`, a scalar.
 
-    Softmax focal loss (gamma 2), its mean over the anchors of points plus `background_weight` times its mean over
-    noise, so that the many do not outweigh the few; and the smooth l1 distance [cells] of the offsets of anchors of
-    points, its mean. Finite without a single point and for any finite logit.
+    Softmax focal loss (gamma 2), its mean over the anchors of points plus its mean over noise, so that the many do not
+    outweigh the few; and the smooth l1 distance [cells] of the offsets of anchors of points, its mean. Finite without a
+    single point and for any finite logit.
     """
     if output.shape[0] != len(classes) or output.shape[2:] != classes.shape[1:]:
         raise ValueError(f"classes must fit the output {tuple(output.shape)}, got {tuple(classes.shape)}")
@@ -74,7 +70,7 @@ def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor, background_wei
     log_probability = log_probability.gather(1, classes[:, None]).squeeze(1)
     focal = -((1.0 - log_probability.exp()) ** 2) * log_probability
     distance = functional.smooth_l1_loss(output[:, NOISE + 1 :].float(), offsets, reduction="none").sum(dim=1)
-    return _mean_where(focal + distance, is_point) + background_weight * _mean_where(focal, ~is_point)
+    return _mean_where(focal + distance, is_point) + _mean_where(focal, ~is_point)
 
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:

@@ -20,17 +20,8 @@ WALL_WEIGHT = 3.0
 RETURN_REACH = 3
 #: Width of an object's target, and how far from its place cells answer for it.
 SIGMA_M, ANSWERS_M, IGNORED_M = 0.6, 1.0, 2.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvidenceLossConfig:
-    """Weights of the parts of the loss relative to that of existence."""
-
-    object_class: float = 0.1
-    place: float = 0.3
-    size: float = 0.1
-    heading: float = 0.1
-    centre: float = 0.1
+#: Weights of the parts of the loss of an object relative to that of existence.
+CLASS_WEIGHT, PLACE_WEIGHT, SIZE_WEIGHT, HEADING_WEIGHT, CENTRE_WEIGHT = 0.1, 0.3, 0.1, 0.1, 0.1
 
 
 def wall_loss(answer: Tensor, range_m: Tensor, angle_rad: Tensor, cell_range_m: Tensor) -> Tensor:
@@ -82,10 +73,8 @@ class EvidenceTargets:
     asked: Tensor
 
 
-def evidence_loss(
-    answer: Tensor, targets: EvidenceTargets, toward: Tensor, x_m: Tensor, y_m: Tensor, config: EvidenceLossConfig
-) -> tuple[Tensor, Tensor]:
-    """Return the loss of answers [B, answers, x, y] and its part of existence.
+def evidence_loss(answer: Tensor, targets: EvidenceTargets, toward: Tensor, x_m: Tensor, y_m: Tensor) -> Tensor:
+    """Return the loss of answers [B, answers, x, y].
 
     `toward` [B, 2, x, y]: direction of the way on at each place by its likeliest mirror, along which errors are said.
     """
@@ -103,16 +92,12 @@ def evidence_loss(
     heat = _largest_of_scan(heat, targets.scan[asked], spread[asked])
     hidden = _largest_of_scan(torch.zeros_like(heat), targets.scan[~asked], ignored[~asked])
     weight = torch.where((hidden > 0.0) & (heat <= 0.02), 0.0, 1.0)
-    logits = answer[:, OBJECT.start]
-    yes, no = functional.logsigmoid(logits), functional.logsigmoid(-logits)
-    hit, miss = no.exp() ** 2 * yes, (1.0 - heat) ** 4 * yes.exp() ** 2 * no
-    at_object = heat == 1.0
-    exists = -(torch.where(at_object, hit, miss) * weight).sum() / at_object.sum().clamp_min(1)
+    exists = existence_loss(answer[:, OBJECT.start], heat, weight)
     # the nearest object of each cell that answers for one
     nearest = torch.where(asked[:, None, None], away2, math.inf)
     number, x, y = torch.nonzero(nearest < ANSWERS_M**2, as_tuple=True)
     if not len(number):
-        return exists, exists
+        return exists
     scan = targets.scan[number]
     flat = (scan * len(x_m) + x) * len(y_m) + y
     best = torch.full((heat.numel(),), math.inf, device=answer.device)
@@ -127,13 +112,13 @@ def evidence_loss(
     along = torch.stack([(error_m * ray).sum(1), error_m[:, 1] * ray[:, 0] - error_m[:, 0] * ray[:, 1]], dim=1)
     place = laplace_loss(along, said[:, LOG_STD], torch.zeros_like(along))
     parts = (
-        (config.object_class, functional.cross_entropy(said[:, CLASS], targets.object_class[number])),
-        (config.place, place),
-        (config.size, (said[:, LOG_SIZE] - targets.log_size[number]).abs().mean()),
-        (config.heading, (said[:, HEADING] - targets.heading[number]).abs().mean()),
-        (config.centre, (said[:, CENTRE] - (targets.centre_m - targets.place_m)[number]).abs().mean()),
+        (CLASS_WEIGHT, functional.cross_entropy(said[:, CLASS], targets.object_class[number])),
+        (PLACE_WEIGHT, place),
+        (SIZE_WEIGHT, (said[:, LOG_SIZE] - targets.log_size[number]).abs().mean()),
+        (HEADING_WEIGHT, (said[:, HEADING] - targets.heading[number]).abs().mean()),
+        (CENTRE_WEIGHT, (said[:, CENTRE] - (targets.centre_m - targets.place_m)[number]).abs().mean()),
     )
-    return exists + sum((weight * part for weight, part in parts), torch.zeros((), device=answer.device)), exists
+    return exists + sum((weight * part for weight, part in parts), torch.zeros((), device=answer.device))
 
 
 def _largest_of_scan(base: Tensor, scan: Tensor, values: Tensor) -> Tensor:
@@ -141,8 +126,8 @@ def _largest_of_scan(base: Tensor, scan: Tensor, values: Tensor) -> Tensor:
     return base.scatter_reduce(0, scan[:, None, None].expand_as(values), values, "amax")
 
 
-def existence_loss(logits: Tensor, heat: Tensor) -> Tensor:
-    """Return the focal loss of logits against a target in 0..1 that is one at objects, per object.
+def existence_loss(logits: Tensor, heat: Tensor, weight: Tensor | float = 1.0) -> Tensor:
+    """Return the focal loss of logits against a target in 0..1 that is one at objects, per object; cells weighted.
 
     Cells beside an object count less: (1 - target)^4. (Law, Deng: CornerNet, Eq. (1).)
     """
@@ -150,7 +135,7 @@ def existence_loss(logits: Tensor, heat: Tensor) -> Tensor:
     at_object = heat == 1.0
     hit = no.exp() ** 2 * yes
     miss = (1.0 - heat) ** 4 * yes.exp() ** 2 * no
-    return -torch.where(at_object, hit, miss).sum() / at_object.sum().clamp_min(1)
+    return -(torch.where(at_object, hit, miss) * weight).sum() / at_object.sum().clamp_min(1)
 
 
 def laplace_loss(place_m: Tensor, log_std: Tensor, true_m: Tensor) -> Tensor:

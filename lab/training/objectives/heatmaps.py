@@ -6,6 +6,8 @@ import numpy as np
 
 #: Beyond this many sigma a Gaussian is left out (5e-7 of its peak).
 REACH_SIGMA = 5.4
+#: Line of sight and mirrored.
+PATH_CLASSES = 2
 
 
 def gaussian_heatmap(shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0) -> np.ndarray:
@@ -34,20 +36,17 @@ def class_heatmaps(
     row: np.ndarray,
     column: np.ndarray,
     path_class: np.ndarray,
-    classes: int = 2,
     sigma_px: float = 1.0,
 ) -> np.ndarray:
     """Return one heatmap per path class, float32 [classes, rows, columns]."""
     return np.stack(
-        [gaussian_heatmap(shape, row[path_class == k], column[path_class == k], sigma_px) for k in range(classes)]
+        [gaussian_heatmap(shape, row[path_class == k], column[path_class == k], sigma_px) for k in range(PATH_CLASSES)]
     )
 
 
-def class_masks(
-    shape: tuple[int, int], row: np.ndarray, column: np.ndarray, path_class: np.ndarray, classes: int = 2
-) -> np.ndarray:
+def class_masks(shape: tuple[int, int], row: np.ndarray, column: np.ndarray, path_class: np.ndarray) -> np.ndarray:
     """Return one mask per path class, float32 [classes, rows, columns]: 1 in the cell of each point, 0 elsewhere."""
-    masks = np.zeros((classes, *shape), np.float32)
+    masks = np.zeros((PATH_CLASSES, *shape), np.float32)
     cells = np.stack([np.rint(row), np.rint(column)], axis=-1).astype(np.int64)
     inside = ((cells >= 0) & (cells < shape)).all(axis=-1)
     masks[path_class[inside], cells[inside, 0], cells[inside, 1]] = 1.0

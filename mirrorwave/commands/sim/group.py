@@ -25,8 +25,7 @@ _CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
 #: Verbs in order; those from beside the floors by name.
 _VERBS = (
     *(effects, paths, "lab.commands.material:material"),
-    *("lab.commands.fdtd:reflectance", "lab.commands.fdtd:wall"),
-    *(dataset, statistics, "contrib.annotate.lidar_verb:lidar"),
+    *("lab.commands.fdtd:reflectance", dataset, statistics, "contrib.annotate.lidar_verb:lidar"),
 )
 for verb in _VERBS:
     app.command()(loaded(verb) if isinstance(verb, str) else verb)

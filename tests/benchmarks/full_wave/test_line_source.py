@@ -10,7 +10,6 @@ from scipy.special import hankel2
 
 from benchmarks.full_wave.line_source import (
     CONDUCTOR_PERMITTIVITY,
-    HALF_LENGTH,
     PULSE_SHARE,
     LineGrid,
     empty_echo,
@@ -128,7 +127,7 @@ def test_rows_out_of_step_are_the_whole_grid() -> None:
     row, column = GRID.node((0.0, 0.0))
     profile = np.zeros(GRID.cells[0], np.complex128)
     profile[row] = 1.0
-    drive = Drive(column, profile, 1.0 / (PULSE_SHARE * GRID.params.phase_per_step), HALF_LENGTH)
+    drive = Drive(column, profile, 1.0 / (PULSE_SHARE * GRID.params.phase_per_step))
     whole = YeeGrid(GRID.params, Media(out=media))
     spectrum = np.zeros((1, GRID.cells[0]), np.complex128)
     whole.run(drive, (column,), STEPS, spectrum)

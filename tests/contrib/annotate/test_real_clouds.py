@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.perception.annotation import pose_error
 from benchmarks.perception.real_clouds import PARAMS, apart_m, car_pair, first_pose, registered, street_pair
-from contrib.annotate.registration import PosedCloud, _Clouds, _judged
+from contrib.annotate.registration import VOXELS_M, PosedCloud, _Clouds, _judged
 from tests.captures import DATA, needs
 
 PAIRS = DATA / "lidar_pairs"
@@ -40,7 +40,7 @@ def test_the_streets_ground_prefers_no_motion_and_the_score_does_not() -> None:
     still, right = np.eye(4), pair.target_from_source
     assert apart_m(pair, still)[1] < 0.7 * apart_m(pair, right)[1]
     clouds = _Clouds(pair.source_m, [PosedCloud(pair.target_m, np.eye(4))])
-    scores = [_judged(clouds, pose, PARAMS.voxels_m[-1], "given").score for pose in (still, right)]
+    scores = [_judged(clouds, pose, VOXELS_M[-1], "given").score for pose in (still, right)]
     assert scores[1] > scores[0] + 0.1
 
 

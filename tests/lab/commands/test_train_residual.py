@@ -38,7 +38,7 @@ def test_a_run_ends_as_a_file_the_geometry_stage_loads(data: Path, tmp_path: Pat
     assert result.exit_code == 0, result.output
     assert "on test scenes recovered l1" in result.output
     card = LearnedResidual(run / MODEL_FILE).card
-    assert (card.source, card.frame, card.geometry, card.seed) == ("peaks", "wall", "ours", 0)
+    assert (card.source, card.frame, card.geometry, card.seed) == ("peaks", "wall", "published", 0)
     assert "--reach-m 5 --epochs 1 --seed 0" in card.command
     assert card.data["test_sha256"] == json.loads((data / "splits.json").read_text())["test_sha256"]
     names = {"config.json", "curves.json", CURVES_PICTURE, *map(SAMPLES.format, ("train", "validation", "test"))}

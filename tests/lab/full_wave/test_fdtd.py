@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from lab.full_wave.cpml import SPEED_OF_LIGHT_MPS, VACUUM_PERMITTIVITY_F_PER_M, CpmlParams
-from lab.full_wave.experiment import Experiment, transmission_experiment
 from lab.full_wave.grid import Drive, GridParams, Media, YeeGrid
 from lab.full_wave.media import real_medium
 from lab.full_wave.rough import RoughParams, rough_profile
@@ -257,22 +256,6 @@ def test_surface_has_the_wanted_statistics() -> None:
     assert heights.std() == pytest.approx(1e-3, rel=1e-9)
     lag = np.mean(heights * np.roll(heights, 10)) / np.mean(heights**2)
     assert lag == pytest.approx(math.exp(-1.0), abs=0.1)
-
-
-@pytest.mark.slow
-def test_beam_sees_the_slab() -> None:
-    """Layout: beam of 6 cm waist on 1 cm of eps 3 - 0.3j, 12 cells, CPML all round. Analytic: slab R and T.
-
-    Bias: square cells, second order: 0.3 dB. Tolerance 0.5 dB.
-    """
-    eps, depth_m = 3.0 - 0.3j, 0.01
-    setup = Experiment(0.3, 0.05, 0.06, 0.04, 12.0, "float32")
-    found = transmission_experiment(((eps, depth_m),), FREQUENCY_HZ, "te", experiment=setup)
-    r, t = (f(eps, 1.0, depth_m, WAVELENGTH_M) for f in (slab_reflection, slab_transmission))
-    assert found.reflection_db == pytest.approx(20.0 * math.log10(abs(r)), abs=0.5)
-    assert found.transmission_db == pytest.approx(20.0 * math.log10(abs(t)), abs=0.5)
-    assert found.field.shape == (len(found.x_m), len(found.z_m))
-    assert np.abs(found.field).max() < 2.0
 
 
 @pytest.mark.parametrize(

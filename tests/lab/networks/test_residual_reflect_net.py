@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from lab.networks.residual_reflect_net import ResidualReflectNet, ResidualReflectNetConfig
+from lab.networks.residual_reflect_net import ResidualReflectNet
 
 
 def network() -> ResidualReflectNet:
@@ -111,8 +111,3 @@ def test_learns_a_few_residuals() -> None:
 
 def test_onnx_agrees(onnx_difference: Callable[..., float]) -> None:
     assert onnx_difference(network(), *example()) < 1e-5
-
-
-def test_a_patch_without_points_is_refused() -> None:
-    with pytest.raises(ValueError, match="neighbours must be at least 1, got 0"):
-        ResidualReflectNetConfig(neighbours=0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from lab.training.data.residual_samples import FoldedImages, SampleConfig
+from lab.training.data.residual_samples import FoldedImages
 from lab.training.export.residual import export_residual_onnx, export_residual_run
 from lab.training.run_folder import BEST
 from lab.training.train_residual import (
@@ -49,10 +49,9 @@ def images(count: int, seed: int = 0, scenes: int = 4) -> FoldedImages:
 
 
 def config(**changes: object) -> ResidualRunConfig:
-    settings = {"epochs": 3, "batch_size": 32, "frame": "wall"} | changes
+    settings = {"epochs": 3, "batch_size": 32} | changes
     return ResidualRunConfig(
         training=TrainResidualConfig(**settings),  # type: ignore[arg-type]
-        samples=SampleConfig(),
         data={"directory": "none"},
     )
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lab.walls import transmission
 from lab.walls import wall_question as wall
 from lab.walls.curves import answer, field_db, note_and_error
 from lab.walls.wall_question import Method, Wall, check_fdtd, known_bands, title_of, total_thickness_m
@@ -33,9 +31,6 @@ def test_options_are_millimetres_and_walls_metres() -> None:
     assert total_thickness_m(double) == pytest.approx(0.024)
     assert title_of(double) == "double_glazing (4 mm glass + 16 mm vacuum + 4 mm glass)"
     assert (title_of(concrete), title_of(asked("concrete"))) == ("concrete (120 mm)", "concrete (half-space)")
-    # the column's wall has a usual thickness
-    assert transmission.wall_of("concrete", None, 10.0)[0] == "400 mm of concrete"
-    assert transmission.wall_of("concrete", 120.0, 10.0)[1][0][1] == pytest.approx(0.12)
 
 
 @pytest.mark.parametrize(("roughness_mm", "limit_deg"), [(0.0, 89.0), (1.0, 70.0)])
@@ -65,29 +60,5 @@ def test_foliage_is_crossed_by_the_slanted_way() -> None:
 
 def test_levels_are_of_fields_and_nothing_has_none() -> None:
     np.testing.assert_allclose(field_db(np.array([1.0, 0.1j, 0.0])), [0.0, -20.0, np.nan])
-    assert transmission._level_db(-0.1) == pytest.approx(-20.0)
-    assert transmission._level_db(0.0) == pytest.approx(-600.0)
     result: Any = SimpleNamespace(note="between", error_db=0.234)
     assert note_and_error(result) == "between, R within 0.23 dB"
-
-
-def test_a_picture_is_as_wide_in_wavelengths_at_every_frequency_and_bounded() -> None:
-    """30 wavelengths wide, 13.3 of air; twice the frequency is half of all. Too many cells are refused."""
-    thin = ((3.0 + 0.0j, 0.01),)
-    low, high = transmission.layout(thin, 10e9), transmission.layout(((3.0 + 0.0j, 0.005),), 20e9)
-    for name in ("width_m", "before_m", "behind_m"):
-        assert getattr(low, name) == pytest.approx(2.0 * getattr(high, name))
-    assert low.width_m == pytest.approx(30.0 * 0.0299792458)
-    with pytest.raises(ValueError, match="--plot takes at most 3000000 cells"):
-        transmission.layout(((3.0 + 0.0j, 20.0),), 10e9)
-
-
-def test_progress_counts_both_runs_by_the_decay_of_the_field() -> None:
-    from lab.full_wave.experiment import DECAY
-
-    seen: list[float] = []
-    progress: Any = SimpleNamespace(update=lambda done, total: seen.append(done / total))
-    steps = transmission._Steps(progress)
-    for count, residue in ((10, 2.0), (20, math.sqrt(DECAY)), (30, DECAY), (10, 1.0), (20, 0.1 * DECAY)):
-        steps(count, residue)
-    assert seen == pytest.approx([0.0, 0.25, 0.5, 0.5, 1.0])

@@ -94,8 +94,6 @@ def test_every_reader_takes_a_mark(
 def test_the_mark_of_a_mesh_or_a_cloud_takes_no_point_away(
     tmp_path: Path, name: str, text: str, read: Callable[[Path], object]
 ) -> None:
-    if "cloud" in read.__code__.co_names[0]:
-        pytest.importorskip("open3d")
     path = tmp_path / name
     path.write_text(text)
     expected = read(path)

@@ -12,9 +12,8 @@ import pytest
 
 from lab.training.data.frames import Frame, FrameLabels
 from lab.training.data.residual_samples import (
-    GEOMETRIES,
     FoldedImages,
-    SampleConfig,
+    fold_published,
     fold_scenes,
     join,
     load_folded,
@@ -55,11 +54,10 @@ def moved(peaks: Peaks, range_m: float) -> Peaks:
     return msgspec.structs.replace(peaks, range_m=peaks.range_m + range_m * (peaks.path_class == PathClass.MIRRORED))
 
 
-@pytest.mark.parametrize("geometry", ["ours", "published"])
-def test_without_error_nothing_is_left_to_correct(geometry: str) -> None:
+def test_without_error_nothing_is_left_to_correct() -> None:
     """Labels are float32: 1e-4 m."""
     labels = labels_of(PLACES_M)
-    folded = with_truth(GEOMETRIES[geometry](truth_peaks(labels)), labels, 7)
+    folded = with_truth(fold_published(truth_peaks(labels)), labels, 7)
     assert len(folded) == 2
     np.testing.assert_allclose(folded.folded_m, PLACES_M, atol=1e-4)
     np.testing.assert_allclose(folded.target_m, 0.0, atol=1e-4)
@@ -71,7 +69,7 @@ def test_without_error_nothing_is_left_to_correct(geometry: str) -> None:
 def test_a_range_error_is_what_is_to_be_corrected() -> None:
     """An image seen 0.5 m too far folds 0.5 m too near along its mirrored ray (unit vector of place from the foot)."""
     labels = labels_of(PLACES_M)
-    folded = with_truth(GEOMETRIES["ours"](moved(truth_peaks(labels), 0.5)), labels, 0)
+    folded = with_truth(fold_published(moved(truth_peaks(labels), 0.5)), labels, 0)
     ray = folded.images_m / np.linalg.norm(folded.images_m, axis=1, keepdims=True)
     np.testing.assert_allclose(folded.target_m, -0.5 * ray * [-1.0, 1.0], atol=1e-4)
 
@@ -79,22 +77,22 @@ def test_a_range_error_is_what_is_to_be_corrected() -> None:
 def test_an_image_beyond_the_gate_is_none_of_the_truth() -> None:
     labels = labels_of(PLACES_M)
     peaks = moved(truth_peaks(labels), 2.5)
-    assert with_truth(GEOMETRIES["ours"](peaks), labels, 0).within(np.inf).tolist() == [False, False]
+    assert with_truth(fold_published(peaks), labels, 0).within(np.inf).tolist() == [False, False]
     peaks = moved(truth_peaks(labels), 1.5)
-    assert with_truth(GEOMETRIES["ours"](peaks), labels, 0).within(np.inf).tolist() == [True, True]
+    assert with_truth(fold_published(peaks), labels, 0).within(np.inf).tolist() == [True, True]
 
 
 def test_two_images_of_one_place_are_matched_once() -> None:
     labels = labels_of(PLACES_M)
     peaks = truth_peaks(labels_of(np.concatenate([PLACES_M, PLACES_M[:1] + 0.4])))
-    folded = with_truth(GEOMETRIES["ours"](peaks), labels, 0)
+    folded = with_truth(fold_published(peaks), labels, 0)
     assert folded.within(np.inf).tolist() == [True, True, False]
 
 
 def test_labels_without_a_place_count_for_nothing() -> None:
     labels = labels_of(PLACES_M)
     labels.hidden_xy_m[-1] = np.nan
-    folded = with_truth(GEOMETRIES["ours"](truth_peaks(labels)), labels, 0)
+    folded = with_truth(fold_published(truth_peaks(labels)), labels, 0)
     assert folded.truth_m.shape == (1, 2)
     assert folded.within(np.inf).tolist() == [True, False]
 
@@ -102,9 +100,8 @@ def test_labels_without_a_place_count_for_nothing() -> None:
 def test_a_scene_without_returns_gives_no_images() -> None:
     labels = labels_of(PLACES_M)
     labels = labels.take(labels.path_class == PathClass.MIRRORED)
-    for fold in GEOMETRIES.values():
-        folded = with_truth(fold(truth_peaks(labels)), labels, 0)
-        assert (len(folded), len(folded.truth_m)) == (0, 2)
+    folded = with_truth(fold_published(truth_peaks(labels)), labels, 0)
+    assert (len(folded), len(folded.truth_m)) == (0, 2)
 
 
 class FakeData:
@@ -127,7 +124,7 @@ class FakeDetector:
 
 def test_each_detected_image_has_its_true_position() -> None:
     heard: list[None] = []
-    folded = fold_scenes(FakeData(), [3, 5], FakeDetector(), SampleConfig(), lambda: heard.append(None))  # type: ignore[arg-type]
+    folded = fold_scenes(FakeData(), [3, 5], FakeDetector(), lambda: heard.append(None))  # type: ignore[arg-type]
     assert (len(folded), len(heard)) == (2, 2)
     assert set(folded.scene.tolist()) == {3, 5}
     assert np.count_nonzero(np.linalg.norm(folded.target_m, axis=1) > 0.4) == 2

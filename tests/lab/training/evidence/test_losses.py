@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from lab.training.objectives.evidence import EvidenceLossConfig, EvidenceTargets, evidence_loss, heat_loss, wall_loss
+from lab.training.objectives.evidence import EvidenceTargets, evidence_loss, heat_loss, wall_loss
 from models.perception.see.detections import ANSWERS, OBJECT, PLACE
 from models.perception.see.gathering import BirdsEyeGrid
 from models.perception.see.wall_elements import BEYOND_M
@@ -33,7 +33,7 @@ def targets(asked: bool) -> EvidenceTargets:
 
 
 def loss_of(answer: torch.Tensor, asked: bool) -> torch.Tensor:
-    return evidence_loss(answer, targets(asked), TOWARD, X_M, Y_M, EvidenceLossConfig())[0]
+    return evidence_loss(answer, targets(asked), TOWARD, X_M, Y_M)
 
 
 def test_an_object_is_asked_for_and_its_place() -> None:
@@ -65,7 +65,7 @@ def test_a_scan_without_objects_has_a_finite_loss() -> None:
         torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.bool),
     )  # fmt: skip
     answer = torch.zeros((1, ANSWERS, *PLANE.shape))
-    assert torch.isfinite(evidence_loss(answer, nothing, TOWARD, X_M, Y_M, EvidenceLossConfig())[0])
+    assert torch.isfinite(evidence_loss(answer, nothing, TOWARD, X_M, Y_M))
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.9, -0.9])

@@ -112,11 +112,6 @@ def apart(rng: np.random.Generator, count: int, shape: tuple[float, float]) -> P
     return PointLabels(row=row, column=column, path_class=rng.integers(0, 2, count).astype(np.uint8))
 
 
-def test_a_radius_that_leaves_gaps_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"radius_cells must be at least 1.414 \(stride 2\), got 1.0"):
-        anchor_targets([NO_POINTS], (4, 4), stride=2, radius_cells=1.0)
-
-
 def targets(*at: PointLabels) -> tuple[Tensor, Tensor]:
     classes, offsets = anchor_targets(at, (6, 6))
     return torch.from_numpy(classes), torch.from_numpy(offsets)
@@ -132,8 +127,6 @@ def test_loss_by_hand() -> None:
     focal = (2.0 / 3.0) ** 2 * math.log(3.0)
     loss = anchor_loss(torch.zeros(1, 5, 1, 2), classes, offsets)
     assert loss.item() == pytest.approx(2.0 * focal + 2.5 + 0.125, rel=1e-6)
-    halved = anchor_loss(torch.zeros(1, 5, 1, 2), classes, offsets, background_weight=0.5)
-    assert halved.item() == pytest.approx(1.5 * focal + 2.5 + 0.125, rel=1e-6)
 
 
 def test_offsets_of_noise_are_free() -> None:

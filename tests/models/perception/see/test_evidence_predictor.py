@@ -207,10 +207,10 @@ def test_left_and_right_are_alike(network: Path, tmp_path: Path) -> None:
     """Cells and their mirror image: answers of the other side, across with the other sign. Random weights."""
     import torch
 
-    from lab.networks.evidence_unet import EvidenceUNet, EvidenceUNetConfig
+    from lab.networks.evidence_unet import EvidenceUNet
 
     torch.manual_seed(0)
-    unet = EvidenceUNet(EvidenceUNetConfig(in_channels=EVIDENCE.shape[0], answers=ANSWERS)).eval()
+    unet = EvidenceUNet(EVIDENCE.shape[0], ANSWERS).eval()
     path = written(tmp_path, unet, "random")
     channels = np.random.default_rng(0).normal(size=EVIDENCE.shape).astype(np.float32)
     flipped = channels[..., ::-1].copy()

@@ -1,14 +1,12 @@
-"""Pictures of a wave at a wall, and of simulated walls beside the formula."""
+"""Picture of simulated walls beside the formula."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lab.walls.transmission import WallAnswer, levels_of
 from mirrorwave.plots.style import legend_below, legend_beside, new_figure, save
 
 if TYPE_CHECKING:
@@ -51,45 +49,6 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
     panel.set_xlabel("rms phase g = 4π s cos θ / λ [rad]")
     legend_beside(panel)
     save(figure, path)
-
-
-def draw_wall(result: WallAnswer, path: Path) -> None:
-    """Write a picture: the field around the wall, and its level along the beam's axis with R and T beside it."""
-    beam = result.beam
-    if beam is None:
-        raise ValueError("a picture needs an answer with a beam")
-    figure = new_figure(10.0, 6.2)
-    left, right = figure.subplots(1, 2)
-    for panel in (left, right):
-        _plain(panel)
-    level_db = 20.0 * np.log10(np.maximum(np.abs(beam.field), 1e-6))
-    front_m, back_m = beam.wall_m
-    z_m = beam.z_m - front_m
-    extent = (1e2 * z_m[0], 1e2 * z_m[-1], 1e2 * beam.x_m[0], 1e2 * beam.x_m[-1])
-    image = left.imshow(level_db, origin="lower", extent=extent, cmap="magma", vmin=-100.0, vmax=6.0, aspect="auto")
-    figure.colorbar(image, ax=left, label="field per incident one [dB]")
-    name = "E" if result.polarisation == "te" else "H"
-    left.set_title(f"|{name}| of a beam on {result.title}, {result.frequency_hz / 1e9:g} GHz", fontsize=10)
-    left.set_ylabel("along the wall [cm]")
-    left.grid(visible=False)
-    axis_x_m = math.tan(math.radians(result.angle_deg)) * np.minimum(z_m, 0.0)
-    on_axis_db = level_db[np.abs(beam.x_m[:, None] - axis_x_m).argmin(axis=0), np.arange(len(z_m))]
-    right.plot(1e2 * z_m, on_axis_db, "#0072B2", linewidth=1.2)
-    right.axvspan(0.0, 1e2 * (back_m - front_m), color="#E4E4E4", zorder=0)
-    right.set_title("level at the beam's axis [dB]", fontsize=10)
-    right.set_ylim(-125.0, 8.0)
-    figure.supxlabel(_caption(result), family="monospace", fontsize=9, ha="center", linespacing=1.4)
-    for panel in (left, right):
-        panel.set_xlabel("depth from the front face [cm]")
-        panel.set_xlim(-1e2 * result.before_m, 1e2 * (back_m - front_m + result.behind_m))
-    for face_m in (0.0, back_m - front_m):
-        left.axvline(1e2 * face_m, color="white", linewidth=1.0)
-    save(figure, path)
-
-
-def _caption(result: WallAnswer) -> str:
-    head = f"{'':<30}{'R dB':>8}{'T dB':>8}\n"
-    return head + "\n".join(f"{name:<30}{r_db:8.2f}{t_db:8.2f}" for name, r_db, t_db in levels_of(result))
 
 
 def _draw_band(panel: Any, table: ReflectanceTable, band: float) -> None:
