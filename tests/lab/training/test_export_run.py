@@ -19,7 +19,7 @@ from lab.training.run_folder import BEST, CONFIG, SUMMARY
 from lab.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DensePredictor, load_card
-from models.perception.find.pursuit import PursuitParams, pursued_peaks
+from models.perception.find.pursuit import pursued_peaks
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -134,7 +134,7 @@ def test_peaks_by_pursuit_have_a_threshold_of_their_own(monkeypatch: pytest.Monk
     monkeypatch.setattr(export_onnx, "DensePredictor", Predictor)
     frame = SimpleNamespace(ra_map=SimpleNamespace(grid=GRID), labels=labels)
     threshold = export_onnx.best_pursuit_threshold(Path(), [frame])  # type: ignore[list-item]
-    false = pursued_peaks(0.25 * hill, 0.05, PursuitParams())[1][0]
+    false = pursued_peaks(0.25 * hill, 0.05)[1][0]
     assert false < threshold <= false + 0.02
 
 
