@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from contrib.boards.digital_array import DigitalArrayParams, range_doppler
+from lab.tradeoff.literal_signal import literal_echoes
 from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
@@ -26,7 +27,6 @@ from msgs.values.vehicle import VehicleState
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_weights, noise_bank
 from sim_player.signal.levels import beam_beats, echo_terms, kernel_profiles, record_beam
-from sim_player.signal.literal import literal_echoes
 from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_table import Paths

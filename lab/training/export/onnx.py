@@ -18,7 +18,6 @@ import torch
 from torch import Tensor, nn
 
 from lab.measures.point_scores import Counts
-from lab.networks.compact_unet import CompactUNet
 from lab.training.data.frames import DataSet, Frame, fixed_splits
 from lab.training.data.samples import point_labels
 from lab.training.export.quantize import quantize_int8
@@ -74,8 +73,6 @@ class ExportConfig:
     precision: Precision = "fp32"
     #: Encoded maps of the training split that set the ranges of int8.
     calibration_maps: int = 64
-    #: Nearest range bins that the exported network sees; None: as many as it was trained on.
-    range_bins: int | None = None
 
 
 def export_onnx(model: Exported, path: Path, maps: Iterable[np.ndarray] = ()) -> str:
@@ -162,11 +159,7 @@ def export_run(
     """
     require_onnx(model_path)
     network, run, epoch = load_best(run_dir)
-    encoding = msgspec.structs.replace(run.data.encoding, crop_bins=config.range_bins)
-    if config.range_bins is not None:
-        if not isinstance(network, CompactUNet):
-            raise ValueError(f"export.range_bins must go with a compact_unet, got {type(network).__name__}")
-        network = network.cropped(config.range_bins)
+    encoding = run.data.encoding
     scenes = _Scenes(config.data_dir or Path(run.data.directory))
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
     indices = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]

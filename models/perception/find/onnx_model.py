@@ -103,7 +103,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:
         """Output shape for one map: all cells that the network sees, or its anchors."""
-        cells = self.encoding.seen_bins, self.grid.azimuth_bins
+        cells = self.encoding.range_bins, self.grid.azimuth_bins
         if self.head == "heatmap":
             return 1, len(PathClass), *cells
         return 1, ANCHOR_CHANNELS, cells[0] // self.anchor_stride, cells[1] // self.anchor_stride
