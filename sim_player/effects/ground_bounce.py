@@ -17,15 +17,7 @@ from sim_player.scene.segments import series
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import (
-    ROUTE,
-    Routes,
-    direction_of,
-    fill_bounce,
-    fill_route,
-    join_routes,
-    plane_bounces,
-)
+from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_bounce, fill_route, join_routes, plane_bounces
 from sim_player.trace.snapshot import TraceContext
 
 _GROUND = bit("ground_bounce")

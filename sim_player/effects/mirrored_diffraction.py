@@ -36,16 +36,7 @@ from sim_player.scene.segments import Blockers, is_clear, is_screened, may_pass,
 from sim_player.scene.world import Snapshot, World, wall_lines
 from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import (
-    ROUTE,
-    Routes,
-    direction_of,
-    fill_bounce,
-    fill_route,
-    grown,
-    join_routes,
-    owners,
-)
+from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_bounce, fill_route, grown, join_routes, owners
 from sim_player.trace.snapshot import TraceContext
 
 _BENT, _THROUGH = bit("mirrored_diffraction"), bit("wall_transmission")

@@ -13,13 +13,7 @@ from lab.training.export.onnx import write_card
 from lab.training.export.residual import export_residual_onnx
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
 from models.perception.mirrors.recovery import ReflectionState
-from models.perception.mirrors.residual_model import (
-    MAX_SHIFT_M,
-    LearnedResidual,
-    ResidualCard,
-    image_frames,
-    in_frames,
-)
+from models.perception.mirrors.residual_model import MAX_SHIFT_M, LearnedResidual, ResidualCard, image_frames, in_frames
 from msgs.bus.interface import Envelope, Received
 from nodes import geometry
 from tests.builders import peaks_at

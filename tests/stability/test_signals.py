@@ -14,13 +14,7 @@ from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
 from models.perception.form.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
-from models.physics.waveform import (
-    beat_frequency_hz,
-    beat_phase_rad,
-    beat_samples,
-    range_profile,
-    window_noise_gain,
-)
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad, beat_samples, range_profile, window_noise_gain
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState

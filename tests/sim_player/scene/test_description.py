@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 
 from msgs.files.shipped import CHECKOUT
-from sim_player.scene.description import (
-    check_scene,
-    load_scene,
-    scene_from_yaml,
-    scene_sha256,
-    scene_to_yaml,
-)
+from sim_player.scene.description import check_scene, load_scene, scene_from_yaml, scene_sha256, scene_to_yaml
 
 SCENES = sorted((CHECKOUT / "launch" / "scenes").glob("*.yaml"))
 MESHES = CHECKOUT / "tests" / "data" / "meshes"

@@ -10,13 +10,7 @@ import pytest
 from lab.training.data.field_samples import first_walls
 from models.perception.mirrors.mirror_table import wall_arrays
 from models.perception.see.scan_evidence import certainties
-from models.perception.see.wall_elements import (
-    ELEMENT_STD_M,
-    further_walls,
-    grown_walls,
-    nearest_walls,
-    wall_elements,
-)
+from models.perception.see.wall_elements import ELEMENT_STD_M, further_walls, grown_walls, nearest_walls, wall_elements
 from msgs.values.perception import Wall
 from tests.models.perception.see.fields import AZIMUTH_RAD, GRID, Ends, perfect_answer, walls_of
 
