@@ -47,9 +47,6 @@ class Recovered(ArrayTable):
     #: Over ground, of the image; NaN where not measured.
     radial_speed_mps: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.points_m)
-
     @property
     def covariance_m2(self) -> np.ndarray:
         """Covariance of each position [N, 2, 2], positive definite."""

@@ -51,9 +51,6 @@ class WallElements(ArrayTable):
     toward: np.ndarray
     probability: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.probability)
-
 
 def wall_elements(answer: np.ndarray, grid: RangeAzimuthGrid) -> WallElements:
     """Return the likeliest cells along each azimuth as elements, of an answer [`WALL_ANSWERS`, range, azimuth]."""
