@@ -16,7 +16,7 @@ from lab.training.loop import TrainingLoop
 from lab.training.pretrained import load_initial
 from lab.training.run_folder import BEST, adopt_config, load_config, load_state
 from models.perception.mirrors.recovery import ReflectionState
-from models.perception.mirrors.residual_model import ResidualFrame, bounded, image_frames, in_frames
+from models.perception.mirrors.residual_model import bounded, in_frames, wall_frames
 
 
 class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,7 +32,6 @@ class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
     #: Images that the mirror law leaves further than this from their true position were mirrored elsewhere: they are
     #: excluded from training and from the selection of the checkpoint. The published training uses all (1000).
     reach_m: float = 2.0
-    frame: ResidualFrame = "wall"
     threads: int = 1
     #: File of initial weights.
     init: str = ""
@@ -86,7 +85,7 @@ class ResidualTraining(TrainingLoop[ResidualEpoch]):
         self.network = ResidualReflectNet()
         self.optimiser = torch.optim.Adam(self.network.parameters(), self.config.learning_rate)
         self.scene, self.validation = samples.scene, validation
-        frames = image_frames(samples.reflection, self.config.frame)
+        frames = wall_frames(samples.reflection)
         self.inputs = tensors(in_frames(samples.reflection, frames))
         self.target = _tensor(frames.from_radar(samples.target_m))
         self.weight = _tensor(np.where(samples.state[:, 5] > 0.5, self.config.unreliable_weight, 1.0))
@@ -116,7 +115,7 @@ class ResidualTraining(TrainingLoop[ResidualEpoch]):
 
     def judge(self, epoch: int, train_loss: float) -> ResidualEpoch:
         """Return the scores on the validation scenes."""
-        offsets_m = network_offsets(self.network, self.validation, self.config.frame)
+        offsets_m = network_offsets(self.network, self.validation)
         scores = recovered_scores(self.validation, offsets_m, self.config.reach_m)
         return ResidualEpoch(
             epoch=epoch,
@@ -135,10 +134,10 @@ def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     return (weight * error_m).sum() / weight.sum().clamp_min(1e-9)
 
 
-def network_offsets(network: nn.Module, folded: FoldedImages, frame: ResidualFrame) -> np.ndarray:
+def network_offsets(network: nn.Module, folded: FoldedImages) -> np.ndarray:
     """Return corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
     network.eval()
-    frames = image_frames(folded.reflection, frame)
+    frames = wall_frames(folded.reflection)
     with torch.no_grad():
         answer = network(*tensors(in_frames(folded.reflection, frames))).numpy().astype(np.float64)
     return bounded(frames.to_radar(answer))

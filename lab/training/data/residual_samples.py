@@ -105,7 +105,7 @@ Folded = tuple[Recovered, ReflectionState]
 def fold_ours(peaks: Peaks) -> Folded:
     """Return the images of a scene as folded by the geometry stage, hidden or not."""
     scan = fold_scan(peaks, GeometryParams())
-    return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
+    return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns)
 
 
 def fold_published(peaks: Peaks) -> Folded:

@@ -45,7 +45,7 @@ def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, com
         draft = _draft(network, run, epoch, export_residual_onnx(network, file), model_path.stem, command)
         write_card(draft, file)
         offsets_m = LearnedResidual(file)(test.reflection)
-        _check_parity(model_path, offsets_m, network_offsets(network, test, run.training.frame))
+        _check_parity(model_path, offsets_m, network_offsets(network, test))
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
     card = msgspec.structs.replace(draft, metrics=_metrics(test, offsets_m, run.training.reach_m))
@@ -61,7 +61,7 @@ def _draft(
         name=name,
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
-        frame=run.training.frame,
+        frame="wall",
         neighbours=network.config.neighbours,
         source="peaks",
         geometry=run.samples.geometry,

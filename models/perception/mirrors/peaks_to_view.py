@@ -91,14 +91,9 @@ class FoldedScan:
     hidden: np.ndarray
 
 
-def fold_scan(
-    peaks: Peaks,
-    params: GeometryParams,
-    residual: Residual | None = None,
-    wall_prior: WallPrior | None = None,
-) -> FoldedScan:
+def fold_scan(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> FoldedScan:
     """Find walls in the peaks and fold the images back, Eqs. (18), (19); `ValueError` as checked."""
-    return _folded(peaks, params, *direct_structure(peaks, params, wall_prior), residual)
+    return _folded(peaks, params, *direct_structure(peaks, params), residual)
 
 
 def _folded(

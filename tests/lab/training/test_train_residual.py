@@ -49,7 +49,7 @@ def images(count: int, seed: int = 0, scenes: int = 4) -> FoldedImages:
 
 
 def config(**changes: object) -> ResidualRunConfig:
-    settings = {"epochs": 3, "batch_size": 32, "frame": "wall"} | changes
+    settings = {"epochs": 3, "batch_size": 32} | changes
     return ResidualRunConfig(
         training=TrainResidualConfig(**settings),  # type: ignore[arg-type]
         samples=SampleConfig(),
