@@ -307,7 +307,7 @@ def network() -> list[bytes]:
     card = msgspec.json.decode((ROOT / "models/weights/compact_unet.int8.json").read_bytes())
     card |= {
         "sha256": hashlib.sha256(content).hexdigest(),
-        "encoding": card["encoding"] | {"range_bins": 8, "crop_bins": None, "columns": 16},
+        "encoding": card["encoding"] | {"range_bins": 8, "columns": 16},
         "grid": {"range_bin_m": 0.2, "range_bins": 8, "azimuth_bins": 16, "azimuth_limit_deg": 60.0},
         "input_shape": [1, 7, 8, 16],
         "output_shape": [1, 2, 8, 16],

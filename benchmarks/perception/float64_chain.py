@@ -183,7 +183,7 @@ def encode_double(encoding: Encoding, values: np.ndarray, noise_mw: float) -> np
         "level_real": level * direction.real,
         "level_imaginary": level * direction.imag,
     }
-    return np.stack([channels[name] for name in encoding.channels])[:, : encoding.seen_bins]
+    return np.stack([channels[name] for name in encoding.channels])
 
 
 class ConvTranspose(OpRun):

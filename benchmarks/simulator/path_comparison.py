@@ -17,7 +17,7 @@ from sim_player.effects.second_relay import two_wall_routes
 from sim_player.effects.table import PATHS
 from sim_player.scene.segments import BODY, WALL, segment_occlusion, without
 from sim_player.scene.world import Snapshot
-from sim_player.trace.routes import Routes, join_routes, mirror_routes
+from sim_player.trace.routes import Routes, mirror_routes
 from sim_player.trace.snapshot import TraceContext
 
 #: Effects whose routes are specular paths from the antenna to a point.
@@ -91,7 +91,8 @@ def our_routes(view: Snapshot) -> Routes:
     for name in ROUTE_EFFECTS:
         if PATHS[name].absent(view.world) is None:
             PATHS[name].apply(tracing)
-    return join_routes([*(tracing.routes[name] for name in ROUTE_EFFECTS if name in tracing.routes), _own_images(view)])
+    made = (tracing.routes[name] for name in ROUTE_EFFECTS if name in tracing.routes)
+    return Routes.joined([*made, _own_images(view)])
 
 
 def _own_images(view: Snapshot) -> Routes:
@@ -99,7 +100,7 @@ def _own_images(view: Snapshot) -> Routes:
     point, nobody = view.antenna[None], np.array([-1], np.int32)
     once, occlusion = mirror_routes(view, point, view.world.is_flat, nobody)
     parts = [once.take(occlusion.free), arc_routes(view, point, nobody), two_wall_routes(view, point, nobody)]
-    routes = join_routes(parts)
+    routes = Routes.joined(parts)
     return routes.with_columns(target=len(view.centre))
 
 

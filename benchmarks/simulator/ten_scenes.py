@@ -30,6 +30,7 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 from benchmarks.simulator.city import made_city
+from lab.tradeoff.literal_signal import literal_echoes
 from msgs.files.shipped import CHECKOUT
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, clean_profiles, manual_plan, plan_world, planned_profiles
@@ -38,7 +39,6 @@ from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, Weather, load_scene
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import noise_profiles, noise_rms
-from sim_player.signal.literal import literal_echoes
 
 BUDGET_DB = -20.0
 #: Scans in motion.

@@ -23,9 +23,6 @@ def export(
     precision: Annotated[
         Literal["fp32", "fp16", "int8"], typer.Option(help="Numbers inside the network; input and output stay fp32.")
     ] = "fp32",
-    range_bins: Annotated[
-        int | None, typer.Option(min=1, help="Only the nearest range bins, for less time; default: as trained.")
-    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the best network of a run as ONNX, with a card that says how it was made and how good it is."""
@@ -34,7 +31,7 @@ def export(
     if run.suffix == ".onnx":
         _export_evidence(run, out, data, precision, as_json)
         return
-    config = ExportConfig(data_dir=data, precision=precision, range_bins=range_bins)
+    config = ExportConfig(data_dir=data, precision=precision)
     with progress_bar("export") as progress:
         card = export_run(run, out, config, report=progress.print)
     if as_json:

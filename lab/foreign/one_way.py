@@ -16,7 +16,7 @@ from sim_player.effects.table import PATHS
 from sim_player.paths.conversion import as_paths
 from sim_player.scene.segments import Occlusion
 from sim_player.scene.world import Snapshot
-from sim_player.trace.echoes import cofocal, join_echoes, object_echoes
+from sim_player.trace.echoes import Echoes, cofocal, object_echoes
 from sim_player.trace.effect_names import bit
 from sim_player.trace.path_table import Paths
 from sim_player.trace.routes import NONE, Routes, make_routes
@@ -38,9 +38,6 @@ class OneWayPaths(ArrayTable):
     #: Index of the exported surface of each reflection, -1 for none, int32 [N, D], and its position [N, D, 3].
     surface: np.ndarray
     vertex_m: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.length_m)
 
 
 def as_routes(paths: OneWayPaths, surfaces: tuple[ExportedSurface, ...]) -> Routes:
@@ -88,7 +85,7 @@ def foreign_paths(view: Snapshot, routes: Routes, effects: frozenset[str]) -> Pa
     for name in ("los_surfaces", "non_cofocal"):
         if name in effects and PATHS[name].absent(view.world) is None:
             parts.append(PATHS[name].apply(tracing))
-    return as_paths(view, join_echoes(parts), effects)
+    return as_paths(view, Echoes.joined(parts), effects)
 
 
 def meets_own_object(paths: OneWayPaths, surfaces: tuple[ExportedSurface, ...], owner: np.ndarray) -> np.ndarray:

@@ -7,8 +7,7 @@ convolution runs on an input that was only interpolated.
 
 from __future__ import annotations
 
-from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -146,19 +145,6 @@ class CompactUNet(nn.Module):
         self.head = nn.Conv2d(widths[0], 2 * config.classes * config.azimuth_factor, 3, padding=1)
         nn.init.normal_(self.head.weight, std=0.01)
         nn.init.constant_(self.head.bias, config.head_bias)
-
-    def cropped(self, range_bins: int) -> CompactUNet:
-        """Return the same network for the nearest `range_bins` alone: its cost falls, but farther returns are not seen.
-
-        Raises `ValueError` if the network was not made for so many, or cannot fold them.
-        """
-        if range_bins > self.config.range_bins:
-            raise ValueError(f"range_bins must be at most the network's {self.config.range_bins}, got {range_bins}")
-        near = deepcopy(self)
-        near.config = replace(self.config, range_bins=range_bins)
-        rows, columns = near.config.bottleneck_shape
-        near.context.position = nn.Parameter(self.context.position[:, : rows * columns].detach().clone())
-        return near
 
     def forward(self, x: Tensor) -> Tensor:
         """Return logits of every cell of the output grid."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from lab.full_wave.shot_rays import mesh_field
 from lab.full_wave.smooth import SMOOTH_WALLS
+from lab.tradeoff.literal_signal import literal_profiles
 from msgs.values.radar import RadarSetup
 from sim_player.bodies.meshes import primitive_mesh
 from sim_player.effects.table import ALL_EFFECTS, PATHS, WEIGHTS, check_effects
@@ -23,7 +24,6 @@ from sim_player.planner.cells import Cells, cells_of
 from sim_player.planner.plan import clean_profiles, manual_plan, noisy_profiles, plan_world
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles, noise_profiles, noise_rms
-from sim_player.signal.literal import literal_profiles
 from sim_player.signal.switches import PLAIN
 
 Value = float | str

@@ -16,10 +16,8 @@ from lab.training.loop import TrainingLoop
 from lab.training.pretrained import load_initial
 from lab.training.run_folder import BEST, adopt_config, load_config, load_state
 from models.perception.mirrors.recovery import ReflectionState
-from models.perception.mirrors.residual_model import ResidualFrame, bounded, image_frames, in_frames
+from models.perception.mirrors.residual_model import bounded, in_frames, wall_frames
 
-#: Coordinates that the network sees an image in: those of its wall.
-FRAME: ResidualFrame = "wall"
 #: Longest gradient.
 _CLIP_NORM = 1.0
 #: Weight of an image without a wall of its own (eta = 1) in the loss, relative to 1 for all others.
@@ -88,7 +86,7 @@ class ResidualTraining(TrainingLoop[ResidualEpoch]):
         self.network = ResidualReflectNet()
         self.optimiser = torch.optim.Adam(self.network.parameters(), self.config.learning_rate)
         self.scene, self.validation = samples.scene, validation
-        frames = image_frames(samples.reflection, FRAME)
+        frames = wall_frames(samples.reflection)
         self.inputs = tensors(in_frames(samples.reflection, frames))
         self.target = _tensor(frames.from_radar(samples.target_m))
         self.weight = _tensor(np.where(samples.state[:, 5] > 0.5, _UNRELIABLE_WEIGHT, 1.0))
@@ -140,7 +138,7 @@ def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:
 def network_offsets(network: nn.Module, folded: FoldedImages) -> np.ndarray:
     """Return corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
     network.eval()
-    frames = image_frames(folded.reflection, FRAME)
+    frames = wall_frames(folded.reflection)
     with torch.no_grad():
         answer = network(*tensors(in_frames(folded.reflection, frames))).numpy().astype(np.float64)
     return bounded(frames.to_radar(answer))

@@ -25,7 +25,11 @@ _CONSTANTS = {
         "--false-cost": "that of the sets, else 1",
     },
     "tradeoff": {"--repeats": "2"},
-    "export": {"--split": "the test scenes", "--test": "the test scenes of the run's data"},
+    "export": {
+        "--split": "the test scenes",
+        "--test": "the test scenes of the run's data",
+        "--range-bins": "as trained",
+    },
     "node kill": {"--signal": "KILL"},
     "bag snapshot": {"--timeout": "60 s"},
     "calibrate background": {"--scans": "100"},

@@ -15,6 +15,7 @@ import numpy as np
 
 from models.compiled import compiled
 from models.physics.mirror import SHORTEST_WALL_M
+from msgs.values.array_table import ArrayTable
 
 #: A Fermat point; one near its caustic or several merged; none, but within reach of the caustic's field.
 RAY, CAUSTIC, FADING = 0, 1, 2
@@ -35,7 +36,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 @dataclass(frozen=True)
-class CurvedBounces:
+class CurvedBounces(ArrayTable):
     """M one-way bounces at one arc; field at the target = `gain` e^{-jkL} / L times the wall's reflection."""
 
     #: Target index, share of the arc, and RAY, CAUSTIC or FADING; int64, float64, uint8 [M].
@@ -54,9 +55,6 @@ class CurvedBounces:
     cos_incidence: np.ndarray
     #: Field over that of a flat mirror with the same length, complex [M].
     gain: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.target)
 
 
 def arc_from_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.ndarray, float, float, float]:

@@ -15,6 +15,9 @@ Table = TypeVar("Table", bound="ArrayTable")
 class ArrayTable:
     """Columns of one length, an array a field."""
 
+    def __len__(self) -> int:
+        return len(getattr(self, next(iter(self.__dataclass_fields__))))
+
     def take(self, selection: np.ndarray) -> Self:
         """Return the rows of an index or mask."""
         index = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
@@ -24,7 +27,7 @@ class ArrayTable:
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return the rows of one or more tables, in order."""
         names = list(cls.__dataclass_fields__)
-        filled = [part for part in parts if len(getattr(part, names[0]))]
+        filled = [part for part in parts if len(part)]
         if len(filled) <= 1:
             return filled[0] if filled else parts[0]
         return cls(**{name: np.concatenate([getattr(part, name) for part in filled]) for name in names})
@@ -34,7 +37,7 @@ def stored_columns(name: str, tables: Sequence[ArrayTable]) -> dict[str, np.ndar
     """Return the columns of tables in one row, and where each table ends."""
     joined = type(tables[0]).joined(tables)
     columns = {f"{name}.{field.name}": getattr(joined, field.name) for field in fields(joined)}
-    return columns | {f"{name}.end": np.cumsum([len(getattr(table, fields(table)[0].name)) for table in tables])}
+    return columns | {f"{name}.end": np.cumsum([len(table) for table in tables])}
 
 
 def stored_tables(kind: type[Table], name: str, arrays: dict[str, np.ndarray]) -> list[Table]:

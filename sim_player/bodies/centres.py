@@ -19,14 +19,7 @@ import numpy as np
 
 from sim_player.bodies.fields import FACE_CORNERS
 from sim_player.bodies.meshes import Mesh, components, cylinder, directed_edges
-from sim_player.bodies.triangles import (
-    any_free,
-    covered,
-    cut_triangles,
-    reflection_table,
-    search_tree,
-    triangle_areas,
-)
+from sim_player.bodies.triangles import any_free, covered, cut_triangles, reflection_table, search_tree, triangle_areas
 
 CELL_M, WHOLE_M = 0.15, 0.5
 #: Longest side of a triangle, and how straight its phase is to be for a radar at the distance of the start: 0.1 m at

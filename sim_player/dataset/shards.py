@@ -20,14 +20,7 @@ from msgs.values.frames import Pose2
 from msgs.values.radar import speed_codes
 from msgs.values.units import ratio_from_db
 from msgs.values.wording import counted
-from sim_player.dataset.domain_shift import (
-    HARD,
-    SHIFTS,
-    Shift,
-    domain_shifted_scene,
-    draw_faults,
-    faulty_profiles,
-)
+from sim_player.dataset.domain_shift import HARD, SHIFTS, Shift, domain_shifted_scene, draw_faults, faulty_profiles
 from sim_player.dataset.labelled_drive import DriveScan, LabelledDrive
 from sim_player.dataset.labelled_scan import (
     LABELS,

@@ -37,14 +37,7 @@ import msgspec
 
 from msgs.files.whole_files import require_room, write_whole
 from sim_player.dataset.executors import Executor, map_jobs
-from sim_player.dataset.shards import (
-    Recipe,
-    ShardDone,
-    ShardJob,
-    make_shard,
-    shard_done,
-    shard_fault,
-)
+from sim_player.dataset.shards import Recipe, ShardDone, ShardJob, make_shard, shard_done, shard_fault
 
 DEFAULT = Recipe()
 

@@ -9,9 +9,9 @@ from sim_player.effects.los_surfaces import flash_weight
 from sim_player.scene.bounce import all_below_top
 from sim_player.scene.segments import free_segments
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
+from sim_player.trace.echoes import Echoes, cofocal, object_echoes, surface_echoes
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import Routes, clear_ways, dot, join_routes, make_routes, mirror_routes, no_routes
+from sim_player.trace.routes import Routes, clear_ways, dot, make_routes, mirror_routes
 from sim_player.trace.snapshot import TraceContext
 
 
@@ -25,7 +25,7 @@ def apply(tracing: TraceContext) -> Echoes:
     view = tracing.view
     routes = arc_routes(view, view.centre, tracing.owner)
     tracing.routes["curved_wall"] = routes
-    return join_echoes([object_echoes(view, routes, cofocal(routes)), _flashes(view)])
+    return Echoes.joined([object_echoes(view, routes, cofocal(routes)), _flashes(view)])
 
 
 def as_chords(tracing: TraceContext) -> Echoes:
@@ -36,8 +36,8 @@ def as_chords(tracing: TraceContext) -> Echoes:
         only = np.arange(len(view.world.wall_a)) == wall
         routes, occlusion = mirror_routes(view, view.centre, only, tracing.owner, ignore_wall=int(wall))
         parts.append(clear_ways(routes, occlusion))
-    routes = join_routes(parts) if parts else no_routes()
-    tracing.routes["specular_relay"] = join_routes([tracing.routes.get("specular_relay", no_routes()), routes])
+    routes = Routes.joined(parts)
+    tracing.routes["specular_relay"] = Routes.joined([tracing.clear_routes("specular_relay"), routes])
     return object_echoes(view, routes, cofocal(routes))
 
 
@@ -49,7 +49,7 @@ def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray, own_wall:
         asked = np.flatnonzero(np.broadcast_to(own_wall != wall, len(point_m)))
         routes = _by_arc(view, int(wall), point_m[asked], owner[asked])
         parts.append(routes.with_columns(target=asked[routes.target]))
-    return join_routes(parts) if parts else no_routes()
+    return Routes.joined(parts)
 
 
 def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -> Routes:

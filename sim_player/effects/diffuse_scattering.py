@@ -1,12 +1,9 @@
 """Diffuse echoes of rough walls: the power |r|^2 (1 - rho) that roughness takes from the mirror, in a lobe.
 
-Patches of random phase. Lambert: 4 |r|^2 (1 - rho) cos^2; Kirchhoff, where a surface says so:
-`models.physics.rough_lobe`.
+Patches of random phase, in Kirchhoff's lobe (`models.physics.rough_lobe`).
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -35,9 +32,9 @@ def apply(tracing: TraceContext) -> Echoes:
     patches = patches[visible]
     wall = world.speck_wall[patches]
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
-    whole, front, rough = world.reflection(wall, cosine)
+    whole, front, _ = world.reflection(wall, cosine)
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)
-    per_area = rcs_per_area(world, wall, cosine, rough, 0.5 * lit_height / routes.length_m)
+    per_area = rcs_per_area(world, wall, cosine, 0.5 * lit_height / routes.length_m)
     rcs = per_area * lit_height * world.speck_length_m[patches]
     weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[patches]
     echoes = surface_echoes(view, routes, weight, point[visible], wall, bit("diffuse_scattering"))
@@ -45,28 +42,18 @@ def apply(tracing: TraceContext) -> Echoes:
     return echoes.with_columns(whole=echoes.whole * np.abs(whole), front=echoes.front * np.abs(front))
 
 
-def rcs_per_area(
-    world: World, wall: np.ndarray, cosine: np.ndarray, rough: np.ndarray, elevation_rad: np.ndarray
-) -> np.ndarray:
+def rcs_per_area(world: World, wall: np.ndarray, cosine: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
     """Return the cross section per area back to the radar of perfect but rough pieces of wall at cosines, [N].
 
-    `rough`: field that roughness leaves of the mirror; `elevation_rad`: half of the height that is lit.
+    `elevation_rad`: half of the height that is lit.
     """
-    per_area = 4.0 * (1.0 - rough**2) * cosine**2
-    for lobe, own in _by_lobe(world, world.wall_surface[wall]):
+    surface, per_area = world.wall_surface[wall], np.empty(len(wall))
+    alike: dict[RoughLobe, list[int]] = {}
+    for index in np.flatnonzero(np.bincount(surface)).tolist():
+        rough = world.scene.surfaces[index]
+        lobe = rough_lobe(1e-3 * rough.roughness_mm, 1e-3 * rough.correlation_mm, world.radar.wavelength_m)
+        alike.setdefault(lobe, []).append(index)
+    for lobe, surfaces in alike.items():
+        own = np.isin(surface, surfaces)
         per_area[own] = lobe.backscatter(cosine[own], elevation_rad[own])
     return per_area
-
-
-def _by_lobe(world: World, surface: np.ndarray) -> Iterator[tuple[RoughLobe, np.ndarray]]:
-    """Yield each of Kirchhoff's lobes that some surfaces [N] have, with the mask of those that have it."""
-    surfaces, lobes = world.scene.surfaces, dict[RoughLobe, int]()
-    number = np.full(len(surfaces), -1)
-    for index in np.flatnonzero(np.bincount(surface)):
-        rough = surfaces[index]
-        if rough.diffuse_lobe == "kirchhoff":
-            lobe = rough_lobe(1e-3 * rough.roughness_mm, 1e-3 * rough.correlation_mm, world.radar.wavelength_m)
-            number[index] = lobes.setdefault(lobe, len(lobes))
-    lobe_of = number[surface]
-    for lobe, at in lobes.items():
-        yield lobe, lobe_of == at

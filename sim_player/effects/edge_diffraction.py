@@ -25,9 +25,9 @@ from msgs.values.array_table import ArrayTable
 from sim_player.scene.bounce import bounce
 from sim_player.scene.segments import crossing_factor, is_clear, is_screened, may_pass, series
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
+from sim_player.trace.echoes import LEAST_BOTH, Echoes, object_echoes, same_target
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, join_routes, owners
+from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, owners
 from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
@@ -65,9 +65,6 @@ class Edges(ArrayTable):
     #: The same number for the same edge from everywhere: by the end of the first face's wall in the whole world.
     number: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.n)
-
     @cached_property
     def table(self) -> np.ndarray:
         """The same as numbers, [E, 10], for compiled code."""
@@ -88,13 +85,13 @@ def apply(tracing: TraceContext) -> Echoes:
     bent = edge_routes(view, view.centre, tracing.owner, tracing.walls_let_through)
     tracing.routes["edge_diffraction"] = bent
     straight = tracing.unbent_routes
-    every = join_routes([bent, straight])
+    every = Routes.joined([bent, straight])
     left = np.concatenate([most_factor(bent), np.minimum(np.abs(straight.other), 1.0)])
     first, second = same_target(bent.target, every.target)
     strong = left[first] * left[second] >= LEAST_BOTH
     same, mixed = strong & (first == second), strong & (first < second)
     alike = object_echoes(view, bent, (first[same], first[same]), _BENT)
-    return join_echoes([alike, object_echoes(view, every, (first[mixed], second[mixed]), _BENT)])
+    return Echoes.joined([alike, object_echoes(view, every, (first[mixed], second[mixed]), _BENT)])
 
 
 def most_factor(rows: Routes | Echoes) -> np.ndarray:

@@ -15,17 +15,9 @@ from models.physics.mirror import mirrored
 from sim_player.scene.bounce import below_top, bounce, coherent_field
 from sim_player.scene.segments import series
 from sim_player.scene.world import World
-from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.echoes import Echoes, cofocal, object_echoes, same_target
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import (
-    ROUTE,
-    Routes,
-    direction_of,
-    fill_bounce,
-    fill_route,
-    join_routes,
-    plane_bounces,
-)
+from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_bounce, fill_route, plane_bounces
 from sim_player.trace.snapshot import TraceContext
 
 _GROUND = bit("ground_bounce")
@@ -47,16 +39,16 @@ def apply(tracing: TraceContext) -> Echoes:
     face, pieces = view.world.ground_face, view.blockers.pieces
     straight = _straight(view.antenna, view.centre, tracing.owner, face, pieces)
     mirrored = _mirrored(view.antenna, view.centre, tracing.owner, bounces, view.walls, view.world.builds, face, pieces)
-    ground = join_routes([Routes(straight), Routes(mirrored)])
+    ground = Routes.joined([Routes(straight), Routes(mirrored)])
     tracing.routes["ground_bounce"] = ground
     clear = tracing.clear_routes("los_objects", "specular_relay")
     # the same chain of walls: target and wall agree
     walls = len(view.world.wall_a) + 1
     mine, other = (routes.target.astype(np.int64) * walls + routes.wall + 1 for routes in (ground, clear))
     first, second = same_target(mine, other)
-    both = join_routes([ground, clear])
+    both = Routes.joined([ground, clear])
     mixed = object_echoes(view, both, (first, second + len(ground)), bit("ground_bounce"))
-    return join_echoes([object_echoes(view, ground, cofocal(ground), bit("ground_bounce")), mixed])
+    return Echoes.joined([object_echoes(view, ground, cofocal(ground), bit("ground_bounce")), mixed])
 
 
 @compiled(error_model="numpy")

@@ -26,9 +26,9 @@ from sim_player.scene.bounce import bounce
 from sim_player.scene.segments import VOLUME, series
 from sim_player.scene.wall_ends import NODE_M
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
+from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, join_routes, scatterer_routes
+from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, scatterer_routes
 from sim_player.trace.snapshot import TraceContext
 
 #: Ends that send back less than this of a mirror as far away send nothing: such are joints of one facade.
@@ -50,7 +50,7 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: TraceContext) -> Echoes:
     """Flashes of straight walls, then structure."""
-    return join_echoes([_flashes(tracing.view), structure(tracing.view)])
+    return Echoes.joined([_flashes(tracing.view), structure(tracing.view)])
 
 
 def flash_weight(view: Snapshot, length_m: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ def _flashes(view: Snapshot) -> Echoes:
     end = nodes.end[node]
     end_wall = end // 2
     edges = Routes(end_rows).with_columns(edge=2 * (2 * world.wall_id[end_wall] + end % 2) + Routes(end_rows).edge)
-    routes = join_routes([feet, edges])
+    routes = Routes.joined([feet, edges])
     points, walls = np.concatenate([point, end_point]), np.concatenate([wall, end_wall])
     weight = flash_weight(view, 2.0 * routes.length_m)
     return surface_echoes(view, routes, weight, points, walls, bit("los_surfaces"))

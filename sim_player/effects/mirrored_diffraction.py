@@ -34,18 +34,9 @@ from sim_player.effects.edge_diffraction import (
 from sim_player.scene.bounce import below_top, bounce
 from sim_player.scene.segments import Blockers, is_clear, is_screened, may_pass, series
 from sim_player.scene.world import Snapshot, World, wall_lines
-from sim_player.trace.echoes import LEAST_BOTH, Echoes, join_echoes, object_echoes, same_target
+from sim_player.trace.echoes import LEAST_BOTH, Echoes, object_echoes, same_target
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import (
-    ROUTE,
-    Routes,
-    direction_of,
-    fill_bounce,
-    fill_route,
-    grown,
-    join_routes,
-    owners,
-)
+from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_bounce, fill_route, grown, owners
 from sim_player.trace.snapshot import TraceContext
 
 _BENT, _THROUGH = bit("mirrored_diffraction"), bit("wall_transmission")
@@ -68,14 +59,14 @@ def apply(tracing: TraceContext) -> Echoes:
     routes, bends = mirrored_edge_routes(view, view.centre, tracing.owner, tracing.walls_let_through)
     tracing.routes["mirrored_diffraction"] = routes
     straight, bent = tracing.unbent_routes, tracing.clear_routes("edge_diffraction")
-    every = join_routes([routes, straight, bent])
+    every = Routes.joined([routes, straight, bent])
     left = np.concatenate([bends, np.minimum(np.abs(straight.other), 1.0), most_factor(bent)])
     out, back = same_target(routes.target, every.target)
     counts = (out <= back) & (left[out] * left[back] >= LEAST_BOTH)
     mixed = counts & (out < back)
     alike = out[counts & (out == back)]
     same = object_echoes(view, routes, (alike, alike), _BENT)
-    return join_echoes([same, object_echoes(view, every, (out[mixed], back[mixed]), _BENT)])
+    return Echoes.joined([same, object_echoes(view, every, (out[mixed], back[mixed]), _BENT)])
 
 
 def mirrored_edge_routes(
@@ -93,7 +84,7 @@ def mirrored_edge_routes(
     first = _edge_first(view.antenna, ends, (table, ahead), (flat, view.walls), scene, LEAST_BEND, False, walls)
     second = _mirror_first(view.antenna, ends, table, (flat, view.walls, view.lit_shares), scene, LEAST_BEND, walls)
     before, behind = (Routes(rows).with_columns(edge=edges.number[rows["edge"]]) for rows, _ in (first, second))
-    routes = join_routes([before, behind.with_columns(edge=_BEHIND_MIRROR - behind.edge)])
+    routes = Routes.joined([before, behind.with_columns(edge=_BEHIND_MIRROR - behind.edge)])
     return routes, np.concatenate([first[1], second[1]])
 
 

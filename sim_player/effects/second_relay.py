@@ -23,7 +23,7 @@ from sim_player.effects.los_surfaces import END_SLACK_M, flash_weight
 from sim_player.scene.bounce import all_below_top, below_top, bounce
 from sim_player.scene.segments import STRAIGHT_SAGITTA, series
 from sim_player.scene.world import LIT_MARGIN, Snapshot, World
-from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
+from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, object_echoes, surface_echoes
 from sim_player.trace.effect_names import bit
 from sim_player.trace.routes import (
     LIT_SHARE,
@@ -38,7 +38,6 @@ from sim_player.trace.routes import (
     fill_bounce,
     fill_route,
     in_sight,
-    join_routes,
     may_be_seen,
     owners,
     plane_bounces,
@@ -66,7 +65,7 @@ def apply(tracing: TraceContext) -> Echoes:
     routes = two_wall_routes(view, view.centre, tracing.owner)
     tracing.routes["second_relay"] = routes
     objects = object_echoes(view, routes, cofocal(routes))
-    return join_echoes([objects, _loops(view), _mirrored_structure(view)])
+    return Echoes.joined([objects, _loops(view), _mirrored_structure(view)])
 
 
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
@@ -125,7 +124,7 @@ def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.n
 
 def _loops(view: Snapshot) -> Echoes:
     """The radar's own image in two walls: out by one, back by the other, both ways round."""
-    routes = join_routes([_between_walls(view), _corners(view)])
+    routes = Routes.joined([_between_walls(view), _corners(view)])
     weight = flash_weight(view, routes.length_m)
     point = np.broadcast_to(view.antenna, (len(routes), 3)).copy()
     echoes = surface_echoes(view, routes, weight, point, routes.wall, bit("second_relay"))
@@ -182,7 +181,7 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     visible = may_be_seen(view, wall, world.speck_wall[specks[target]], point[target])
     bounces = wall[visible], target[visible], points[visible]
     routes = clear_ways(*bounce_routes(view, point, bounces, owners(-1, len(specks)), view.blockers))
-    routes = join_routes([routes, arc_routes(view, point, owners(-1, len(specks)), world.speck_wall[specks])])
+    routes = Routes.joined([routes, arc_routes(view, point, owners(-1, len(specks)), world.speck_wall[specks])])
     # no wall mirrors its own structure
     routes = routes.take(world.speck_wall[specks[routes.target]] != routes.wall)
     speck = specks[routes.target]

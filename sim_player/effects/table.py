@@ -82,32 +82,21 @@ class ArrayEffect(SignalEffect):
 
 
 PATHS: dict[str, PathEffect] = {
-    "los_objects": PathEffect("echoes of objects in direct sight", los_objects.absent, los_objects.apply),
-    "los_surfaces": PathEffect(
-        "flashes and structure of walls in direct sight", los_surfaces.absent, los_surfaces.apply
-    ),
-    "specular_relay": PathEffect("objects seen in one wall", specular_relay.absent, specular_relay.apply),
-    "diffuse_scattering": PathEffect(
-        "diffuse return of rough walls in direct sight", diffuse_scattering.absent, diffuse_scattering.apply
-    ),
-    "curved_wall": PathEffect("objects and the radar seen in curved walls", curved_wall.absent, curved_wall.apply),
-    "second_relay": PathEffect(
-        "objects, the radar and walls seen by way of two walls", second_relay.absent, second_relay.apply
-    ),
-    "non_cofocal": PathEffect(
-        "echoes that return by another way than they went", non_cofocal.absent, non_cofocal.apply
-    ),
-    "wall_transmission": PathEffect("objects seen through walls", wall_transmission.absent, wall_transmission.apply),
-    "edge_diffraction": PathEffect(
-        "echoes bent around walls' ends and corners", edge_diffraction.absent, edge_diffraction.apply
-    ),
-    "ground_bounce": PathEffect("echoes of objects by way of the ground", ground_bounce.absent, ground_bounce.apply),
-    "object_interreflection": PathEffect(
-        "echoes by way of two objects", object_interreflection.absent, object_interreflection.apply
-    ),
-    "mirrored_diffraction": PathEffect(
-        "echoes bent before or after a mirror", mirrored_diffraction.absent, mirrored_diffraction.apply
-    ),
+    module.__name__.rpartition(".")[2]: PathEffect(about, module.absent, module.apply)
+    for module, about in (
+        (los_objects, "echoes of objects in direct sight"),
+        (los_surfaces, "flashes and structure of walls in direct sight"),
+        (specular_relay, "objects seen in one wall"),
+        (diffuse_scattering, "diffuse return of rough walls in direct sight"),
+        (curved_wall, "objects and the radar seen in curved walls"),
+        (second_relay, "objects, the radar and walls seen by way of two walls"),
+        (non_cofocal, "echoes that return by another way than they went"),
+        (wall_transmission, "objects seen through walls"),
+        (edge_diffraction, "echoes bent around walls' ends and corners"),
+        (ground_bounce, "echoes of objects by way of the ground"),
+        (object_interreflection, "echoes by way of two objects"),
+        (mirrored_diffraction, "echoes bent before or after a mirror"),
+    )
 }
 WEIGHTS: dict[str, WeightEffect] = {
     "rough_wall_loss": WeightEffect("mirrors weakened by roughness", weights.no_roughness, weights.rough_wall_loss),

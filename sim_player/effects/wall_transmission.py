@@ -9,9 +9,9 @@ import numpy as np
 
 from sim_player.scene.segments import Occlusion
 from sim_player.scene.world import World
-from sim_player.trace.echoes import LEAST_BOTH, Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.echoes import LEAST_BOTH, Echoes, cofocal, object_echoes, same_target
 from sim_player.trace.effect_names import bit
-from sim_player.trace.routes import Routes, join_routes
+from sim_player.trace.routes import Routes
 from sim_player.trace.snapshot import TraceContext
 
 
@@ -28,17 +28,17 @@ def apply(tracing: TraceContext) -> Echoes:
     """Ways to centres that cross walls and no body, out and back, or back by another way: through walls or clear."""
     view = tracing.view
     direct, mirrored = _behind(*tracing.straight, bit("los_objects")), _behind(*tracing.mirrored, 0)
-    through = join_routes([direct, mirrored])
+    through = Routes.joined([direct, mirrored])
     if not len(through):
         tracing.routes["wall_transmission"] = through
         return object_echoes(view, through, cofocal(through))
-    every = join_routes([through, tracing.unbent_routes])
+    every = Routes.joined([through, tracing.unbent_routes])
     tracing.routes["wall_transmission"] = through
     left = np.abs(every.other)
     out, back = same_target(through.target, every.target)
     mixed = (out < back) & (left[out] * left[back] >= LEAST_BOTH)
     alike = object_echoes(view, through, cofocal(through))
-    return join_echoes([alike, object_echoes(view, every, (out[mixed], back[mixed]))])
+    return Echoes.joined([alike, object_echoes(view, every, (out[mixed], back[mixed]))])
 
 
 def _behind(routes: Routes, occlusion: Occlusion, needs: int) -> Routes:

@@ -45,9 +45,6 @@ class Surfaces(ArrayTable):
     roughness_m: np.ndarray
     matt: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.a)
-
     @classmethod
     def of_walls(cls, world: World) -> Surfaces:
         """Return all pieces of wall, in the order of the world."""

@@ -58,9 +58,6 @@ class OpticalPaths(ArrayTable):
     #: Object it comes from, -1 for a wall; int32.
     object_index: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.range_m)
-
 
 class OpticPlan(msgspec.Struct, frozen=True, kw_only=True):
     """Decision about one contribution, with its reason."""

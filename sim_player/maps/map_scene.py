@@ -26,15 +26,7 @@ from sim_player.maps.geojson import read_geojson
 from sim_player.maps.local_frame import MapPose
 from sim_player.maps.osm_xml import read_osm
 from sim_player.maps.wall_rules import DEFAULT_HEIGHT_M, WallRule, height_of, read_rules, rule_of
-from sim_player.scene.description import (
-    MAX_BYTES,
-    RADAR_CLEARANCE_M,
-    Point,
-    Scene,
-    SceneRadar,
-    Surface,
-    check_scene,
-)
+from sim_player.scene.description import MAX_BYTES, RADAR_CLEARANCE_M, Point, Scene, SceneRadar, Surface, check_scene
 
 #: Pieces of wall of a scene.
 MAX_WALLS = 10_000

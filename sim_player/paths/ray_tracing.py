@@ -13,7 +13,7 @@ from sim_player.effects.table import PATHS
 from sim_player.paths.conversion import as_paths
 from sim_player.paths.reach import LATEST, reachable_snapshot
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import Echoes, join_echoes
+from sim_player.trace.echoes import Echoes
 from sim_player.trace.path_table import Paths
 from sim_player.trace.snapshot import TraceContext
 
@@ -39,7 +39,7 @@ def trace(world: World, time_s: float = 0.0, effects: frozenset[str] = BASIC_EFF
 
 def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
     """Return the echoes of all given path effects, in the order of `PATH_EFFECTS`."""
-    echoes = join_echoes(list(trace_each(view, effects).values()))
+    echoes = Echoes.joined(list(trace_each(view, effects).values()))
     if math.isfinite(view.world.reach_m):
         echoes = echoes.take(is_kept(view, echoes))
     return _within_a_chirp(view, echoes)

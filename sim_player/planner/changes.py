@@ -20,11 +20,7 @@ from sim_player.effects.table import ALL_EFFECTS, EFFECTS, ArrayEffect, PathEffe
 from sim_player.paths.conversion import as_paths, weights
 from sim_player.planner.ablation import FAR_SIGMAS, Change, EffectAblation
 from sim_player.planner.sweep_terms import SweepTerms
-from sim_player.signal.receiver import (
-    converter_step,
-    flicker_ratio,
-    quantisation_power_mw,
-)
+from sim_player.signal.receiver import converter_step, flicker_ratio, quantisation_power_mw
 from sim_player.trace.snapshot import TraceContext
 
 #: Field that stands for a change without bound.
@@ -75,34 +71,9 @@ def _non_cofocal(ablation: EffectAblation) -> Change:
     return _difference(ablation, ablation.terms_of(replace(together, amplitude=amplitude)))
 
 
-def _motion(ablation: EffectAblation) -> Change:
-    """Give no bound: a path that moves leaves its Doppler bin and its cell."""
-    return _bounded(ablation, WITHOUT_BOUND)
-
-
-def _squint(ablation: EffectAblation) -> Change:
-    """Evaluate what the sweep adds to the pattern in its middle, over all paths."""
-    return ablation.squint()
-
-
-def _chirp_overlap(ablation: EffectAblation) -> Change:
-    """Evaluate what the start of the chirp changes, over all paths that overlap."""
-    return ablation.overlap(ablation.terms, np.ones(len(ablation.terms), bool))
-
-
 def _bounded(ablation: EffectAblation, bound: np.ndarray | float) -> Change:
     """Return a change of which a bound is known alone."""
     return Change(np.zeros(ablation.shape, np.complex64), np.broadcast_to(bound, ablation.shape))
-
-
-def _rain_clutter(ablation: EffectAblation) -> Change:
-    """Bound what draws of the air's echoes reach."""
-    return _bounded(ablation, FAR_SIGMAS * ablation.clutter_rms)
-
-
-def _thermal_noise(ablation: EffectAblation) -> Change:
-    """Bound what noise draws reach."""
-    return _bounded(ablation, FAR_SIGMAS * ablation.noise_rms)
 
 
 def _flicker(ablation: EffectAblation) -> Change:
@@ -113,11 +84,6 @@ def _flicker(ablation: EffectAblation) -> Change:
     return _bounded(ablation, FAR_SIGMAS * _added_rms(radar, added_mw))
 
 
-def _leakage(ablation: EffectAblation) -> Change:
-    """Evaluate its own profile."""
-    return Change(np.broadcast_to(ablation.leakage(), ablation.shape), np.zeros(ablation.shape))
-
-
 def _adc(ablation: EffectAblation) -> Change:
     """Bound the same noise draws, wider by the power of rounding."""
     power_mw = quantisation_power_mw(ablation.setup, converter_step(ablation.front_end))
@@ -125,29 +91,21 @@ def _adc(ablation: EffectAblation) -> Change:
     return _bounded(ablation, FAR_SIGMAS * _added_rms(ablation.setup.radar, added_mw))
 
 
-def _iq_imbalance(ablation: EffectAblation) -> Change:
-    """Bound the change of gain on all that is there, and the image."""
-    return _bounded(ablation, ablation.unbalanced(ablation.evaluated))
-
-
-def _spurs(ablation: EffectAblation) -> Change:
-    """Bound them by their own profiles; phases are drawn, magnitudes are not."""
-    return _bounded(ablation, ablation.spurs())
-
-
 _OWN_CHANGE: dict[str, Callable[[EffectAblation], Change]] = {
     "curved_wall": _curved_wall,
     "non_cofocal": _non_cofocal,
-    "motion": _motion,
-    "squint": _squint,
-    "chirp_overlap": _chirp_overlap,
-    "rain_clutter": _rain_clutter,
-    "thermal_noise": _thermal_noise,
+    # a path that moves leaves its Doppler bin and its cell
+    "motion": lambda ablation: _bounded(ablation, WITHOUT_BOUND),
+    "squint": EffectAblation.squint,
+    "chirp_overlap": lambda ablation: ablation.overlap(ablation.terms, np.ones(len(ablation.terms), bool)),
+    "rain_clutter": lambda ablation: _bounded(ablation, FAR_SIGMAS * ablation.clutter_rms),
+    "thermal_noise": lambda ablation: _bounded(ablation, FAR_SIGMAS * ablation.noise_rms),
     "flicker": _flicker,
-    "leakage": _leakage,
+    "leakage": lambda ablation: Change(np.broadcast_to(ablation.leakage(), ablation.shape), np.zeros(ablation.shape)),
     "adc": _adc,
-    "iq_imbalance": _iq_imbalance,
-    "spurs": _spurs,
+    "iq_imbalance": lambda ablation: _bounded(ablation, ablation.unbalanced(ablation.evaluated)),
+    # phases are drawn, magnitudes are not
+    "spurs": lambda ablation: _bounded(ablation, ablation.spurs()),
 }
 
 

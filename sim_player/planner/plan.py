@@ -228,7 +228,6 @@ def resolve_plan(
     setup: RadarSetup,
     effects: str,
     budget_db: float = BUDGET_DB,
-    time_s: float = 0.0,
     purpose: Purpose = Purpose.SAMPLES,
 ) -> Plan | None:
     """The plan that a word asks for: "auto", "all", names with commas between them; None for "basic".
@@ -238,8 +237,8 @@ def resolve_plan(
     if effects == "basic":
         return None
     if effects == "auto":
-        return plan_world(world, setup, budget_db, time_s, purpose=purpose)
-    return manual_plan(world, setup, named_effects(effects), time_s)
+        return plan_world(world, setup, budget_db, purpose=purpose)
+    return manual_plan(world, setup, named_effects(effects))
 
 
 def noisy_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
@@ -263,15 +262,15 @@ def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
     return echoes + kernel_profiles(setup, nothing, plan.signal, front_end, precision=precision, seed=seed)
 
 
-def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
+def planned_profiles(plan: Plan, setup: RadarSetup, seed: int = 0) -> np.ndarray:
     """Return the profiles of the paths that are left, with what is left of their sweep: as the beats have them."""
     front_end = plan.view.world.scene.radar.front_end
     (first, flags), *rest = plan.groups()
-    profiles = kernel_profiles(setup, first, flags, front_end, precision=precision, seed=seed)
+    profiles = kernel_profiles(setup, first, flags, front_end, precision="float32", seed=seed)
     for paths, flags in rest:
         # what the electronics add belongs to the whole, once
         alone = msgspec.structs.replace(flags, leakage=False, spurs=False)
-        profiles = profiles + kernel_profiles(setup, paths, alone, front_end, precision=precision, seed=seed)
+        profiles = profiles + kernel_profiles(setup, paths, alone, front_end, precision="float32", seed=seed)
     return profiles + _of_the_air(plan, setup, seed).astype(profiles.dtype)
 
 

@@ -7,7 +7,7 @@ array's peak. The weakest paths need no term, weak ones need one, the strongest 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from models.compiled import compiled
 from models.physics.antenna import element_field
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from msgs.values.array_table import ArrayTable
 from msgs.values.radar import RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
@@ -26,7 +27,7 @@ MAX_TERMS = 12
 
 
 @dataclass(frozen=True)
-class SweepTerms:
+class SweepTerms(ArrayTable):
     """P echoes as recorded, beat phase included: terms along the sweep and mid-sweep values, in sqrt(mW)."""
 
     #: Complex64 [P, most terms, B] and [P, B].
@@ -42,17 +43,10 @@ class SweepTerms:
     head: np.ndarray
     swing_rad: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.tone)
-
     @cached_property
     def magnitudes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of each echo, and of what the sweep adds to its middle, in each beam; float32 [P, B] each."""
         return _magnitudes(self.terms, self.middle, self.count, self.remainder)
-
-    def take(self, mask: np.ndarray) -> SweepTerms:
-        """Return some of the echoes, bool [P]."""
-        return SweepTerms(**{field.name: getattr(self, field.name)[mask] for field in fields(self)})
 
 
 def sweep_terms(

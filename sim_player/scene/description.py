@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -79,7 +79,6 @@ _NO_MATTER = frozenset({"vacuum"})
 
 Point = tuple[float, float]
 ObjectClass = Literal["car", "van", "truck", "bus", "bicycle", "pedestrian"]
-DiffuseLobe = Literal["lambert", "kirchhoff"]
 Primitive = Literal["box", "plate", "dihedral", "trihedral", "cylinder", "sphere"]
 
 
@@ -184,8 +183,8 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     roughness_mm: float = 0.0
     #: Distance along the wall over which its heights stay alike.
     correlation_mm: float = 30.0
-    #: Directions of what roughness takes from the mirror: Kirchhoff's of height and correlation length, or cosine law.
-    diffuse_lobe: DiffuseLobe = "kirchhoff"
+    #: Directions of what roughness takes from the mirror: those of its height and correlation length.
+    diffuse_lobe: Literal["kirchhoff"] = "kirchhoff"
     #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the direction of the
     #: polyline.
     curvature_per_m: float = 0.0
@@ -539,14 +538,12 @@ def _check_radar(radar: SceneRadar) -> None:
 
 def _check_surface(field: str, surface: Surface, carrier_hz: float, radar_m: Point) -> None:
     """Check material, sizes and polyline of one surface, and its distance from the radar."""
-    thickness_mm, lobe, lobes = surface.thickness_mm, surface.diffuse_lobe, get_args(DiffuseLobe)
+    thickness_mm = surface.thickness_mm
     _require(thickness_mm is None or thickness_mm > 0.0, f"{field}.thickness_mm", "must be positive", thickness_mm)
     _check_material(field, surface, carrier_hz)
     _require(surface.roughness_mm >= 0.0, f"{field}.roughness_mm", "must not be negative", surface.roughness_mm)
     _require(surface.correlation_mm > 0.0, f"{field}.correlation_mm", "must be positive", surface.correlation_mm)
-    _require(lobe in lobes, f"{field}.diffuse_lobe", f"must be one of {', '.join(lobes)}", lobe)
     if surface.role == "ground":
-        _require(lobe == "kirchhoff", f"{field}.diffuse_lobe", "a ground mirrors and has none", lobe)
         return
     _require(surface.height_m > 0.0, f"{field}.height_m", "must be positive", surface.height_m)
     points = len(surface.polyline_m)

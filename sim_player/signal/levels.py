@@ -2,7 +2,7 @@
 
 Kernel: echoes on a grid of half range bins, convolved with the window's spectrum; scenes that move:
 `sim_player.signal.slow_time_profiles`. Beat: sums of tones over the chirp, slow-time terms, faults of the receiver,
-int16 codes. Literal (`sim_player.signal.literal`): the reference. `PLAIN` effects give `sim_player.signal.fmcw`.
+int16 codes. Literal (`lab.tradeoff.literal_signal`): the reference. `PLAIN` effects give `sim_player.signal.fmcw`.
 """
 
 from __future__ import annotations

@@ -52,11 +52,6 @@ LEAST_BOTH = 1e-3
 _LOS, _MIRRORED = int(PathClass.LOS), int(PathClass.MIRRORED)
 
 
-def join_echoes(parts: list[Echoes]) -> Echoes:
-    """Return all echoes of several sets, in order."""
-    return Echoes.joined(parts)
-
-
 def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) -> np.ndarray:
     """Return the radar equation without the antenna, as a field in sqrt(mW): sqrt(P lambda^2 sigma / ((4 pi)^3
     R^4)).
@@ -68,7 +63,7 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
     """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; different routes in both orders."""
     if not len(pairs[0]):
-        return Echoes(np.empty(0, ECHO))
+        return Echoes.joined([])
     (out, back), times = both_orders(view.world, pairs)
     world = view.world
     centres, bodies = (
@@ -120,7 +115,7 @@ def surface_echoes(
     The routes' targets are the points' numbers in the whole world.
     """
     if not len(routes):
-        return Echoes(np.empty(0, ECHO))
+        return Echoes.joined([])
     weight, wall = np.asarray(weight, np.complex128), np.asarray(wall, np.int64)
     return Echoes(_of_walls(routes.rows, weight, point, wall, needs, view.radar_velocity, view.world.numbers[0]))
 

@@ -39,6 +39,3 @@ class Paths(ArrayTable):
     #: True and apparent position of the scatterer: [P, 3].
     point_m: np.ndarray
     virtual_m: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.length_m)

@@ -58,11 +58,6 @@ _MIRROR = bit("specular_relay")
 LIT_SHARE, SHADOWED = 0.5, bit("edge_diffraction")
 
 
-def join_routes(parts: list[Routes]) -> Routes:
-    """Return all routes of several sets, in order."""
-    return Routes.joined(parts)
-
-
 def make_routes(
     target: np.ndarray,
     length_m: np.ndarray,
@@ -78,11 +73,6 @@ def make_routes(
     geometry = {"target": target, "length_m": np.maximum(length_m, NEAREST_M), "depart": depart, "arrive": arrive}
     columns = defaults | factors | geometry | {"foliage": occlusion.foliage, "needs": needs} | further
     return Routes.of(len(target), **columns)
-
-
-def no_routes() -> Routes:
-    """Return no routes."""
-    return Routes(np.empty(0, ROUTE))
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Occlusion]:

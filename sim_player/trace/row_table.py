@@ -63,10 +63,10 @@ class RowTable:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return the rows of one or more tables, in order."""
+        """Return the rows of all tables, in order."""
         filled = [part for part in parts if len(part)]
         if len(filled) <= 1:
-            return filled[0] if filled else parts[0]
+            return filled[0] if filled else cls(np.empty(0, cls.dtype))
         # as plain numbers: NumPy copies records field by field
         plain = [np.ascontiguousarray(part.rows).view(np.int64) for part in filled]
         return cls(np.concatenate(plain).view(cls.dtype))

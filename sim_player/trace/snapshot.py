@@ -9,7 +9,7 @@ import numpy as np
 
 from sim_player.scene.segments import LEAST_LEFT, Occlusion
 from sim_player.scene.world import Snapshot
-from sim_player.trace.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
+from sim_player.trace.routes import Routes, mirror_routes, straight_routes
 
 
 @dataclass
@@ -21,8 +21,7 @@ class TraceContext:
 
     def clear_routes(self, *names: str) -> Routes:
         """Return the free routes to centres, straight or by mirrors alone, of some effects."""
-        routes = [self.routes[name] for name in names if name in self.routes]
-        return join_routes(routes) if routes else no_routes()
+        return Routes.joined([self.routes[name] for name in names if name in self.routes])
 
     @property
     def unbent_routes(self) -> Routes:

@@ -57,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_card(card, path)
     residual, path = ResidualReflectNet().eval(), folder / "residual_reflect_net.onnx"
     of_residual = ResidualCard(
-        name="residual_reflect_net", sha256=export_residual_onnx(residual, path), parameters=120706, frame="radar",
+        name="residual_reflect_net", sha256=export_residual_onnx(residual, path), parameters=120706, frame="wall",
         neighbours=16, source="peaks", geometry="published", seed=0, command="", data={}, metrics={}, training={},
     )  # fmt: skip
     write_card(of_residual, path)

@@ -11,13 +11,7 @@ from scipy.special import wofz
 
 from models.physics.curved_mirror import CAUSTIC, arc_points, bounces
 from models.physics.diffraction import wedge_terms_at
-from models.physics.mirror import (
-    crosses,
-    crossing_parameters,
-    reflect,
-    specular_points,
-    wall_from_ends,
-)
+from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
 from models.physics.plane import segment_distance_m
 from sim_player.effects import los_surfaces
 from sim_player.scene.description import Scene, Surface

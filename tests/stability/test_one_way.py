@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contrib.boards.phaser import (
-    PhaserCalibration,
-    PhaserParams,
-    beam_table,
-    radar_params,
-    radar_setup,
-)
+from contrib.boards.phaser import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
 from models.perception.form.coarray import AzimuthInterpolator, ideal_beams
 from msgs.values.radar import BeamGrid
 from tests.stability.catalogue import Errors

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
+from lab.tradeoff.literal_signal import literal_echoes
 from models.perception.form.ra_forming import BeamFolder, FormingParams, ego_correction
 from models.physics.waveform import beat_phase_rad, beat_samples, tone_profile
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
@@ -15,7 +16,6 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState
 from sim_player.signal.compiled_beats import ToneSums
 from sim_player.signal.fmcw import slow_time_table
-from sim_player.signal.literal import literal_echoes
 from sim_player.signal.switches import PLAIN
 from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.references import literal_beats
@@ -173,7 +173,7 @@ def moving_path(length_m: float, speed_mps: float) -> Paths:
     )
 
 
-@pytest.mark.hard("sim_player.signal.literal", "f_c (t - tau(t)) with absolute time in float32", 2.4e-9, "rad",
+@pytest.mark.hard("lab.tradeoff.literal_signal", "f_c (t - tau(t)) with absolute time in float32", 2.4e-9, "rad",
                   "four roundings of 422,000 turns in float64")  # fmt: skip
 def test_last_chirp_of_a_frame_of_a_moving_path(errors: Errors) -> None:
     """A car at 30 m/s at 77 GHz, last of 128 chirps: 5.4 turns of motion stand beside 5e7 of the carrier."""

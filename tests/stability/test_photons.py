@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from models.physics.photons.first_photon import (
-    first_photon_probability,
-)
+from models.physics.photons.first_photon import first_photon_probability
 from tests.models.physics.photons.histograms import bins_of_ticks, mean_counts_of
 from tests.stability.catalogue import Errors
 

@@ -29,12 +29,7 @@ from models.perception.mirrors.lines import fit_line
 from models.perception.mirrors.peaks_to_view import FoldedScan, GeometryParams, fold_scan
 from models.perception.mirrors.walls import WallParams, find_walls
 from models.physics.antenna import setup_weights, two_way_pattern
-from models.physics.fresnel import (
-    Polarisation,
-    half_space_reflection,
-    slab_reflection,
-    slab_transmission,
-)
+from models.physics.fresnel import Polarisation, half_space_reflection, slab_reflection, slab_transmission
 from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import PathClass, Peaks

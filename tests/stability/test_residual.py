@@ -13,13 +13,7 @@ from lab.training.export.onnx import write_card
 from lab.training.export.residual import export_residual_onnx
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan, recover_bev
 from models.perception.mirrors.recovery import ReflectionState
-from models.perception.mirrors.residual_model import (
-    MAX_SHIFT_M,
-    LearnedResidual,
-    ResidualCard,
-    image_frames,
-    in_frames,
-)
+from models.perception.mirrors.residual_model import MAX_SHIFT_M, LearnedResidual, ResidualCard, in_frames, wall_frames
 from msgs.bus.interface import Envelope, Received
 from nodes import geometry
 from tests.builders import peaks_at
@@ -116,7 +110,7 @@ def test_a_hairs_breadth_to_either_side_of_the_foot_changes_little(residual: Lea
 def test_wall_frames_do_not_write_into_their_input() -> None:
     reflection = state_of([20.0, -3.0], np.array([12.0, 0.0]))
     before = reflection.state.copy()
-    in_frames(reflection, image_frames(reflection, "wall")).state[:] = 0.0
+    in_frames(reflection, wall_frames(reflection)).state[:] = 0.0
     np.testing.assert_array_equal(reflection.state, before)
 
 

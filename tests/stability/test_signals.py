@@ -9,24 +9,18 @@ import numpy as np
 import pytest
 
 from contrib.boards.digital_array import DigitalArrayParams, range_doppler
+from lab.tradeoff.literal_signal import literal_echoes
 from models.perception.find.peaks import PeakParams, peaks_at
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
 from models.perception.form.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
-from models.physics.waveform import (
-    beat_frequency_hz,
-    beat_phase_rad,
-    beat_samples,
-    range_profile,
-    window_noise_gain,
-)
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad, beat_samples, range_profile, window_noise_gain
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_weights, noise_bank
 from sim_player.signal.levels import beam_beats, echo_terms, kernel_profiles, record_beam
-from sim_player.signal.literal import literal_echoes
 from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_table import Paths

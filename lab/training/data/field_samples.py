@@ -65,6 +65,6 @@ def field_sample(frame: Frame, encoding: Encoding) -> tuple[np.ndarray, FirstWal
     cells = encode_map(encoding, frame.ra_map).astype(np.float16)
     row = np.rint(grid.range_index(labels.range_m)).astype(np.int64)
     column = np.rint(grid.azimuth_index(labels.azimuth_rad)).astype(np.int64)
-    inside = np.flatnonzero((row >= 0) & (row < encoding.seen_bins) & (column >= 0) & (column < grid.azimuth_bins))
+    inside = np.flatnonzero((row >= 0) & (row < encoding.range_bins) & (column >= 0) & (column < grid.azimuth_bins))
     returns = Returns(row[inside], column[inside], labels.path_class[inside].astype(np.int64))
     return cells, first_walls(frame.walls, grid.azimuth_at(np.arange(grid.azimuth_bins))), returns

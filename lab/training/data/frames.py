@@ -55,9 +55,6 @@ class FrameLabels(ArrayTable):
     object_index: np.ndarray
     object_class: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.range_m)
-
 
 @dataclass(frozen=True, kw_only=True)
 class _LabelledScene:

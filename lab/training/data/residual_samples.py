@@ -17,7 +17,7 @@ import numpy as np
 from lab.measures.point_scores import Counts, chamfer, match_points, recovered_counts
 from lab.training.data.frames import DataSet, FrameLabels
 from models.perception.find.detectors import Detector
-from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
+from models.perception.mirrors.published import BUDDY, published_structure
 from models.perception.mirrors.recovery import NEIGHBOURS, Recovered, ReflectionState, recover, reflection_state
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
@@ -94,7 +94,7 @@ Folded = tuple[Recovered, ReflectionState]
 
 def fold_published(peaks: Peaks) -> Folded:
     """Return the images of a scene as folded by the published back end."""
-    returns, walls = published_structure(peaks, PublishedParams())
+    returns, walls = published_structure(peaks)
     recovered = recover(peaks, walls, returns, BUDDY)
     return recovered, reflection_state(recovered, walls, returns)
 

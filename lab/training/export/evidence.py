@@ -48,7 +48,7 @@ def export_fields(
     network = CompactUNet(field_network(len(encoding.channels)))
     epoch = _load(network, run_dir)
     _write(network, encoding.shape, model_path)
-    answer = (network.config.classes, encoding.seen_bins, grid.azimuth_bins)
+    answer = (network.config.classes, encoding.range_bins, grid.azimuth_bins)
     card = FieldCard(encoding=encoding, grid=grid, **_facts(network, model_path, encoding.shape, answer, epoch, said))
     write_card(card, model_path)
     return card

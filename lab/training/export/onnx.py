@@ -18,8 +18,6 @@ import torch
 from torch import Tensor, nn
 
 from lab.measures.point_scores import Counts
-from lab.networks.compact_unet import CompactUNet
-from lab.training.calibration import fit_table, peak_outcomes
 from lab.training.data.frames import DataSet, Frame, fixed_splits
 from lab.training.data.samples import point_labels
 from lab.training.export.quantize import quantize_int8
@@ -27,7 +25,6 @@ from lab.training.families import FAMILIES, INPUTS
 from lab.training.schedules import SCHEDULES
 from lab.training.scoring import DetectionTally
 from lab.training.train_dense import RunConfig, load_best, load_summary
-from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding, encode_map
 from models.perception.find.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
 from models.perception.find.peaks import PeakParams, pursued_points
@@ -76,8 +73,6 @@ class ExportConfig:
     precision: Precision = "fp32"
     #: Encoded maps of the training split that set the ranges of int8.
     calibration_maps: int = 64
-    #: Nearest range bins that the exported network sees; None: as many as it was trained on.
-    range_bins: int | None = None
 
 
 def export_onnx(model: Exported, path: Path, maps: Iterable[np.ndarray] = ()) -> str:
@@ -164,11 +159,7 @@ def export_run(
     """
     require_onnx(model_path)
     network, run, epoch = load_best(run_dir)
-    encoding = msgspec.structs.replace(run.data.encoding, crop_bins=config.range_bins)
-    if config.range_bins is not None:
-        if not isinstance(network, CompactUNet):
-            raise ValueError(f"export.range_bins must go with a compact_unet, got {type(network).__name__}")
-        network = network.cropped(config.range_bins)
+    encoding = run.data.encoding
     scenes = _Scenes(config.data_dir or Path(run.data.directory))
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
     indices = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
@@ -188,8 +179,8 @@ def export_run(
         paths = (file,) if config.precision == "fp32" else (reference, file)
         tallies = score_files(paths, scenes.data.frames(tested))
         exact, own = tallies[0], tallies[-1]
-        report("reading scores as probabilities on the validation scenes")
         if draft.head == "heatmap":
+            report("choosing the threshold of pursuit on the validation scenes")
             draft = msgspec.structs.replace(draft, pursuit_threshold=best_pursuit_threshold(file, scenes.validation))
             write_card(msgspec.structs.replace(draft, sha256=file_sha256(file)), file)
         card = msgspec.structs.replace(
@@ -203,7 +194,6 @@ def export_run(
                 lost_points=round(100.0 * (exact.macro_f1() - own.macro_f1()), 2),
                 calibration_maps=len(maps) if config.precision == "int8" else 0,
             ),
-            calibration=_score_table(file, draft.head, scenes),
             data={
                 "training": _command(scenes.data.directory),
                 "test_scenes": len(tested),
@@ -316,13 +306,6 @@ def _training_command(run: RunConfig, run_dir: Path) -> str:
     }
     given = "".join(f" --{name} {value}" for name, value in options.items() if value != "")
     return "mirrorwave train dense" + given + "".join(f" --more {folder}" for folder in run.data.more)
-
-
-def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, float], ...]:
-    """Return the probabilities of the live detector's scores, from the validation scenes; none for anchors."""
-    if head == "anchors":
-        return ()
-    return fit_table(*peak_outcomes(NetworkDetector(scenes.data.setup, file), scenes.validation))
 
 
 def best_pursuit_threshold(file: Path, frames: Iterable[Frame]) -> float:

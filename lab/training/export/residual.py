@@ -13,7 +13,7 @@ import torch
 from lab.networks.residual_reflect_net import ResidualReflectNet
 from lab.training.data.residual_samples import FoldedImages, RecoveredScores, recovered_scores
 from lab.training.export.onnx import require_onnx, write_card, write_onnx
-from lab.training.train_residual import FRAME, ResidualRunConfig, load_best_residual, network_offsets
+from lab.training.train_residual import ResidualRunConfig, load_best_residual, network_offsets
 from models.perception.mirrors.recovery import NEIGHBOURS
 from models.perception.mirrors.residual_model import INPUTS, LearnedResidual, ResidualCard
 from msgs.files.checksums import file_sha256
@@ -61,7 +61,7 @@ def _draft(
         name=name,
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
-        frame=FRAME,
+        frame="wall",
         neighbours=NEIGHBOURS,
         source="peaks",
         geometry="published",

@@ -52,8 +52,7 @@ def encode(encoding: Encoding, values: Tensor, noise: Tensor) -> Tensor:
     maps = _Maps(encoding, values, noise)
     shape = len(values), encoding.range_bins, encoding.columns
     channels = torch.stack([_ENCODERS[name](maps).expand(shape) for name in encoding.channels], dim=1)
-    padded = torch.nn.functional.pad(channels, (encoding.pad_columns, encoding.pad_columns))
-    return padded[:, :, : encoding.seen_bins].contiguous()
+    return torch.nn.functional.pad(channels, (encoding.pad_columns, encoding.pad_columns))
 
 
 @dataclass(frozen=True)

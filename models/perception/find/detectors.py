@@ -12,7 +12,7 @@ import numpy as np
 from models.perception.find.cfar import PHOTON_CFAR, CfarParams, cfar_peaks, warm
 from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.find.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
-from models.perception.find.pursuit import PursuitParams, pursued_peaks
+from models.perception.find.pursuit import pursued_peaks
 from models.perception.mirrors.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
 from models.perception.trained_radar import SetupCheck
 from msgs.values.perception import UNTRAINED_SETUP, Peaks
@@ -72,7 +72,7 @@ class NetworkDetector:
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
         if placement is Refine.PURSUIT:
             # compile now: the first map must not wait for it
-            pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold, PursuitParams())
+            pursued_peaks(np.zeros((1, 1), np.float32), self._params.threshold)
         self._refine = placement
         self._name = f"{self._predictor.card.sha256}/{placement}{'/flip_test' if flip_test else ''}"
         self._sensitivity_db = sensitivity_db(setup)

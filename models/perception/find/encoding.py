@@ -27,8 +27,6 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
 
     #: Range bins that the network sees (320 bins of the 10 GHz radar: 68.5 m).
     range_bins: int = 320
-    #: Number of them, from the nearest, that the network gets of the encoded map; None: all.
-    crop_bins: int | None = None
     #: Columns of the map that the network sees.
     columns: int = 32
     #: Content of each input channel, in order: names of `ENCODERS`.
@@ -44,8 +42,6 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         require_positive("encoding.range_bins", self.range_bins)
         require_positive("encoding.columns", self.columns)
-        if not 1 <= self.seen_bins <= self.range_bins:
-            raise ValueError(f"encoding.crop_bins must be 1..{self.range_bins} or none, got {self.crop_bins}")
         require_positive("encoding.dynamic_range_db", self.dynamic_range_db)
         if not self.level_min_db < self.level_max_db:
             raise ValueError(
@@ -58,14 +54,9 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"encoding.channels must be some of {', '.join(ENCODERS)}, got {self.channels}")
 
     @property
-    def seen_bins(self) -> int:
-        """Range bins of one input."""
-        return self.range_bins if self.crop_bins is None else self.crop_bins
-
-    @property
     def shape(self) -> tuple[int, int, int]:
         """(channels, range, columns) of one input."""
-        return len(self.channels), self.seen_bins, self.columns + 2 * self.pad_columns
+        return len(self.channels), self.range_bins, self.columns + 2 * self.pad_columns
 
     def check_grid(self, grid: RangeAzimuthGrid) -> None:
         """Raise `ValueError` unless maps on `grid` can be encoded."""
@@ -131,8 +122,7 @@ def encode_columns(encoding: Encoding, columns: np.ndarray, noise_power_mw: np.n
     )
     for index, name in enumerate(encoding.channels):
         channels[..., index, :, inside] = ENCODERS[name](sampled)
-    # cropped last: the value of a near cell must not depend on the crop
-    return np.ascontiguousarray(channels[..., : encoding.seen_bins, :])
+    return channels
 
 
 @dataclass(frozen=True)

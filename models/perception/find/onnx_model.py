@@ -14,7 +14,6 @@ from models.perception.find.anchors import CHANNELS as ANCHOR_CHANNELS
 from models.perception.find.anchors import anchor_points
 from models.perception.find.encoding import Encoding, encode_map
 from models.perception.find.peaks import Points, heatmap_points
-from models.perception.find.score_calibration import ScoreTable, check_table
 from models.perception.onnx_session import MAX_MODEL_BYTES, session_of, wrong_checksum
 from models.perception.trained_radar import TrainedRadar, require_grid
 from msgs.values.perception import PathClass
@@ -87,8 +86,6 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     #: On test scenes that were used neither to train nor to select the network; empty: none were made.
     scores: tuple[ScoresAt, ...] = ()
     fidelity: Fidelity | None = None
-    #: Share of true peaks by score (validation scenes, 2 m gate); empty where it was not fitted.
-    calibration: ScoreTable = ()
     #: How training and test scenes were made, and how many.
     data: dict[str, str | int] = {}
     #: Training command, chosen epoch, and the resolved configuration of data, schedule and network.
@@ -98,7 +95,6 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
         if self.anchor_stride < 1:
             raise ValueError(f"card.anchor_stride must be at least 1, got {self.anchor_stride}")
         self.encoding.check_grid(self.grid)
-        check_table("card.calibration", self.calibration)
 
     def threshold_for(self, placement: str) -> float:
         """Return the threshold for a placement of peaks (`models.perception.find.detectors.Refine`)."""
@@ -107,7 +103,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:
         """Output shape for one map: all cells that the network sees, or its anchors."""
-        cells = self.encoding.seen_bins, self.grid.azimuth_bins
+        cells = self.encoding.range_bins, self.grid.azimuth_bins
         if self.head == "heatmap":
             return 1, len(PathClass), *cells
         return 1, ANCHOR_CHANNELS, cells[0] // self.anchor_stride, cells[1] // self.anchor_stride

@@ -8,7 +8,7 @@ from types import EllipsisType
 import msgspec
 import numpy as np
 
-from models.perception.find.pursuit import PursuitParams, pursued_peaks
+from models.perception.find.pursuit import pursued_peaks
 from msgs.values.arrays import require_positive, require_within
 from msgs.values.perception import MAX_PEAKS, PathClass, Peaks
 from msgs.values.radar import RangeAzimuthMap
@@ -65,7 +65,7 @@ def find_pursued_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, param
 
 def pursued_points(heatmap: np.ndarray, threshold: float) -> Points:
     """Return the peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
-    return _of_classes([pursued_peaks(channel, threshold, PursuitParams()) for channel in heatmap])
+    return _of_classes([pursued_peaks(channel, threshold) for channel in heatmap])
 
 
 def _require_on_grid(probabilities: np.ndarray, ra_map: RangeAzimuthMap) -> None:

@@ -5,24 +5,19 @@ Where several points are uncertain the map holds one broad hill, which gives as 
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 
 from models.compiled import compiled
 
-
-class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Widths in cells (range, azimuth)."""
-
-    #: Blur before the pursuit: it joins the cells over which a point's confidence is scattered.
-    blur: tuple[float, float] = (0.5, 2.0)
-    #: Standard deviations of the Gaussian that one point explains.
-    explained: tuple[float, float] = (1.5, 2.5)
-    #: More peaks than this in one map are noise.
-    max_peaks: int = 512
+#: Blur before the pursuit, in cells (range, azimuth): it joins those over which a point's confidence is scattered.
+BLUR = 0.5, 2.0
+#: Standard deviations of the Gaussian that one point explains, in cells.
+EXPLAINED = 1.5, 2.5
+#: More peaks than this in one map are noise.
+MAX_PEAKS = 512
 
 
-def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:
+def pursued_peaks(confidence: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the cells int64 [N, 2] and scores float64 [N] of a confidence map [range, azimuth], strongest first.
 
     A score is what is left of the blurred confidence when its cell is taken; none is below `threshold`. Of equal cells
@@ -34,8 +29,8 @@ def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParam
         raise ValueError(f"threshold must be positive, got {threshold!r}")
     # as it comes from a network, or in one other type: for each of them the blur is compiled
     plain = np.ascontiguousarray(confidence, np.float32 if confidence.dtype == np.float32 else np.float64)
-    left = _blurred(plain, threshold, *(_gaussian(std) for std in params.blur))
-    return _pursue(left, threshold, _kept(params.explained), params.max_peaks)
+    left = _blurred(plain, threshold, *(_gaussian(std) for std in BLUR))
+    return _pursue(left, threshold, _kept(EXPLAINED), MAX_PEAKS)
 
 
 def _gaussian(std: float) -> np.ndarray:

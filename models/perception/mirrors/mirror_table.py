@@ -30,9 +30,6 @@ class WallArrays(ArrayTable):
     offset_std_m: np.ndarray
     curvature_per_m: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.offset_m)
-
     @cached_property
     def length_m(self) -> np.ndarray:
         """Lengths of the chords [W]."""

@@ -15,7 +15,7 @@ from models.perception.mirrors.clustering import dbscan
 from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import NO_WALL, nearest_walls, wall_arrays
 from models.perception.mirrors.observability import VisibilityParams, observability
-from models.perception.mirrors.published import BUDDY, PublishedParams, published_structure
+from models.perception.mirrors.published import BUDDY, published_structure
 from models.perception.mirrors.recovered_objects import ObjectParams, form_objects
 from models.perception.mirrors.recovery import (
     Recovered,
@@ -64,7 +64,7 @@ FORMERLY = {
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage; defaults are the released settings where those exist.
 
-    The back end `specification` uses the clusters and `objects` alone.
+    The back end `specification` uses `objects` alone.
     """
 
     #: Walls, association and rejection: ours, or those of the specification.
@@ -177,8 +177,7 @@ def direct_structure(peaks: Peaks, params: GeometryParams) -> tuple[DirectReturn
     if len(peaks) > MAX_PEAKS:
         raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
     if params.back_end == "specification":
-        published = PublishedParams(cluster_eps_m=params.cluster_eps_m, cluster_min_points=params.cluster_min_points)
-        return published_structure(peaks, published)
+        return published_structure(peaks)
     direct = peaks.path_class == PathClass.LOS
     points_m = xy_from_polar(peaks.range_m[direct], peaks.azimuth_rad[direct])
     covariance_m2 = _direct_covariance(peaks)

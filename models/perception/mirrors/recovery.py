@@ -47,9 +47,6 @@ class Recovered(ArrayTable):
     #: Over ground, of the image; NaN where not measured.
     radial_speed_mps: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.points_m)
-
     @property
     def covariance_m2(self) -> np.ndarray:
         """Covariance of each position [N, 2, 2], positive definite."""
@@ -190,15 +187,13 @@ def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wal
     return np.asarray(turn[:, :, None] * turn[:, None, :] + shift[:, :, None] * shift[:, None, :])
 
 
-def reflection_state(
-    recovered: Recovered, walls: list[Wall], returns: DirectReturns, neighbours: int = NEIGHBOURS
-) -> ReflectionState:
+def reflection_state(recovered: Recovered, walls: list[Wall], returns: DirectReturns) -> ReflectionState:
     """Return the inputs of ResidualReflectNet: direct returns nearest to each image's buddy in its cluster, its state.
 
     Patches are padded by the buddy; of one in no cluster (eta = 1) it stands alone.
     """
     count = len(recovered)
-    patch_m = np.zeros((count, neighbours, 2))
+    patch_m = np.zeros((count, NEIGHBOURS, 2))
     state = np.zeros((count, 6))
     if count == 0:
         return ReflectionState(recovered.images_m, patch_m, state)
@@ -208,7 +203,7 @@ def reflection_state(
         cluster = returns.cluster[buddy[i]]
         if cluster != NOISE:
             points_m = returns.points_m[returns.cluster == cluster]
-            order = np.argsort(np.sum((points_m - image_m) ** 2, axis=1), kind="stable")[:neighbours]
+            order = np.argsort(np.sum((points_m - image_m) ** 2, axis=1), kind="stable")[:NEIGHBOURS]
             patch_m[i, : len(order)] = points_m[order]
     without_wall = recovered.wall == NO_WALL
     arrays = wall_arrays(walls)

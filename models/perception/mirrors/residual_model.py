@@ -13,9 +13,6 @@ from models.perception.cards import card_path, read_card
 from models.perception.mirrors.recovery import NEIGHBOURS, ReflectionState
 from models.perception.onnx_session import open_session
 
-#: Coordinates the network sees: the radar's, those of each image's own wall, or the radar's with the axes of the
-#: published checkpoints (x to the right, y ahead).
-ResidualFrame = Literal["radar", "wall", "published"]
 #: Walls that a card names, by back end.
 CARD_GEOMETRY = {"ours": "ours", "specification": "published"}
 #: Inputs of the file, in order, with their shapes after the batch.
@@ -30,7 +27,8 @@ class ResidualCard(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     sha256: str
     parameters: int
-    frame: ResidualFrame
+    #: Coordinates the network sees: those of each image's own wall.
+    frame: Literal["wall"]
     #: Direct returns in a patch.
     neighbours: int
     #: Source of its training points: `truth`, `peaks` or `both`; and the walls that it was trained with.
@@ -71,16 +69,7 @@ class ImageFrames:
         return np.einsum("nij,ni->nj", self.axes, offsets_m)
 
 
-def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFrames:
-    """Return the coordinates that the network sees each image in."""
-    count = len(reflection.images_m)
-    if frame == "wall":
-        return _wall_frames(reflection)
-    axes = np.eye(2) if frame == "radar" else np.array([[0.0, -1.0], [1.0, 0.0]])
-    return ImageFrames(np.zeros((count, 2)), np.broadcast_to(axes, (count, 2, 2)))
-
-
-def _wall_frames(reflection: ReflectionState) -> ImageFrames:
+def wall_frames(reflection: ReflectionState) -> ImageFrames:
     """Return the relay-wall frames (section 3.2): origin at the radar's foot, tangent to the image's side, normal."""
     normal, offset_m = reflection.state[:, 2:4], reflection.state[:, 4:5]
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
@@ -128,7 +117,7 @@ class LearnedResidual:
         self._check_inputs(reflection)
         if len(reflection.images_m) == 0:
             return np.zeros((0, 2))
-        frames = image_frames(reflection, self.card.frame)
+        frames = wall_frames(reflection)
         return bounded(frames.to_radar(self._infer(in_frames(reflection, frames))))
 
     def require_trained_for(self, back_end: str) -> None:

@@ -42,9 +42,6 @@ class Detections(ArrayTable):
     azimuth_rad: np.ndarray
     away_rad: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.score)
-
 
 def distinct(reports: Detections, tie: np.ndarray, same_m: float, same_share: float) -> np.ndarray:
     """Return the indices of reports of different objects, best first, then lower `tie`: `same_m` or a share apart."""

@@ -41,6 +41,7 @@ class EvidenceCard(ArrayCard, frozen=True, kw_only=True):
     """Description of an evidence network file."""
 
     formerly: ClassVar[dict[str, str]] = {
+        "encoding.growth": "models.perception.see.wall_elements",
         "encoding.walls": "models.perception.mirrors.walls",
         "encoding.walls.arcs": "models.perception.mirrors.arcs",
     }

@@ -30,7 +30,7 @@ class FieldCard(ArrayCard, frozen=True, kw_only=True):
     grid: RangeAzimuthGrid
 
     def __post_init__(self) -> None:
-        cells = self.encoding.seen_bins, self.grid.azimuth_bins
+        cells = self.encoding.range_bins, self.grid.azimuth_bins
         self.check_shapes(input=(1, *self.encoding.shape), output=(1, FIELD_ANSWERS, *cells))
 
 

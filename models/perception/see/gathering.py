@@ -14,16 +14,7 @@ from scipy.ndimage import uniform_filter
 
 from models.compiled import compiled
 from models.perception.mirrors.mirror_table import WallArrays
-from models.perception.see.wall_table import (
-    ENDS,
-    NORMAL_X,
-    NORMAL_Y,
-    OFFSET,
-    SURE,
-    is_free,
-    nearest_wall_m,
-    wall_table,
-)
+from models.perception.see.wall_table import ENDS, NORMAL_X, NORMAL_Y, OFFSET, SURE, is_free, nearest_wall_m, wall_table
 from msgs.values.arrays import require_positive
 from msgs.values.radar import RangeAzimuthMap
 

@@ -17,7 +17,6 @@ from models.perception.see.gathering import BirdsEyeGrid, Evidence, channel_name
 from models.perception.see.wall_elements import (
     WALL_ANSWERS,
     WallElements,
-    WallGrowth,
     further_walls,
     grown_walls,
     wall_elements,
@@ -44,7 +43,6 @@ class EvidenceEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Parameters of the evidence network's input; travels in its card."""
 
     grid: BirdsEyeGrid = BirdsEyeGrid()
-    growth: WallGrowth = WallGrowth()
     #: Walls that are fitted to the direct returns beside them.
     walls: WallParams = CANDIDATE_WALLS
     #: Mirrors of a place that stand side by side.
@@ -86,9 +84,9 @@ def scan_evidence(
     `fitted`: walls known otherwise, which join its own; `earlier`: elements of earlier scans, each weighs the same;
     `with_priors`: corrects and extends them all by those of a map or another sensor.
     """
-    elements = wall_elements(answer, ra_map.grid, encoding.growth.least)
+    elements = wall_elements(answer, ra_map.grid)
     every = weighed_together([elements, *earlier]) if earlier else elements
-    grown, _ = grown_walls(every, encoding.growth)
+    grown, _ = grown_walls(every)
     walls = [*grown, *further_walls(fitted, grown)]
     walls = (with_priors(walls) if with_priors else walls)[: encoding.max_walls]
     arrays = wall_arrays(walls)

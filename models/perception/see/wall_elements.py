@@ -10,13 +10,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 from scipy.special import expit
 
 from models.compiled import compiled
 from msgs.values.array_table import ArrayTable
-from msgs.values.arrays import require_positive, require_within
 from msgs.values.perception import Wall
 from msgs.values.radar import RangeAzimuthGrid
 
@@ -34,26 +32,12 @@ ELEMENT_STD_M, ELEMENT_STD_RAD = 0.15, math.radians(4.0)
 SHARED_M = 1.0
 #: Two walls are one within these: off its line, turned against it, beyond its ends.
 SAME_WALL_M, SAME_WALL_COS, SAME_END_M = 0.2, math.cos(math.radians(1.0)), 2.0
-
-
-class WallGrowth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How elements grow into walls."""
-
-    #: Least probability of an element.
-    least: float = 0.2
-    #: Elements of a wall lie so near its line, and turn so little against it.
-    across_m: float = 0.4
-    turn_rad: float = math.radians(14.0)
-    max_gap_m: float = 3.0
-    #: Least length, and sum of probabilities, of a wall.
-    min_length_m: float = 1.0
-    min_support: float = 2.0
-    max_walls: int = 16
-
-    def __post_init__(self) -> None:
-        require_within("growth.least", 0.0, 1.0, self.least)
-        for name in ("across_m", "turn_rad", "max_gap_m", "min_length_m", "min_support", "max_walls"):
-            require_positive(f"growth.{name}", getattr(self, name))
+#: Least probability of an element.
+LEAST = 0.2
+#: Elements of a wall lie so near its line, and turn so little against it.
+ACROSS_M, TURN_RAD, MAX_GAP_M = 0.4, math.radians(14.0), 3.0
+#: Least length, and sum of probabilities, of a wall.
+MIN_LENGTH_M, MIN_SUPPORT, MAX_WALLS = 1.0, 2.0, 16
 
 
 @dataclass(frozen=True)
@@ -64,15 +48,11 @@ class WallElements(ArrayTable):
     toward: np.ndarray
     probability: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.probability)
 
-
-def wall_elements(answer: np.ndarray, grid: RangeAzimuthGrid, least: float) -> WallElements:
+def wall_elements(answer: np.ndarray, grid: RangeAzimuthGrid) -> WallElements:
     """Return the likeliest cells along each azimuth as elements, of an answer [`WALL_ANSWERS`, range, azimuth]."""
     logit = answer[0]
-    bound = math.log(least / (1.0 - least)) if 0.0 < least < 1.0 else -np.inf
-    is_peak = logit >= bound
+    is_peak = logit >= math.log(LEAST / (1.0 - LEAST))
     is_peak[1:] &= logit[1:] > logit[:-1]
     is_peak[:-1] &= logit[:-1] >= logit[1:]
     row, column = np.nonzero(is_peak)
@@ -99,11 +79,11 @@ def weighed_together(scans: Sequence[WallElements]) -> WallElements:
     return WallElements(kept.place_m, kept.toward, kept.probability / len(scans))
 
 
-def grown_walls(elements: WallElements, params: WallGrowth) -> tuple[list[Wall], np.ndarray]:
+def grown_walls(elements: WallElements) -> tuple[list[Wall], np.ndarray]:
     """Return the walls that elements form, best supported first, and the wall of each element (-1: none), int64 [N]."""
     table = np.column_stack([elements.place_m, elements.toward, elements.probability])
-    limits = (params.across_m, math.cos(params.turn_rad), params.max_gap_m, params.min_length_m, params.min_support)
-    rows, wall_of = _grow(table, *limits, params.max_walls)
+    limits = (ACROSS_M, math.cos(TURN_RAD), MAX_GAP_M, MIN_LENGTH_M, MIN_SUPPORT)
+    rows, wall_of = _grow(table, *limits, MAX_WALLS)
     return [_as_wall(row, int((wall_of == index).sum())) for index, row in enumerate(rows)], wall_of
 
 

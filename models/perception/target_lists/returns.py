@@ -36,9 +36,6 @@ class Returns(ArrayTable):
     speed_mps: np.ndarray
     speed_std_mps: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.range_m)
-
     @property
     def points_m(self) -> np.ndarray:
         """Positions [N, 2]."""

@@ -15,7 +15,7 @@ from sim_player.scene.world import Snapshot, prepare, snapshot
 from sim_player.signal.levels import kernel_profiles
 from sim_player.trace.effect_names import bit
 from sim_player.trace.path_table import Paths
-from sim_player.trace.routes import Routes, clear_ways, join_routes
+from sim_player.trace.routes import Routes, clear_ways
 from sim_player.trace.snapshot import TraceContext
 from tests.lab.foreign.requirements import require_sionna
 
@@ -39,7 +39,7 @@ def view() -> Snapshot:
 def our_routes(view: Snapshot) -> Routes:
     tracing = TraceContext(view)
     parts = [clear_ways(*ways) for ways in (tracing.straight, tracing.mirrored)]
-    return join_routes([*parts, two_wall_routes(view, view.centre, tracing.owner)])
+    return Routes.joined([*parts, two_wall_routes(view, view.centre, tracing.owner)])
 
 
 def written_as_foreign(routes: Routes, surfaces: tuple[ExportedSurface, ...]) -> OneWayPaths:

@@ -33,24 +33,6 @@ def test_fresh_network_says_one_in_ten_everywhere() -> None:
     assert confidence.mean().item() == pytest.approx(0.1, abs=0.02)
 
 
-def test_cropped_network_keeps_its_weights_and_the_near_positions() -> None:
-    """Cropped to all it sees, it answers the same bytes; to half, its tokens are those of the near rows."""
-    whole = network()
-    with torch.no_grad():
-        nn.init.normal_(whole.head.weight)
-        x = torch.randn(1, 5, 32, 8)
-        assert torch.equal(whole.cropped(32)(x), whole(x))
-        near = whole.cropped(16)
-        assert near(x[:, :, :16]).shape == (1, *near.config.output_shape) == (1, 2, 16, 64)
-    # 2 x 2 cells at the bottom in place of 4 x 2
-    assert torch.equal(near.context.position, whole.context.position[:, :4])
-    assert whole.config.range_bins == 32
-    with pytest.raises(ValueError, match="range_bins must be at most the network's 32, got 40"):
-        whole.cropped(40)
-    with pytest.raises(ValueError, match="range_bins must be a multiple of 8"):
-        whole.cropped(12)
-
-
 def test_fold_puts_pairs_of_bins_side_by_side() -> None:
     x = torch.arange(2 * 4 * 3).reshape(1, 2, 4, 3)
     folded = _fold_range(x)

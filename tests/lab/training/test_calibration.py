@@ -1,15 +1,10 @@
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
 
-from lab.training.calibration import fit_table, peak_outcomes
-from lab.training.data.frames import Frame
+from lab.training.calibration import fit_table
 from models.perception.find.score_calibration import calibrated, check_table
-from msgs.values.radar import RangeAzimuthMap
 
 
 def drawn(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -40,26 +35,3 @@ def test_too_few_peaks_give_no_table() -> None:
     assert fit_table(np.zeros(0), np.zeros(0, bool)) == ()
     with pytest.raises(ValueError, match=r"score must lie in 0\.\.1"):
         fit_table(np.array([0.5, 2.0]), np.array([True, False]))
-
-
-class Answer:
-    """Two direct peaks at one target, a mirrored one at a direct target, one at nothing."""
-
-    def detect(self, ra_map: RangeAzimuthMap) -> SimpleNamespace:
-        return SimpleNamespace(
-            range_m=np.array([10.0, 10.5, 20.0, 40.0]),
-            azimuth_rad=np.zeros(4),
-            score=np.array([0.9, 0.8, 0.7, 0.6]),
-            path_class=np.array([0, 0, 1, 1], np.uint8),
-        )
-
-
-def test_a_peak_is_true_within_two_metres_of_a_truth_of_its_class_that_no_nearer_one_took() -> None:
-    labels = SimpleNamespace(
-        range_m=np.array([10.1, 20.0, 41.5]), azimuth_rad=np.zeros(3), path_class=np.array([0, 0, 1], np.uint8)
-    )
-    frame = cast(Frame, SimpleNamespace(ra_map=None, labels=labels))
-    score, is_true = peak_outcomes(Answer(), [frame, frame])  # type: ignore[arg-type]
-    np.testing.assert_allclose(score, [0.9, 0.8, 0.7, 0.6] * 2)
-    assert is_true.tolist() == [True, False, False, True] * 2
-    assert len(peak_outcomes(Answer(), [])[0]) == 0  # type: ignore[arg-type]

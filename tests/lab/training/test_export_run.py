@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from lab.networks.compact_unet import CompactUNetConfig
-from lab.training.data.frames import DataSet
 from lab.training.data.samples import DataConfig
 from lab.training.export import onnx as export_onnx
 from lab.training.export.onnx import PARITY, ExportConfig, export_run
@@ -19,7 +18,7 @@ from lab.training.run_folder import BEST, CONFIG, SUMMARY
 from lab.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DensePredictor, load_card
-from models.perception.find.pursuit import PursuitParams, pursued_peaks
+from models.perception.find.pursuit import pursued_peaks
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -134,7 +133,7 @@ def test_peaks_by_pursuit_have_a_threshold_of_their_own(monkeypatch: pytest.Monk
     monkeypatch.setattr(export_onnx, "DensePredictor", Predictor)
     frame = SimpleNamespace(ra_map=SimpleNamespace(grid=GRID), labels=labels)
     threshold = export_onnx.best_pursuit_threshold(Path(), [frame])  # type: ignore[list-item]
-    false = pursued_peaks(0.25 * hill, 0.05, PursuitParams())[1][0]
+    false = pursued_peaks(0.25 * hill, 0.05)[1][0]
     assert false < threshold <= false + 0.02
 
 
@@ -150,19 +149,6 @@ def test_smaller_numbers_say_what_they_cost(run_dir: Path, tmp_path: Path, preci
     assert card.fidelity.calibration_maps == (4 if precision == "int8" else 0)
     own = next(line.macro_f1 for line in card.scores if line.threshold == card.threshold)
     assert card.fidelity.lost_points == pytest.approx(100.0 * (card.fidelity.macro_f1_fp32 - own), abs=0.02)
-
-
-def test_a_network_for_near_ranges_sees_nothing_beyond(run_dir: Path, data_dir: Path, tmp_path: Path) -> None:
-    model = tmp_path / "near.onnx"
-    card = export_run(run_dir, model, ExportConfig(range_bins=16))
-    assert (card.encoding.crop_bins, card.input_shape[2], card.output_shape[2]) == (16, 16, 16)
-    frame = next(iter(DataSet(data_dir).frames([0])))
-    confidence = DensePredictor(model).predict(frame.ra_map)
-    assert confidence.shape == (2, *GRID.shape)
-    assert (confidence[:, :16] > 0.0).all()
-    assert not confidence[:, 16:].any()
-    with pytest.raises(ValueError, match=r"encoding\.crop_bins must be 1\.\.32 or none, got 4096"):
-        export_run(run_dir, model, ExportConfig(range_bins=4096))
 
 
 def test_export_needs_to_know_how_the_data_was_made(run_dir: Path, data_dir: Path, tmp_path: Path) -> None:

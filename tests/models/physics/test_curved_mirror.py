@@ -7,15 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.physics.curved_mirror import (
-    CAUSTIC,
-    FADING,
-    RAY,
-    arc_from_ends,
-    arc_normals,
-    arc_points,
-    bounces,
-)
+from models.physics.curved_mirror import CAUSTIC, FADING, RAY, arc_from_ends, arc_normals, arc_points, bounces
 from models.physics.mirror import crosses, specular_points
 from tests.models.physics.curved_reference import arc_crosses, arc_length_m, fermat_points, focusing, one_way_field
 from tests.models.physics.surface_integral import two_way_field, wall_field

@@ -26,13 +26,7 @@ from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.executors import Executor, map_jobs
-from sim_player.dataset.labelled_scan import (
-    clean_profiles,
-    label_points,
-    labelled_scan,
-    noise_power_mw,
-    profile_noise,
-)
+from sim_player.dataset.labelled_scan import clean_profiles, label_points, labelled_scan, noise_power_mw, profile_noise
 from sim_player.dataset.shards import Recipe, ShardDone, read_shard
 from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
 from sim_player.dataset.writer import write_dataset

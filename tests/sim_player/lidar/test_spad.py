@@ -15,13 +15,7 @@ from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.bodies.triangles import cut_triangles
 from sim_player.lidar.optical_surfaces import _cut
-from sim_player.lidar.spad import (
-    LightRoute,
-    OpticalPaths,
-    optical_paths,
-    plan_optics,
-    spad_histograms,
-)
+from sim_player.lidar.spad import LightRoute, OpticalPaths, optical_paths, plan_optics, spad_histograms
 from sim_player.paths.ray_tracing import trace
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface
 from sim_player.scene.world import prepare

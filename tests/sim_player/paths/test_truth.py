@@ -11,14 +11,7 @@ from models.physics.mirror import reflect
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid
 from sim_player.paths.ray_tracing import trace
-from sim_player.paths.truth import (
-    SEPARATION_CELLS,
-    best_power_mw,
-    hidden_objects,
-    object_images,
-    thin,
-    visible_paths,
-)
+from sim_player.paths.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, object_images, thin, visible_paths
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface
 from sim_player.scene.world import prepare

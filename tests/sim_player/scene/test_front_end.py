@@ -9,10 +9,7 @@ from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.fmcw import noise_bank
 from sim_player.signal.levels import noise_density_mw, noise_profiles, record_beam
-from sim_player.signal.receiver import (
-    dither_objection,
-    quantisation_power_mw,
-)
+from sim_player.signal.receiver import dither_objection, quantisation_power_mw
 from sim_player.signal.switches import SignalEffects
 from tests.sim_player.signal.references import converted
 

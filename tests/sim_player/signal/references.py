@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lab.tradeoff.literal_signal import chirp_turns
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import NO_FAULTS, FrontEnd
 from sim_player.signal.fmcw import Noise, beam_codes, noise_reads
 from sim_player.signal.levels import Terms, echo_terms, with_electronics
-from sim_player.signal.literal import chirp_turns
 from sim_player.signal.receiver import flicker_noise, iq_imbalance
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_table import Paths

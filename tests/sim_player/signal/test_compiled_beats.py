@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from lab.tradeoff.literal_signal import literal_echoes
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup
 from sim_player.planner.plan import SINGLE
 from sim_player.scene.front_end import NO_FAULTS
 from sim_player.signal.compiled_beats import decimation
 from sim_player.signal.levels import Terms, echo_terms, group_beats, hann_profiles
-from sim_player.signal.literal import literal_echoes
 from sim_player.signal.swept_echoes import TOLERANCE
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
 from sim_player.trace.path_table import Paths

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from lab.tradeoff.literal_signal import literal_echoes
 from models.physics.antenna import element_field, one_way_pattern, setup_weights, steering_weights
 from models.physics.waveform import beat_samples
 from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup
@@ -25,7 +26,6 @@ from sim_player.signal.levels import (
     noise_rms,
     record_beam,
 )
-from sim_player.signal.literal import literal_echoes
 from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_instants, squint_swing_rad, swept_echoes
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects, sweep_ratio
 from sim_player.trace.path_table import Paths

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from lab.tradeoff.literal_signal import literal_echoes
 from models.perception.form.ra_forming import BeamFolder, FormingParams, ego_correction
 from models.perception.form.slow_time_sums import group_edges
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
@@ -14,7 +15,6 @@ from msgs.values.vehicle import VehicleState
 from sim_player.dataset.labelled_scan import noise_power_mw
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.levels import RANGE_BINS, echo_terms, with_electronics
-from sim_player.signal.literal import literal_echoes
 from sim_player.signal.slow_time_profiles import converter_objection, group_noise, group_profiles
 from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
 from tests.builders import example_beam

@@ -12,7 +12,7 @@ from sim_player.generate.places import random_place
 from sim_player.scene.road_users import seen_rcs_m2
 from sim_player.scene.world import prepare, snapshot
 from sim_player.trace.echoes import echo_amplitude, object_echoes, same_target
-from sim_player.trace.routes import Routes, join_routes
+from sim_player.trace.routes import Routes
 from sim_player.trace.snapshot import TraceContext
 
 RADAR = RadarParams()
@@ -48,7 +48,7 @@ def test_echoes_of_centres_are_the_radar_equation() -> None:
     """Straight and mirrored routes of a drawn place in all mixtures, array by array in NumPy: rounding."""
     view = snapshot(prepare(random_place(17, 3), 3), 0.2)
     world, tracing = view.world, TraceContext(view)
-    routes = join_routes([tracing.straight[0], tracing.mirrored[0]])
+    routes = Routes.joined([tracing.straight[0], tracing.mirrored[0]])
     pairs = same_target(routes.target, routes.target)
     echoes = object_echoes(view, routes, pairs, 5)
     assert world.orders_alike

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -88,19 +87,6 @@ def test_mirrored_scene_is_the_mirrored_input() -> None:
     mirrored = encode_columns(ENCODING, sample_columns(ENCODING, values[:, ::-1]), np.float64(0.1))
     sign = np.array([1, 1, 1, 1, -1])[:, None, None]
     np.testing.assert_allclose(mirrored, sign * plain[:, :, ::-1], atol=1e-6)
-
-
-def test_a_crop_is_the_near_part_of_the_same_input() -> None:
-    """What far cells say of near ones (contrast, level of an unknown noise, distance) stays: only rows are left out."""
-    columns = sample_columns(ENCODING, band_limited(np.random.default_rng(5)))
-    near = msgspec.structs.replace(ENCODING, crop_bins=96)
-    cropped = encode_columns(near, columns, np.float64(0.1))
-    assert cropped.shape == near.shape == (len(ENCODING.channels), 96, ENCODING.columns)
-    assert cropped.flags.c_contiguous
-    np.testing.assert_array_equal(cropped, encode_columns(ENCODING, columns, np.float64(0.1))[:, :96])
-    for crop_bins in (0, -1, 321):
-        with pytest.raises(ValueError, match=rf"encoding\.crop_bins must be 1\.\.320 or none, got {crop_bins}"):
-            Encoding(crop_bins=crop_bins)
 
 
 def test_batches_are_encoded_as_single_maps_are() -> None:

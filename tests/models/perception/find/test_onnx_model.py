@@ -113,7 +113,6 @@ def test_file_that_is_not_the_cards_is_refused(model: Path) -> None:
         ({"head": "anchors"}, r"net\.json: card\.output_shape must be \(1, 5, 32, 64\), got \(1, 2, 32, 64\)"),
         ({"anchor_stride": 0}, r"net\.json: card\.anchor_stride must be at least 1, got 0"),
         ({"precision": "fp8"}, r"net\.json: precision: Invalid enum value 'fp8'; known are fp16, fp32, int8"),
-        ({"calibration": [[0.5, 0.2], [0.4, 0.9]]}, r"net\.json: card\.calibration must be empty or rise"),
         ({"sha256": 3}, r"net\.json: sha256: Expected `str`, got `int`"),
     ],
 )
@@ -158,12 +157,11 @@ def test_a_network_without_a_card_is_told_what_one_holds(model: Path) -> None:
 def test_older_card_with_fields_of_its_own_loads(model: Path) -> None:
     """Cards once named their channels beside the encoding, and knew neither head nor precision."""
     card = msgspec.json.decode(card_path(model).read_bytes())
-    for name in ("network", "precision", "head", "anchor_stride", "fidelity", "calibration"):
+    for name in ("network", "precision", "head", "anchor_stride", "fidelity"):
         del card[name]
     card_path(model).write_bytes(msgspec.json.encode(card | {"channels": ["level"]}))
     loaded = DensePredictor(model).card
     assert (loaded.network, loaded.precision, loaded.head) == ("compact_unet", "fp32", "heatmap")
-    assert loaded.calibration == ()
 
 
 def test_points_of_a_heatmap_are_its_maxima(model: Path) -> None:

@@ -5,15 +5,15 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from lab.training.objectives.heatmaps import gaussian_heatmap
-from models.perception.find.pursuit import PursuitParams, pursued_peaks
+from models.perception.find import pursuit
+from models.perception.find.pursuit import BLUR, EXPLAINED, MAX_PEAKS, pursued_peaks
 
-SHARP = PursuitParams(blur=(0.0, 0.0))
 
-
-def test_gaussians_of_points_are_found_where_they_stand() -> None:
+def test_gaussians_of_points_are_found_where_they_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Layout: Eq. (22) heatmap of three points 4 cells apart at least, two at the border. Found: those cells, at 1."""
+    monkeypatch.setattr(pursuit, "BLUR", (0.0, 0.0))
     row, column = np.array([0.0, 10.0, 10.0]), np.array([5.0, 31.0, 20.0])
-    cells, score = pursued_peaks(gaussian_heatmap((24, 32), row, column), 0.3, SHARP)
+    cells, score = pursued_peaks(gaussian_heatmap((24, 32), row, column), 0.3)
     assert {tuple(cell) for cell in cells} == {(0, 5), (10, 31), (10, 20)}
     np.testing.assert_allclose(score, 1.0, atol=1e-6)
 
@@ -23,7 +23,7 @@ def test_a_broad_hill_gives_as_many_peaks_as_its_mass_is_worth() -> None:
     gives one every 3 to 5 cells (what a point explains has a standard deviation of 2.5)."""
     plateau = np.zeros((16, 48), np.float32)
     plateau[6:9, 12:36] = 0.6
-    cells, score = pursued_peaks(plateau, 0.3, PursuitParams())
+    cells, score = pursued_peaks(plateau, 0.3)
     assert 4 <= len(cells) <= 6
     assert (np.diff(np.sort(cells[:, 1])) >= 3).all()
     assert (score >= 0.3).all()
@@ -38,17 +38,17 @@ def test_first_peak_is_the_highest_cell_of_the_blurred_map(seed: int) -> None:
     confidence[rng.random(confidence.shape) < 0.05] = np.nan
     reference = gaussian_filter(np.nan_to_num(confidence.astype(np.float64)), (0.5, 2.0), mode="constant")
     for threshold in (0.01, 0.1, 0.3):
-        cells, score = pursued_peaks(confidence, threshold, PursuitParams())
+        cells, score = pursued_peaks(confidence, threshold)
         assert (len(cells) > 0) == (reference.max() >= threshold)
         if len(cells):
             assert tuple(cells[0]) == np.unravel_index(reference.argmax(), reference.shape)
             assert score[0] == pytest.approx(reference.max(), rel=1e-12)
 
 
-def plain_pursuit(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:
+def plain_pursuit(confidence: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """The plain form: the whole map blurred axis by axis, and searched for its highest cell once a peak."""
     left = np.where(np.isfinite(confidence), confidence, 0.0).astype(np.float64)
-    for axis, std in enumerate(params.blur):
+    for axis, std in enumerate(BLUR):
         reach = int(4.0 * std + 0.5)
         weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(std, 1e-9)) ** 2)
         size = left.shape[axis]
@@ -58,13 +58,13 @@ def plain_pursuit(confidence: np.ndarray, threshold: float, params: PursuitParam
         left = np.add.accumulate([np.zeros_like(left), *shifted])[-1]
     row, column = np.indices(left.shape)
     cells, scores = [], []
-    while len(cells) < params.max_peaks and left.max() >= threshold:
+    while len(cells) < MAX_PEAKS and left.max() >= threshold:
         i, j = np.unravel_index(left.argmax(), left.shape)
         cells.append((i, j))
         scores.append(left[i, j])
         down, across = row - i, column - j
-        reach = (abs(down) <= np.ceil(3.0 * params.explained[0])) & (abs(across) <= np.ceil(3.0 * params.explained[1]))
-        hill = np.exp(-0.5 * ((down / params.explained[0]) ** 2 + (across / params.explained[1]) ** 2))
+        reach = (abs(down) <= np.ceil(3.0 * EXPLAINED[0])) & (abs(across) <= np.ceil(3.0 * EXPLAINED[1]))
+        hill = np.exp(-0.5 * ((down / EXPLAINED[0]) ** 2 + (across / EXPLAINED[1]) ** 2))
         left = np.where(reach, left * (1.0 - hill), left)
     return np.array(cells, np.int64).reshape(-1, 2), np.array(scores)
 
@@ -78,8 +78,8 @@ def test_peaks_are_those_of_the_plain_form(dtype: type) -> None:
         confidence = (rng.random((int(rng.integers(1, 40)), int(rng.integers(1, 80)))) ** 4).astype(dtype)
         confidence[rng.random(confidence.shape) < 0.05] = np.nan if index % 2 else -1.0
         confidence = np.round(confidence, 1) if index % 3 == 0 else confidence
-        cells, score = pursued_peaks(confidence, 0.1, PursuitParams())
-        plain_cells, plain_score = plain_pursuit(confidence, 0.1, PursuitParams())
+        cells, score = pursued_peaks(confidence, 0.1)
+        plain_cells, plain_score = plain_pursuit(confidence, 0.1)
         np.testing.assert_array_equal(cells, plain_cells)
         np.testing.assert_allclose(score, plain_score, rtol=1e-13)
 
@@ -87,8 +87,8 @@ def test_peaks_are_those_of_the_plain_form(dtype: type) -> None:
 def test_threshold_only_cuts_the_list() -> None:
     """What a higher threshold gives is the head of what a lower one gives: thresholds may be chosen afterwards."""
     confidence = np.random.default_rng(0).random((40, 60)) ** 4
-    low, low_score = pursued_peaks(confidence, 0.05, PursuitParams())
-    high, high_score = pursued_peaks(confidence, 0.2, PursuitParams())
+    low, low_score = pursued_peaks(confidence, 0.05)
+    high, high_score = pursued_peaks(confidence, 0.2)
     assert 0 < len(high) < len(low)
     np.testing.assert_array_equal(high, low[: len(high)])
     np.testing.assert_array_equal(high_score, low_score[: len(high)])
@@ -96,17 +96,17 @@ def test_threshold_only_cuts_the_list() -> None:
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0])
 def test_empty_and_broken_maps_hold_nothing(value: float) -> None:
-    cells, score = pursued_peaks(np.full((8, 8), value, np.float32), 0.1, PursuitParams())
+    cells, score = pursued_peaks(np.full((8, 8), value, np.float32), 0.1)
     assert (cells.shape, score.shape) == ((0, 2), (0,))
 
 
 def test_a_full_map_ends_at_the_limit() -> None:
-    cells, _ = pursued_peaks(np.ones((64, 64), np.float32), 1e-6, PursuitParams(max_peaks=20))
-    assert len(cells) == 20
+    cells, _ = pursued_peaks(np.ones((256, 64), np.float32), 1e-6)
+    assert len(cells) == MAX_PEAKS
 
 
 def test_bad_parameters_are_named() -> None:
     with pytest.raises(ValueError, match=r"threshold must be positive, got 0"):
-        pursued_peaks(np.zeros((2, 2)), 0.0, PursuitParams())
+        pursued_peaks(np.zeros((2, 2)), 0.0)
     with pytest.raises(ValueError, match=r"confidence must have shape \[range, azimuth\]"):
-        pursued_peaks(np.zeros(2), 0.1, PursuitParams())
+        pursued_peaks(np.zeros(2), 0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.perception.mirrors.peaks_to_view import GeometryParams, fold_scan
-from models.perception.mirrors.published import PublishedParams, published_walls
+from models.perception.mirrors.published import published_walls
 from tests.builders import peaks_at
 
 
@@ -41,13 +41,13 @@ def test_two_lines_of_one_cluster_are_two_walls() -> None:
     """An L of two arms of six points each, one cluster: two walls, every point on one."""
     arm = np.arange(6.0)
     points = np.concatenate([np.stack([10 + arm, 0 * arm], 1), np.stack([0 * arm + 10, 1.0 + arm], 1)])
-    walls, of_point = published_walls(points, np.zeros(12, int), PublishedParams())
+    walls, of_point = published_walls(points, np.zeros(12, int))
     assert len(walls) == 2
     assert (of_point >= 0).all()
     assert sorted(wall.inliers for wall in walls) == [5, 7]
 
 
 def test_equal_points_end_the_search() -> None:
-    walls, of_point = published_walls(np.ones((4, 2)), np.zeros(4, int), PublishedParams())
+    walls, of_point = published_walls(np.ones((4, 2)), np.zeros(4, int))
     assert walls == []
     assert (of_point == -1).all()

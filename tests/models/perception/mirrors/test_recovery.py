@@ -202,12 +202,12 @@ def test_patches_hold_the_nearest_returns_of_the_buddys_cluster():
     points = [[20.0, y] for y in np.linspace(-9.0, 9.0, 19)]
     returns = returns_at(points, on_wall=0)
     recovered = recover(peaks_of(np.array([28.0, 8.0]), [1]), [wall(*FACADE)], returns, RecoveryParams())
-    patch = reflection_state(recovered, [wall(*FACADE)], returns, neighbours=16).patch_m[0]
+    patch = reflection_state(recovered, [wall(*FACADE)], returns).patch_m[0]
     assert patch.shape == (16, 2)
     assert patch[0].tolist() == [20.0, 8.0]
     assert patch[:, 1].min() == -6.0
-    few = reflection_state(recovered, [wall(*FACADE)], returns_at(points[:3], on_wall=0), neighbours=5).patch_m[0]
-    np.testing.assert_array_equal(few[3:], [points[2], points[2]])
+    few = reflection_state(recovered, [wall(*FACADE)], returns_at(points[:3], on_wall=0)).patch_m[0]
+    np.testing.assert_array_equal(few[3:], [points[2]] * 13)
 
 
 def test_no_peaks_no_walls_no_failure():

@@ -19,10 +19,9 @@ from models.perception.mirrors.recovery import ReflectionState
 from models.perception.mirrors.residual_model import (
     LearnedResidual,
     ResidualCard,
-    ResidualFrame,
     bounded,
-    image_frames,
     in_frames,
+    wall_frames,
 )
 
 #: A facade 12 m ahead that the radar looks at along its normal.
@@ -49,20 +48,13 @@ def network() -> ResidualReflectNet:
     return ResidualReflectNet().eval()
 
 
-def written(network: ResidualReflectNet, path: Path, frame: ResidualFrame = "radar") -> Path:
+def written(network: ResidualReflectNet, path: Path) -> Path:
     card = ResidualCard(
-        name="residual", sha256=export_residual_onnx(network, path), parameters=1, frame=frame, neighbours=16,
+        name="residual", sha256=export_residual_onnx(network, path), parameters=1, frame="wall", neighbours=16,
         source="peaks", geometry="ours", seed=0, command="", data={}, metrics={}, training={},
     )  # fmt: skip
     write_card(card, path)
     return path
-
-
-@pytest.fixture(scope="module")
-def models(network: ResidualReflectNet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("residual")
-    frames: tuple[ResidualFrame, ...] = ("radar", "wall", "published")
-    return {frame: written(network, folder / f"{frame}.onnx", frame) for frame in frames}
 
 
 @pytest.fixture
@@ -72,7 +64,7 @@ def model(network: ResidualReflectNet, tmp_path: Path) -> Path:
 
 def test_wall_coordinates_of_a_facade() -> None:
     """Foot of the radar at (12, 0), normal back to it: along is |y|, across 12 - x."""
-    frames = image_frames(STATE, "wall")
+    frames = wall_frames(STATE)
     seen = in_frames(STATE, frames)
     np.testing.assert_allclose(seen.images_m, [[3.0, -8.0], [4.0, -4.0]], atol=1e-12)
     np.testing.assert_allclose(seen.state[:, 2:], [[0.0, 1.0, 12.0, 0.0], [0.0, 1.0, 12.0, 1.0]], atol=1e-12)
@@ -84,22 +76,14 @@ def test_wall_coordinates_of_a_facade() -> None:
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_wall_coordinates_know_no_turn_and_no_side(mirrored: bool) -> None:
     other = turned(STATE, 0.7, mirrored)
-    one, two = (in_frames(scene, image_frames(scene, "wall")) for scene in (STATE, other))
+    one, two = (in_frames(scene, wall_frames(scene)) for scene in (STATE, other))
     np.testing.assert_allclose(two.images_m, one.images_m, atol=1e-12)
     np.testing.assert_allclose(two.patch_m, one.patch_m, atol=1e-12)
     np.testing.assert_allclose(two.state, one.state, atol=1e-12)
 
 
-def test_published_axes_run_right_and_ahead() -> None:
-    """Science of the released labels: x = r sin(-azimuth), y = r cos(azimuth)."""
-    seen = in_frames(STATE, image_frames(STATE, "published"))
-    np.testing.assert_allclose(seen.images_m, [[-3.0, 20.0], [4.0, 16.0]])
-    np.testing.assert_allclose(seen.state[0], [-3.0, 20.0, 0.0, -1.0, 12.0, 0.0])
-
-
-@pytest.mark.parametrize("frame", ["radar", "wall", "published"])
-def test_offsets_go_there_and_back(frame: ResidualFrame) -> None:
-    frames = image_frames(turned(STATE, 0.3), frame)
+def test_offsets_go_there_and_back() -> None:
+    frames = wall_frames(STATE)
     offsets_m = np.array([[1.0, 2.0], [-0.5, 0.25]])
     np.testing.assert_allclose(frames.to_radar(frames.from_radar(offsets_m)), offsets_m, atol=1e-12)
     # the difference of two points turns as an offset does
@@ -114,27 +98,25 @@ def test_long_corrections_are_scaled_down_and_short_ones_stay() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_answers_what_torch_answers(
-    models: dict[str, Path], network: ResidualReflectNet, count: int, monkeypatch: pytest.MonkeyPatch
+    model: Path, network: ResidualReflectNet, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(residual_model, "MAX_SHIFT_M", 1e3)
     part = ReflectionState(STATE.images_m[:count], STATE.patch_m[:count], STATE.state[:count])
-    offsets_m = LearnedResidual(models["radar"])(part)
+    offsets_m = LearnedResidual(model)(part)
+    frames = wall_frames(part)
+    seen = in_frames(part, frames)
     with torch.no_grad():
-        arrays = (torch.from_numpy(a.astype(np.float32)) for a in (part.images_m, part.patch_m, part.state))
-        wanted_m = network(*arrays).numpy()
+        arrays = (torch.from_numpy(a.astype(np.float32)) for a in (seen.images_m, seen.patch_m, seen.state))
+        wanted_m = frames.to_radar(network(*arrays).numpy())
     assert offsets_m.shape == (count, 2)
     np.testing.assert_allclose(offsets_m, wanted_m, atol=PARITY_M)
 
 
-def test_in_wall_coordinates_the_correction_turns_with_the_scene(models: dict[str, Path]) -> None:
-    """float32 inside: equal to 1e-4 m; in radar coordinates the same network answers otherwise."""
+def test_the_correction_turns_with_the_scene(model: Path) -> None:
+    """float32 inside: equal to 1e-4 m."""
     turn = np.array([[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]])
-    turns = {}
-    for frame in ("radar", "wall"):
-        learned = LearnedResidual(models[frame])
-        turns[frame] = np.abs(learned(turned(STATE, 0.7)) - learned(STATE) @ turn.T).max()
-    assert turns["wall"] < 1e-4
-    assert turns["radar"] > 1e-2
+    learned = LearnedResidual(model)
+    np.testing.assert_allclose(learned(turned(STATE, 0.7)), learned(STATE) @ turn.T, atol=1e-4)
 
 
 def test_a_network_that_throws_is_held(network: ResidualReflectNet, tmp_path: Path) -> None:
@@ -144,7 +126,7 @@ def test_a_network_that_throws_is_held(network: ResidualReflectNet, tmp_path: Pa
     with torch.no_grad():
         thrower.decoder[-1].bias.copy_(torch.tensor([300.0, -400.0]))
     learned = LearnedResidual(written(thrower, tmp_path / "thrower.onnx"))
-    np.testing.assert_allclose(learned(STATE), [[3.0, -4.0], [3.0, -4.0]], atol=1e-6)
+    np.testing.assert_allclose(learned(STATE), wall_frames(STATE).to_radar(np.array([[3.0, -4.0]] * 2)), atol=1e-6)
 
 
 def test_input_that_is_not_finite_is_refused_with_its_image(model: Path) -> None:
@@ -170,7 +152,7 @@ def change_card(model: Path, **changes: object) -> None:
         ({"sha256": "0" * 64}, r"residual\.onnx: sha256 must be 0{64} as its card says, got"),
         ({"neighbours": 8}, r"residual\.onnx: inputs and output of the network must be .*\(8, 2\).*got .*\(16, 2\)"),
         ({"neighbours": 0}, r"residual\.json: card\.neighbours must be at least 1, got 0"),
-        ({"frame": "moon"}, r"residual\.json: frame: .*'moon'; known are published, radar, wall"),
+        ({"frame": "moon"}, r"residual\.json: frame: .*'moon'; known are wall"),
     ],
 )
 def test_a_card_that_does_not_belong_is_refused(model: Path, changes: dict[str, object], message: str) -> None:

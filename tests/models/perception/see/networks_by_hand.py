@@ -58,7 +58,7 @@ def written(folder: Path, network: torch.nn.Module, name: str) -> Path:
     names = {"input_names": ["cells"], "output_names": ["answer"]}
     fields, path = folder / "fields.onnx", folder / f"{name}.onnx"
     write_onnx(_Fields(), (torch.zeros(1, *FIELDS.shape),), fields, **names)  # type: ignore[arg-type]
-    shape = (1, FIELD_ANSWERS, FIELDS.seen_bins, GRID.azimuth_bins)
+    shape = (1, FIELD_ANSWERS, FIELDS.range_bins, GRID.azimuth_bins)
     write_card(
         FieldCard(
             name="fields", sha256=file_sha256(fields), parameters=0, encoding=FIELDS, grid=GRID,

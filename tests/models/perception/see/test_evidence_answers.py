@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 
 from models.perception.mirrors.mirror_table import wall_arrays
-from models.perception.see.detections import (
-    ANSWERS,
-    CENTRE,
-    CLASS,
-    CLASSES,
-    HEADING,
-    LOG_SIZE,
-    LOG_STD,
-    OBJECT,
-    PLACE,
-)
+from models.perception.see.detections import ANSWERS, CENTRE, CLASS, CLASSES, HEADING, LOG_SIZE, LOG_STD, OBJECT, PLACE
 from models.perception.see.evidence_answers import _image, evidence_detections
 from models.perception.see.gathering import BirdsEyeGrid
 from msgs.values.perception import Wall

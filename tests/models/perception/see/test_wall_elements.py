@@ -10,20 +10,13 @@ import pytest
 from lab.training.data.field_samples import first_walls
 from models.perception.mirrors.mirror_table import nearest_walls, wall_arrays
 from models.perception.see.scan_evidence import certainties
-from models.perception.see.wall_elements import (
-    ELEMENT_STD_M,
-    WallGrowth,
-    further_walls,
-    grown_walls,
-    wall_elements,
-)
+from models.perception.see.wall_elements import ELEMENT_STD_M, further_walls, grown_walls, wall_elements
 from msgs.values.perception import Wall
 from tests.models.perception.see.fields import AZIMUTH_RAD, GRID, Ends, perfect_answer, walls_of
 
 
 def grown(answer: np.ndarray) -> list[Wall]:
-    growth = WallGrowth()
-    return grown_walls(wall_elements(answer, GRID, growth.least), growth)[0]
+    return grown_walls(wall_elements(answer, GRID))[0]
 
 
 @pytest.mark.parametrize(
@@ -95,8 +88,8 @@ def test_a_direction_meets_its_nearest_wall() -> None:
 
 def test_certainty_support_and_walls_known_already() -> None:
     answer = perfect_answer(walls_of(((20.0, -8.0), (20.0, 9.0))))
-    elements = wall_elements(answer, GRID, 0.2)
-    walls, _ = grown_walls(elements, WallGrowth())
+    elements = wall_elements(answer, GRID)
+    walls, _ = grown_walls(elements)
     elsewhere = Wall(normal=(0.0, -1.0), offset_m=6.0, ends_m=((10.0, 6.0), (20.0, 6.0)), inliers=4)
     arrays = wall_arrays([*walls, elsewhere])
     certainty = certainties(arrays, answer, GRID)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from models.perception.see.wall_elements import WallElements, WallGrowth, grown_walls, weighed_together
+from models.perception.see.wall_elements import WallElements, grown_walls, weighed_together
 from models.perception.see.wall_memory import EARLIER_SCANS, RadarPose, WallMemory
 from msgs.values.frames import Pose2
 
@@ -35,13 +35,13 @@ def test_parts_of_a_wall_of_several_scans_are_one_wall() -> None:
         memory.move(pose(number))
         earlier = memory.earlier()
         memory.add(elements)
-    walls, _ = grown_walls(weighed_together([scans[-1], *earlier]), WallGrowth())
+    walls, _ = grown_walls(weighed_together([scans[-1], *earlier]))
     (wall,) = walls
     radar_from_odom = pose(3).odom_from_radar.inverse()
     ends_m = radar_from_odom.apply(np.array([[0.0, WALL_Y_M], [16.5, WALL_Y_M]]))
     np.testing.assert_allclose(sorted(map(tuple, wall.ends_m)), sorted(map(tuple, ends_m)), atol=1e-6)
     # alone, the last scan shows its own five metres
-    (alone,), _ = grown_walls(scans[-1], WallGrowth())
+    (alone,), _ = grown_walls(scans[-1])
     np.testing.assert_allclose(math.dist(*alone.ends_m), 4.5, atol=1e-6)
 
 

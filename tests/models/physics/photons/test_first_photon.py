@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from models.physics.photons.first_photon import (
-    first_photon_histogram,
-    first_photon_probability,
-)
+from models.physics.photons.first_photon import first_photon_histogram, first_photon_probability
 from tests.models.physics.photons.histograms import bins_of_ticks, mean_counts_of
 
 #: Table 2: 15 MHz, 512 bins, 55 ps a tick; 1e12 / (512 * 15e6 * 55) ticks a bin.
