@@ -55,9 +55,7 @@ def test_every_format_gives_the_same_states(suffix: str, tmp_path: Path, capsys:
 
 
 @pytest.mark.parametrize("at", [1, 150, 299])
-@pytest.mark.parametrize(
-    "step_s", [-1e9, -100.0, 3600.0, 1e6], ids=["-32 years", "-100 s", "an hour", "11 days"]
-)  # fmt: skip
+@pytest.mark.parametrize("step_s", [-1e9, 3600.0], ids=["-32 years", "an hour"])
 def test_a_clock_that_was_set_costs_no_time(
     step_s: float, at: int, tmp_path: Path, caplog: pytest.LogCaptureFixture, drive: Path
 ) -> None:
