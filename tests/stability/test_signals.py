@@ -21,7 +21,7 @@ from models.physics.waveform import (
     window_noise_gain,
 )
 from msgs.values.perception import PathClass, Peaks
-from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_weights, noise_bank
@@ -30,7 +30,7 @@ from sim_player.signal.literal import literal_echoes
 from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_table import Paths
-from tests.builders import example_beam, example_map
+from tests.builders import beam_of, example_beam, example_map
 from tests.sim_player.signal.references import ALL, beat_terms, converted
 from tests.sim_player.signal.test_levels import some_paths
 from tests.stability.catalogue import Errors
@@ -45,17 +45,8 @@ def _form(setup: RadarSetup, samples: np.ndarray, state: VehicleState | None = N
     """Every beam brings the same samples."""
     former = RaFormer(setup, FormingParams(**params))
     maps = []
-    for index, azimuth_rad in enumerate(setup.beams.azimuth_rad):
-        beam = RadarBeam(
-            stamp_ns=index * setup.beam_interval_ns,
-            scan_id=0,
-            beam_index=index,
-            beam_count=len(setup.beams),
-            azimuth_rad=float(azimuth_rad),
-            samples=samples,
-            full_scale_dbm=setup.full_scale_dbm,
-        )
-        maps += former.add(beam, state)
+    for index in range(len(setup.beams)):
+        maps += former.add(beam_of(setup, index, samples), state)
     assert np.isfinite(maps[0].values).all()
     return maps[0]
 

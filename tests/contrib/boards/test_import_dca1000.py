@@ -16,8 +16,9 @@ from mirrorwave.cli import main
 from models.perception.find.cfar import CfarParams, detect
 from models.perception.form.ra_former import RaFormer
 from msgs.recording.mcap import RecordingReader
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
+from tests.builders import example_map
 from tests.captures import DATA, needs
 
 TASK3 = DATA / "awr1843_com405_task3"
@@ -269,15 +270,8 @@ def test_maps_serve_the_detectors(tmp_path: Path) -> None:
         assert maps["values"].shape == (2, *grid.shape)
         assert maps["stamp_ns"].tolist() == [0, 40_000_000]
         assert np.array_equal(maps["range_m"], grid.range_m)
-        ra_map = RangeAzimuthMap(
-            stamp_ns=int(maps["stamp_ns"][0]),
-            scan_id=int(maps["scan_id"][0]),
-            grid=grid,
-            values=maps["values"][0],
-            azimuth_stamp_ns=np.full(grid.azimuth_bins, maps["stamp_ns"][0]),
-            noise_power_mw=float(maps["noise_power_mw"][0]),
-            incoherent=np.zeros(grid.range_bins, bool),
-        )
+        noise_power_mw = float(maps["noise_power_mw"][0])
+        ra_map = example_map(maps["values"][0], grid=grid, noise_power_mw=noise_power_mw)
     peaks = detect(ra_map, CfarParams())
     assert peaks.range_m[0] == pytest.approx(RANGE_M, abs=0.05)
     assert np.degrees(peaks.azimuth_rad[0]) == pytest.approx(AZIMUTH_DEG, abs=0.5)

@@ -30,7 +30,7 @@ from msgs.values.node_params import NodeParams, ParamRequest
 from msgs.values.perception import BevFrame, HiddenPoint, Peaks, SceneTruth, TruthObject, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid
 from msgs.values.vehicle import VehicleState
-from tests.builders import example_map, example_object, example_status, example_track
+from tests.builders import example_map, example_object, example_status, example_track, peaks_at
 from tests.side_sensors import cloud, jpeg
 
 RANDOM = np.random.default_rng(7)
@@ -51,19 +51,7 @@ def beam(**changes: object) -> RadarBeam:
 
 
 def peaks(count: int) -> Peaks:
-    column = RANDOM.random(count)
-    return Peaks(
-        stamp_ns=1,
-        scan_id=1,
-        range_m=column,
-        azimuth_rad=column,
-        score=column,
-        path_class=np.zeros(count, np.uint8),
-        covariance=np.zeros((count, 2, 2)),
-        peak_stamp_ns=np.arange(count, dtype=np.int64),
-        snr_db=column,
-        missing_beams=(3, 4),
-    )
+    return peaks_at(RANDOM.random((count, 2)), stamp_ns=1, scan_id=1, missing_beams=(3, 4))
 
 
 def bev() -> BevFrame:
