@@ -231,7 +231,7 @@ def test_a_channel_comes_back_as_it_went_in() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("masks", [(1, 4, 2), (1, 2, 4), (2, 1, 4)])
+@pytest.mark.parametrize("masks", [(1, 4, 2), (2, 1, 4)])
 def test_a_higher_transmitter_is_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], masks: tuple[int, ...]
 ) -> None:
@@ -277,12 +277,8 @@ def test_maps_serve_the_detectors(tmp_path: Path) -> None:
     assert np.degrees(peaks.azimuth_rad[0]) == pytest.approx(AZIMUTH_DEG, abs=0.5)
 
 
-@pytest.mark.parametrize("range_m", [3.0, 2.4])
-def test_a_card_that_takes_two_of_four_lanes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, range_m: float
-) -> None:
+def test_a_card_that_takes_two_of_four_lanes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Samples 0, 1, 4, 5, ... are stored; the point stands where it is, at 3.0 m of 3.1, and the loss is named."""
-    monkeypatch.setattr("tests.contrib.boards.test_import_dca1000.RANGE_M", range_m)
     stored = point()[..., np.arange(SAMPLES) % 4 < 2]
     config = as_json_config() | {"sent_lanes": 4}
     words = write(tmp_path, two_lanes(stored) * 2, json.dumps(config), "json")
@@ -313,7 +309,7 @@ FRAME = two_lanes(point())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cut", [1, 2, 3, 4, 4 * SAMPLES, len(FRAME) // 2, len(FRAME) - 1, len(FRAME)])
+@pytest.mark.parametrize("cut", [1, len(FRAME) // 2, len(FRAME)])
 def test_a_cut_last_frame_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int) -> None:
     """Whole frames are kept, code 3, and the loss is named; down to within a sample."""
     assert main([*write(tmp_path, (FRAME * 2)[:-cut]), "--json"]) == 3
