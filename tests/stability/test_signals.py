@@ -397,24 +397,9 @@ def test_float32_fft_of_a_hundred_decibel_scene() -> None:
 def _echoes(length_m: np.ndarray, amplitude: float) -> Paths:
     """Echoes straight ahead, all of one weight."""
     count = len(length_m)
-    zeros, index = np.zeros(count), np.zeros(count, np.int32)
-    return Paths(
-        kind=index.astype(np.uint8),
-        length_m=length_m,
-        radial_speed_mps=zeros,
-        azimuth_rad=zeros,
-        elevation_rad=zeros,
-        departure_azimuth_rad=zeros,
-        departure_elevation_rad=zeros,
-        amplitude=np.full(count, amplitude, np.complex128),
-        order=index.astype(np.uint8),
-        needs=index.astype(np.uint32),
-        surface=index,
-        object_index=index,
-        chain=index.astype(np.uint64),
-        point_m=np.zeros((count, 3)),
-        virtual_m=np.zeros((count, 3)),
-    )
+    ahead = dict.fromkeys(("azimuth_rad", "elevation_rad"), np.zeros(count))
+    ahead |= {f"departure_{name}": zeros for name, zeros in ahead.items()}
+    return replace(some_paths(count, 1.0), length_m=length_m, amplitude=np.full(count, amplitude + 0j), **ahead)
 
 
 STATIC = SignalEffects(mutual_coupling=True, squint=True, chirp_overlap=True, flicker=True, leakage=True)

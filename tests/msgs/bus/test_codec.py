@@ -259,6 +259,11 @@ def test_numpy_numbers_travel_as_plain_ones() -> None:
     assert received == VehicleState(stamp_ns=3, speed_mps=1.5, valid=False)
 
 
+def test_unknown_topic_is_not_sent() -> None:
+    with pytest.raises(CodecError, match="unknown topic 'radar/nothing'"):
+        encode(envelope("radar/nothing"), VehicleState(stamp_ns=1))
+
+
 def test_oversize_is_not_sent_and_not_read() -> None:
     text = LogRecord(stamp_ns=1, node="a", level="info", text="x" * TOPICS["log"].max_bytes)
     with pytest.raises(CodecError, match="exceeds 65536"):
