@@ -28,7 +28,7 @@ PLAN = SimulatorPlan(
     seed=3,
     repeats=1,
     literal_beams=1,
-    cases={"effect budget": 1, "all but": 1, "rays": 1, "fdtd": 1},
+    cases={"effect budget": 2, "all but": 1, "rays": 2, "fdtd": 2},
     settings={
         "effect budget": ["basic", -20.0, -50.0, 0.0, "all"],
         "all but": ["all", "element_pattern", "no such effect"],
