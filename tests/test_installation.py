@@ -27,9 +27,10 @@ INDIRECT = {"websockets"}
 #: Import name -> distribution, where they differ.
 DISTRIBUTIONS = {"PIL": "pillow", "can": "python-can", "yaml": "pyyaml", "zmq": "pyzmq"}
 #: What only extras bring, and what only type checkers read.
-OPTIONAL = set(
-    ("cyclonedds onnx open3d osmium pytest ray rosbags h5py shapely submitit torch typing_extensions").split()
-)
+OPTIONAL = {
+    "cyclonedds", "onnx", "open3d", "osmium", "pytest", "ray", "rosbags", "h5py", "shapely", "submitit", "torch",
+    "typing_extensions",
+}  # fmt: skip
 
 
 #: A module whose kernels the installation compiles and keeps itself; the others' are lent.
