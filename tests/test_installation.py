@@ -28,19 +28,9 @@ INDIRECT = {"websockets"}
 DISTRIBUTIONS = {"PIL": "pillow", "can": "python-can", "yaml": "pyyaml", "zmq": "pyzmq"}
 #: What only extras bring, and what only type checkers read.
 OPTIONAL = {
-    "cyclonedds",
-    "onnx",
-    "open3d",
-    "osmium",
-    "pytest",
-    "ray",
-    "rosbags",
-    "h5py",
-    "shapely",
-    "submitit",
-    "torch",
+    "cyclonedds", "onnx", "open3d", "osmium", "pytest", "ray", "rosbags", "h5py", "shapely", "submitit", "torch",
     "typing_extensions",
-}
+}  # fmt: skip
 
 
 #: A module whose kernels the installation compiles and keeps itself; the others' are lent.

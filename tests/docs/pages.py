@@ -68,8 +68,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
     # the environment of the tests may have been installed before the plug-in was
     (r"^pytest (\S+)$", r"python -m pytest -q -p mirrorwave.testing.fixtures \1"),
     (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
-    # README processes the sample, tests/mirrorwave/commands/captures/test_process.py serves its page
-    (r"^mirrorwave process --sample --view$", "mirrorwave process --help"),
+    # README processes the sample, tests/mirrorwave/commands/captures/test_process.py serves its pages
+    (r"^mirrorwave (?:(process) --sample --view|(view) --sample)$", r"mirrorwave \1\2 --help"),
     (r"^timeout (.*) 20 ", r"timeout \1 5 "),
     # tests/docs/test_notebook.py runs it
     (r"^jupyter execute (\S+)$", r"test -f \1"),

@@ -35,21 +35,9 @@ OF_A_GRAPH = {"docs/guides/two-machines.md"}
 LIVE = re.compile(r"launch [^#\n]*(&|--record)")
 #: What of the checkout a page finds beside it.
 CHECKOUT = (
-    "launch",
-    "docs",
-    "examples",
-    "benchmarks",
-    "models",
-    "msgs",
-    "nodes",
-    "sim_player",
-    "mirrorwave",
-    "tests",
-    "Makefile",
-    "pyproject.toml",
-    "requirements.lock",
-    "requirements-dev.lock",
-)
+    "launch", "docs", "examples", "benchmarks", "models", "msgs", "nodes", "sim_player", "mirrorwave", "tests",
+    "Makefile", "pyproject.toml", "requirements.lock", "requirements-dev.lock",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session")

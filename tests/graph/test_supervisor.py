@@ -311,16 +311,6 @@ def test_wrong_parameters_are_not_tried_again(run_dir: Path) -> None:
     assert log.count("tick FAILED: tick.params.ticks: Expected int, got str") == 1
 
 
-def test_duration_counts_from_ready_and_one_shots_end_the_graph(run_dir: Path) -> None:
-    log = _Log()
-    assert _run(_launch(tick={}), run_dir, log, duration_s=0.2) == 0
-    assert log.count("0.2 s are over") == 1
-    log = _Log()
-    launch = _launch(once={"params": {"ticks": 1}, "restart": {"policy": "never"}}, echo={"params": {"kind": "echo"}})
-    assert _run(launch, run_dir, log) == 0
-    assert log.count("all nodes that run once have ended") == 1
-
-
 def test_two_graphs_do_not_share_a_directory(run_dir: Path) -> None:
     log = _Log()
     seen: list[str] = []

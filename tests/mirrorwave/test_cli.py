@@ -44,8 +44,6 @@ def recording(tmp_path: Path) -> Path:
         (["launch"], 2, "Missing argument"),
         (["launch", "nope.yaml"], 2, "nope.yaml: No such file"),
         (["topic", "hz", "nope"], 2, "unknown topic 'nope'"),
-        (["topic", "echo", "log", "--timeout", "0.1"], 1, "no graph runs in domain"),
-        (["node", "list", "--window", "0.2"], 1, "no graph runs in domain"),
         (["bag", "info", "nope.mcap"], 2, "nope.mcap: no such file"),
         (["topic", "list", "--domain", "../x"], 2, "domain must be"),
     ],
@@ -143,13 +141,6 @@ def test_sound_parameters_start_the_graph(monkeypatch: pytest.MonkeyPatch) -> No
     )
     assert main(["launch", "launch/corner.yaml", "-p", "geometry.object_threshold=0.5"]) == 0
     assert started[0].nodes["geometry"].params["object_threshold"] == 0.5
-
-
-def test_a_launch_file_error_names_the_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "l.yaml"
-    path.write_text("name: x\nnodes: {a: {module: 3}}")
-    assert main(["launch", str(path)]) == 2
-    assert f"{path}: nodes.a.module: Expected str, got int" in capsys.readouterr().err
 
 
 def test_bag_info_tells_what_a_recording_holds(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -251,7 +242,7 @@ def unwrapped(text: str) -> str:
     return "".join(text.split())
 
 
-@pytest.mark.parametrize("width", [60, 66, 72, 80, 90, 100, 120])
+@pytest.mark.parametrize("width", [60, 80, 120])
 def test_no_help_is_cut(width: int) -> None:
     """All that is said of verbs, arguments and options stands in the help."""
     seen = 0

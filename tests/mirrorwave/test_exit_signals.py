@@ -58,16 +58,16 @@ sys.meta_path.insert(0, Hold())
 runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
 #: A module whose import stands for a phase: the command line's own, its verbs', the verb's set-up, its work.
-PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording.mcap"]
-LAUNCH = ["typer", "mirrorwave.completion", "nodes.process.launch_file", "nodes.process.supervisor", "msgs.bus.zmq"]
-RECORD = ["typer", "mirrorwave.commands.captures.bag", "msgs.bus.zmq", "nodes.recorder"]
-NODE = ["psutil", "msgs.bus.interface", "nodes.process.validation", "msgs.bus.zmq", "tests.graph.toy_nodes"]
+PROCESS = ["typer", "mirrorwave.offline", "msgs.recording.mcap"]
+LAUNCH = ["typer", "nodes.process.launch_file", "msgs.bus.zmq"]
+RECORD = ["typer", "mirrorwave.commands.captures.bag", "nodes.recorder"]
+NODE = ["psutil", "msgs.bus.zmq", "tests.graph.toy_nodes"]
 CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED, signal.SIGHUP: HUNG_UP}
 
 
 def phases(helds: list[str]) -> list[tuple[str, signal.Signals]]:
-    """Every phase with Ctrl-C, the first and the last one with the other signals: a phase takes a second."""
-    others = [(held, number) for number in CODES if number != signal.SIGINT for held in (helds[0], helds[-1])]
+    """Every phase with Ctrl-C, the last one with the other signals: a phase takes a second."""
+    others = [(helds[-1], number) for number in CODES if number != signal.SIGINT]
     return [*((held, signal.SIGINT) for held in helds), *others]
 
 

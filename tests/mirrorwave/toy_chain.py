@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import msgspec
-import numpy as np
 
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.perception import BevFrame, Peaks
 from nodes.node import Node
-from tests.builders import example_view
+from tests.builders import example_view, peaks_at
 
 PERIOD_NS = 100_000_000
 
@@ -18,18 +17,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def peaks(stamp_ns: int, scan_id: int) -> Peaks:
-    none = np.zeros(0)
-    return Peaks(
-        stamp_ns=stamp_ns,
-        scan_id=scan_id,
-        range_m=none,
-        azimuth_rad=none,
-        score=none,
-        path_class=np.zeros(0, np.uint8),
-        covariance=np.zeros((0, 2, 2)),
-        peak_stamp_ns=np.zeros(0, np.int64),
-        snr_db=none,
-    )
+    return peaks_at((), stamp_ns=stamp_ns, scan_id=scan_id)
 
 
 class Head(Node):

@@ -8,9 +8,10 @@ import pytest
 
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.values.diagnostics import NodeState
-from msgs.values.radar import ArrayParams, BeamGrid, RadarBeam, RadarParams, RadarSetup
+from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
+from tests.builders import beam_of
 
 SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=8))
 
@@ -25,11 +26,8 @@ def setup() -> Received:
 
 def beam(index: int, scan: int = 0, samples: int = 8192) -> Received:
     noise = np.random.default_rng(index).integers(-300, 300, (8, samples, 2)).astype("<i2")
-    message = RadarBeam(
-        stamp_ns=scan * 300_000_000 + index * SETUP.beam_interval_ns, scan_id=scan, beam_index=index, beam_count=25,
-        azimuth_rad=float(SETUP.beams.azimuth_rad[index]), samples=noise, full_scale_dbm=SETUP.full_scale_dbm,
-    )  # fmt: skip
-    return received(message, "radar/beam")
+    stamp_ns = scan * 300_000_000 + index * SETUP.beam_interval_ns
+    return received(beam_of(SETUP, index, noise, stamp_ns=stamp_ns, scan_id=scan), "radar/beam")
 
 
 def state(stamp_ns: int, speed_mps: float, valid: bool = True) -> Received:

@@ -113,16 +113,6 @@ def test_covariance_through_an_arc_is_that_of_sampled_errors():
     assert abs(np.trace(flat.own_m2[0]) / np.trace(sampled) - 1.0) > 0.1, "the bend must matter here"
 
 
-@pytest.mark.parametrize("curvature", [-0.02, -0.015, 0.015, 0.025])
-def test_bent_walls_are_found_as_arcs(curvature):
-    """20 returns over 20 m at 24 m, errors of good peaks: curvature to 0.006 1/m, over twice its own error."""
-    a, b = np.array([24.0, -10.0]), np.array([24.0, 10.0])
-    points = measured(arc_points(a, b, curvature, np.linspace(0.0, 1.0, 20)), 1)
-    found = walls_of(points)[0]
-    assert found.inliers >= 16
-    assert found.curvature_per_m == pytest.approx(curvature, abs=0.006)
-
-
 def test_straight_walls_stay_straight():
     """In 30 draws of a faced wall and of an oblique one: 3 sigma and 5 nepers leave none bent."""
     for seed in range(30):

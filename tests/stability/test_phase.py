@@ -17,8 +17,8 @@ from msgs.values.vehicle import VehicleState
 from sim_player.signal.compiled_beats import ToneSums
 from sim_player.signal.fmcw import slow_time_table
 from sim_player.signal.switches import PLAIN
-from sim_player.trace.path_table import Paths
 from tests.sim_player.signal.references import literal_beats
+from tests.sim_player.signal.test_levels import one_path
 from tests.stability.catalogue import Errors
 
 TURN_RAD = 2.0 * np.pi
@@ -151,35 +151,13 @@ def test_last_chirp_of_a_frame(errors: Errors, carrier_hz: float) -> None:
     errors(naive=off_rad(np.array(naive), exact), ours=off_rad(np.array(ours), exact))
 
 
-def moving_path(length_m: float, speed_mps: float) -> Paths:
-    """One path straight ahead."""
-    zero = np.zeros(1)
-    return Paths(
-        kind=np.zeros(1, np.uint8),
-        length_m=np.array([length_m]),
-        radial_speed_mps=np.array([speed_mps]),
-        azimuth_rad=zero,
-        elevation_rad=zero,
-        departure_azimuth_rad=zero,
-        departure_elevation_rad=zero,
-        amplitude=np.ones(1, np.complex128),
-        order=np.zeros(1, np.uint8),
-        needs=np.zeros(1, np.uint32),
-        surface=np.full(1, -1, np.int32),
-        object_index=np.zeros(1, np.int32),
-        chain=np.zeros(1, np.uint64),
-        point_m=np.zeros((1, 3)),
-        virtual_m=np.zeros((1, 3)),
-    )
-
-
 @pytest.mark.hard("lab.tradeoff.literal_signal", "f_c (t - tau(t)) with absolute time in float32", 2.4e-9, "rad",
                   "four roundings of 422,000 turns in float64")  # fmt: skip
 def test_last_chirp_of_a_frame_of_a_moving_path(errors: Errors) -> None:
     """A car at 30 m/s at 77 GHz, last of 128 chirps: 5.4 turns of motion stand beside 5e7 of the carrier."""
     radar, length, speed = radar_at(77e9, 512), LENGTH_M[400], 30.0
     setup = RadarSetup(radar=radar, beams=BeamGrid(azimuth_deg=(0.0,)))
-    ours = np.angle(literal_echoes(setup, moving_path(length, speed), PLAIN, chirps=(127,))[0])
+    ours = np.angle(literal_echoes(setup, one_path(length, speed_mps=speed), PLAIN, chirps=(127,))[0])
     since_middle_s = (127 - Fraction(127, 2)) * 512 / Fraction(radar.sample_rate_hz)
     moved_m = 2 * Fraction(speed) * since_middle_s
     exact = [exact_rad(radar, length, n, moved_m) for n in range(512)]

@@ -33,7 +33,7 @@ from models.physics.fresnel import Polarisation, half_space_reflection, slab_ref
 from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import PathClass, Peaks
-from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthMap
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import draw_place
 from sim_player.paths.conversion import as_paths
@@ -43,6 +43,7 @@ from sim_player.scene.segments import Blockers
 from sim_player.scene.world import Snapshot, prepare, snapshot, wall_lines
 from sim_player.trace.path_table import Paths
 from sim_player.trace.routes import mirror_routes, straight_routes
+from tests.builders import beam_of
 
 #: Lengths [m] agree to some hundred spacings of a coordinate.
 ROUNDING_M = 1e-11
@@ -405,18 +406,7 @@ def formed(setup: RadarSetup, samples: np.ndarray) -> RangeAzimuthMap:
     former = RaFormer(setup)
     maps: list[RangeAzimuthMap] = []
     for index, one in enumerate(samples):
-        azimuth_rad = float(setup.beams.azimuth_rad[index])
-        maps += former.add(
-            RadarBeam(
-                stamp_ns=index * setup.beam_interval_ns,
-                scan_id=0,
-                beam_index=index,
-                beam_count=len(samples),
-                azimuth_rad=azimuth_rad,
-                samples=one,
-                full_scale_dbm=setup.full_scale_dbm,
-            )
-        )
+        maps += former.add(beam_of(setup, index, one))
     return maps[0]
 
 

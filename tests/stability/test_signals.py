@@ -16,7 +16,7 @@ from models.perception.form.ra_forming import FormingParams
 from models.perception.form.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad, beat_samples, range_profile, window_noise_gain
 from msgs.values.perception import PathClass, Peaks
-from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_weights, noise_bank
@@ -24,7 +24,7 @@ from sim_player.signal.levels import beam_beats, echo_terms, kernel_profiles, re
 from sim_player.signal.receiver import flicker_ratio, spur_profile
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_table import Paths
-from tests.builders import example_beam, example_map
+from tests.builders import beam_of, example_beam, example_map
 from tests.sim_player.signal.references import ALL, beat_terms, converted
 from tests.sim_player.signal.test_levels import some_paths
 from tests.stability.catalogue import Errors
@@ -39,17 +39,8 @@ def _form(setup: RadarSetup, samples: np.ndarray, state: VehicleState | None = N
     """Every beam brings the same samples."""
     former = RaFormer(setup, FormingParams(**params))
     maps = []
-    for index, azimuth_rad in enumerate(setup.beams.azimuth_rad):
-        beam = RadarBeam(
-            stamp_ns=index * setup.beam_interval_ns,
-            scan_id=0,
-            beam_index=index,
-            beam_count=len(setup.beams),
-            azimuth_rad=float(azimuth_rad),
-            samples=samples,
-            full_scale_dbm=setup.full_scale_dbm,
-        )
-        maps += former.add(beam, state)
+    for index in range(len(setup.beams)):
+        maps += former.add(beam_of(setup, index, samples), state)
     assert np.isfinite(maps[0].values).all()
     return maps[0]
 
@@ -400,24 +391,9 @@ def test_float32_fft_of_a_hundred_decibel_scene() -> None:
 def _echoes(length_m: np.ndarray, amplitude: float) -> Paths:
     """Echoes straight ahead, all of one weight."""
     count = len(length_m)
-    zeros, index = np.zeros(count), np.zeros(count, np.int32)
-    return Paths(
-        kind=index.astype(np.uint8),
-        length_m=length_m,
-        radial_speed_mps=zeros,
-        azimuth_rad=zeros,
-        elevation_rad=zeros,
-        departure_azimuth_rad=zeros,
-        departure_elevation_rad=zeros,
-        amplitude=np.full(count, amplitude, np.complex128),
-        order=index.astype(np.uint8),
-        needs=index.astype(np.uint32),
-        surface=index,
-        object_index=index,
-        chain=index.astype(np.uint64),
-        point_m=np.zeros((count, 3)),
-        virtual_m=np.zeros((count, 3)),
-    )
+    ahead = dict.fromkeys(("azimuth_rad", "elevation_rad"), np.zeros(count))
+    ahead |= {f"departure_{name}": zeros for name, zeros in ahead.items()}
+    return replace(some_paths(count, 1.0), length_m=length_m, amplitude=np.full(count, amplitude + 0j), **ahead)
 
 
 STATIC = SignalEffects(mutual_coupling=True, squint=True, chirp_overlap=True, flicker=True, leakage=True)

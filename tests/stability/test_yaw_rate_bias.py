@@ -42,10 +42,10 @@ def test_the_clock_of_the_epoch_changes_nothing(errors: Errors) -> None:
 
 
 @pytest.mark.slow
-def test_the_covariance_stays_one_over_hours() -> None:
-    """Two hours of town without a rest: no eigenvalue below zero, and a standard deviation that has settled."""
+def test_the_covariance_stays_one_over_an_hour() -> None:
+    """An hour of town without a rest: no eigenvalue below zero, and a standard deviation that has settled."""
     bias, part = DrivingBias(), drive(60.0, town, turns)
-    for minute in range(120):
+    for minute in range(60):
         for state in part[:: 1 if minute < 2 else 5]:
             bias.add(msgspec.structs.replace(state, stamp_ns=state.stamp_ns + minute * 60_000_000_000))
         if minute % 20 == 0:
@@ -116,7 +116,7 @@ numbers = st.one_of(st.floats(-20.0, 20.0), st.sampled_from([0.0, -0.0, 5e-324, 
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     st.lists(
         st.tuples(

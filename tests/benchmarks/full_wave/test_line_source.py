@@ -36,10 +36,10 @@ def scattered(media: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("point_m", "eps"),
-    [((0.42, 0.0), CONDUCTOR_PERMITTIVITY), ((0.24, 0.24), CONDUCTOR_PERMITTIVITY), ((0.36, -0.15), 3.0)],
+    [((0.24, 0.24), CONDUCTOR_PERMITTIVITY), ((0.36, -0.15), 3.0)],
 )
 def test_echo_of_a_thread_is_two_hankel_functions(point_m: tuple[float, float], eps: complex) -> None:
-    """Layout: line source, one node of metal or dielectric 0.34 to 0.42 m away. Analytic: F H0(k r)^2.
+    """Layout: line source, one node of metal or dielectric 0.34 to 0.39 m away. Analytic: F H0(k r)^2.
 
     Bias: wave number and line source are the grid's, so dispersion is none; far field of the lattice, float32:
     0.03 dB, 0.3 deg. Tolerance 0.05 dB, 0.5 deg. Without the source's gain on the lattice it is 0.14 to 0.28 dB.

@@ -183,25 +183,6 @@ def test_wrong_shapes_and_grids_are_refused() -> None:
 
 
 @needs(AWR)
-def test_real_77_ghz_capture() -> None:
-    """Indoor capture of a slow mover: 2.93 m (bin 60), 0.58 m/s, 6.5 deg off boresight as channel phases tell.
-
-    One receiver is 15 deg off the phase front, so the angle is good to about a degree; the side is not documented.
-    """
-    raw = np.load(AWR)
-    samples = (_unwrapped(raw.real) + 1j * _unwrapped(raw.imag)).astype(np.complex64)
-    params = DigitalArrayParams(remove_static=True)
-    formed = form_digital_map(samples, params, _grid(params, 128, 128))
-    # the first metre is the transmitter's own leakage
-    values = np.abs(formed.map.values[20:])
-    row, column = np.unravel_index(np.argmax(values), values.shape)
-    assert row + 20 == 60
-    assert formed.map.grid.range_m[row + 20] == pytest.approx(2.93, abs=0.03)
-    assert abs(formed.closing_speed_mps[row + 20, column]) == pytest.approx(0.58, abs=0.05)
-    assert abs(np.degrees(formed.map.grid.azimuth_rad[column])) == pytest.approx(6.5, abs=1.0)
-
-
-@needs(AWR)
 def test_real_channels_without_their_slots() -> None:
     """The mover's documented phases, 20.5 deg an element once 9.8 deg of its Doppler between slots are taken off.
 

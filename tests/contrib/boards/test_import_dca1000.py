@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from contrib.boards.dca1000_capture import array_params, frame_samples, parse_cfg, parse_json
+from contrib.boards.dca1000_capture import frame_samples, parse_cfg, parse_json
 from mirrorwave.cli import main
 from models.perception.find.cfar import CfarParams, detect
 from models.perception.form.ra_former import RaFormer
 from msgs.recording.mcap import RecordingReader
-from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
+from tests.builders import example_map
 from tests.captures import DATA, needs
 
 TASK3 = DATA / "awr1843_com405_task3"
@@ -230,7 +231,7 @@ def test_a_channel_comes_back_as_it_went_in() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("masks", [(1, 4, 2), (1, 2, 4), (2, 1, 4)])
+@pytest.mark.parametrize("masks", [(1, 4, 2), (2, 1, 4)])
 def test_a_higher_transmitter_is_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], masks: tuple[int, ...]
 ) -> None:
@@ -269,26 +270,15 @@ def test_maps_serve_the_detectors(tmp_path: Path) -> None:
         assert maps["values"].shape == (2, *grid.shape)
         assert maps["stamp_ns"].tolist() == [0, 40_000_000]
         assert np.array_equal(maps["range_m"], grid.range_m)
-        ra_map = RangeAzimuthMap(
-            stamp_ns=int(maps["stamp_ns"][0]),
-            scan_id=int(maps["scan_id"][0]),
-            grid=grid,
-            values=maps["values"][0],
-            azimuth_stamp_ns=np.full(grid.azimuth_bins, maps["stamp_ns"][0]),
-            noise_power_mw=float(maps["noise_power_mw"][0]),
-            incoherent=np.zeros(grid.range_bins, bool),
-        )
+        noise_power_mw = float(maps["noise_power_mw"][0])
+        ra_map = example_map(maps["values"][0], grid=grid, noise_power_mw=noise_power_mw)
     peaks = detect(ra_map, CfarParams())
     assert peaks.range_m[0] == pytest.approx(RANGE_M, abs=0.05)
     assert np.degrees(peaks.azimuth_rad[0]) == pytest.approx(AZIMUTH_DEG, abs=0.5)
 
 
-@pytest.mark.parametrize("range_m", [3.0, 2.4])
-def test_a_card_that_takes_two_of_four_lanes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, range_m: float
-) -> None:
+def test_a_card_that_takes_two_of_four_lanes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Samples 0, 1, 4, 5, ... are stored; the point stands where it is, at 3.0 m of 3.1, and the loss is named."""
-    monkeypatch.setattr("tests.contrib.boards.test_import_dca1000.RANGE_M", range_m)
     stored = point()[..., np.arange(SAMPLES) % 4 < 2]
     config = as_json_config() | {"sent_lanes": 4}
     words = write(tmp_path, two_lanes(stored) * 2, json.dumps(config), "json")
@@ -319,7 +309,7 @@ FRAME = two_lanes(point())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cut", [1, 2, 3, 4, 4 * SAMPLES, len(FRAME) // 2, len(FRAME) - 1, len(FRAME)])
+@pytest.mark.parametrize("cut", [1, len(FRAME) // 2, len(FRAME)])
 def test_a_cut_last_frame_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int) -> None:
     """Whole frames are kept, code 3, and the loss is named; down to within a sample."""
     assert main([*write(tmp_path, (FRAME * 2)[:-cut]), "--json"]) == 3
@@ -541,16 +531,6 @@ def test_full_scale_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main([*write(tmp_path, codes.tobytes() + FRAME), "--json"]) == 0
     frames = json.loads(capsys.readouterr().out)["per_frame"]
     assert [each["saturated_share"] for each in frames] == [0.25, 0.0]
-
-
-def test_array_of_the_documented_board() -> None:
-    """Chirps of the real capture's notes: 78.956 GHz in the middle, 0.0488 m, 5.16 m/s."""
-    config = parse_cfg(real_cfg(), "real.cfg")
-    params = array_params(config)
-    assert params.carrier_hz == pytest.approx(78.956e9, rel=1e-5)
-    assert params.range_bin_m(128) == pytest.approx(0.0488, abs=1e-4)
-    assert params.channel_slot == (0, 0, 0, 0, 1, 1, 1, 1)
-    assert np.abs(params.closing_speed_mps(128)).max() == pytest.approx(5.16, abs=0.01)
 
 
 def real_cfg() -> str:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from contrib.boards.dca1000_capture import array_params, parse_cfg
+from contrib.boards.dca1000_capture import parse_cfg
 from contrib.boards.mmwave_studio import parse_lua
-from tests.captures import DATA, needs
 from tests.contrib.boards.test_import_dca1000 import CFG, SAMPLES
 
-TASK3 = DATA / "awr1843_com405_task3" / "1843_config_debug_task3.lua"
 #: The chirps of `CFG`.
 LUA = f"""-- two transmitters of a row take turns
 --[[ a comment
@@ -99,17 +97,3 @@ def test_what_is_not_read_is_named(old: str, new: str, rule: str) -> None:
         parse_lua(LUA.replace(old, new, 1), "a.lua")
     assert rule in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-@needs(TASK3)
-def test_the_script_of_a_real_capture() -> None:
-    """Chirps in the order TX 2, 1, 3 (counted from 1), of which the second, higher, is no part of the azimuth row."""
-    config = parse_lua(TASK3.read_text(), "task3.lua")
-    assert (config.device, config.transmitters, config.used_chirps) == ("xwr18xx", (1, 0, 2), (1, 2))
-    # four lanes are switched on, of which the card takes two
-    assert (config.sent_lanes, config.lanes, config.frame_shape) == (4, 2, (1, 3, 4, 64))
-    assert (config.frame.frames, config.frame.period_ms, config.profile.rx_gain_db) == (1000, 20, 30)
-    params = array_params(config)
-    assert params.channel_slot == (1, 1, 1, 1, 2, 2, 2, 2)
-    assert params.range_bin_m(64) == pytest.approx(0.0453, abs=1e-4)
-    assert params.chirp_interval_s == pytest.approx(68.89e-6, rel=1e-12)

@@ -221,15 +221,6 @@ def test_a_short_burst_is_left_out_and_named(monkeypatch: pytest.MonkeyPatch, ki
 
 
 @needs_library
-def test_a_burst_without_numbers_is_left_out(monkeypatch: pytest.MonkeyPatch, library: Any) -> None:
-    node = start(monkeypatch, library)
-    device = node._device
-    monkeypatch.setattr(device, "_burst", lambda: [np.full(4000, np.nan), np.zeros(4000)])
-    turns(node, 2)
-    assert "must be finite" in node.health()[1]
-
-
-@needs_library
 def test_a_slow_radar_says_so(monkeypatch: pytest.MonkeyPatch, library: Any) -> None:
     """Three beams a scan, each 0.2 s late: no hurry, and a word after the first scan."""
     node = start(monkeypatch, library, azimuth_deg=[-20.0, 0.0, 20.0], cn0566={"scan_period_s": 0.3})

@@ -21,8 +21,8 @@ from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.recording.sigmf import write_capture
 from msgs.values.diagnostics import NodeState
-from msgs.values.frames import Pose2, polar_from_xy
-from msgs.values.perception import PathClass, Peaks
+from msgs.values.frames import Pose2
+from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes import player as player_node
@@ -32,6 +32,7 @@ from sim_player.drive import Drive
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface, load_scene, scene_to_yaml
 from sim_player.scene.front_end import FrontEnd, Spur
+from tests.builders import peaks_at
 from tests.contrib.calibrate.test_mounting import (
     AZIMUTH_STD_RAD,
     LATE_S,
@@ -168,19 +169,7 @@ def peaks_recording(path: Path, way: Drive, scans: int) -> Path:
 
 
 def peaks(stamp_ns: int, scan_id: int, points_m: np.ndarray) -> Peaks:
-    range_m, azimuth_rad = polar_from_xy(points_m)
-    count = len(points_m)
-    return Peaks(
-        stamp_ns=stamp_ns,
-        scan_id=scan_id,
-        range_m=range_m,
-        azimuth_rad=azimuth_rad,
-        score=np.full(count, 0.9),
-        path_class=np.full(count, PathClass.LOS, np.uint8),
-        covariance=np.tile(np.diag([RANGE_STD_M**2, AZIMUTH_STD_RAD**2]), (count, 1, 1)),
-        peak_stamp_ns=np.full(count, stamp_ns, np.int64),
-        snr_db=np.full(count, 25.0),
-    )
+    return peaks_at(points_m, (), (RANGE_STD_M, AZIMUTH_STD_RAD), stamp_ns=stamp_ns, scan_id=scan_id)
 
 
 @pytest.mark.slow

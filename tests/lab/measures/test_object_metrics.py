@@ -19,6 +19,7 @@ from lab.measures.object_rows import HiddenRow, ImageTruth, ReportRow, ScanRow, 
 from models.scores.object_error import object_distances
 from models.scores.object_matching import match_objects
 from msgs.values.perception import HiddenObject, SceneTruth, Track, TruthObject
+from tests.builders import example_object, example_truth
 
 SHOWN = ImageTruth(direct=False, mirrored=True, snr_db=30.0, single_snr_db=30.0)
 IN_SIGHT = ImageTruth(direct=True, mirrored=True, snr_db=30.0, single_snr_db=None)
@@ -26,10 +27,7 @@ NEVER_SHOWN = ImageTruth(direct=False, mirrored=False, snr_db=None, single_snr_d
 
 
 def report(x: float, y: float, score: float = 0.95, stamp_ns: int = 0) -> HiddenObject:
-    return HiddenObject(
-        id=0, x_m=x, y_m=y, length_m=2.0, width_m=1.0, yaw_rad=0.0, score=score,
-        cov_m2=((1.0, 0.0), (0.0, 1.0)), stamp_ns=stamp_ns,
-    )  # fmt: skip
+    return example_object(x_m=x, y_m=y, length_m=2.0, width_m=1.0, score=score, stamp_ns=stamp_ns)
 
 
 def truth() -> SceneTruth:
@@ -37,8 +35,8 @@ def truth() -> SceneTruth:
     of which no point is over the noise; one that no mirror shows at (40, 0)."""
     points = np.array([[8.0, 9.5, 0.5], [8.0, 10.5, 0.5]], np.float32)
     at = ((0.0, -10.0), (10.0, 10.0), (20.0, 10.0), (40.0, 0.0))
-    return SceneTruth(
-        stamp_ns=10**9, scan_id=3, los_points_m=np.zeros((0, 3), np.float32), mirrored_points_m=points,
+    return example_truth(
+        stamp_ns=10**9, scan_id=3, mirrored_points_m=points,
         hidden_points_m=points, hidden_object=np.array([1, 1], np.int32),
         objects=tuple(
             TruthObject(

@@ -6,7 +6,6 @@ import json
 import tempfile
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -138,11 +137,3 @@ def test_two_that_change_at_once_are_both_answered(node: Adjustable) -> None:
 
 def test_changes_of_one_mapping_are_merged() -> None:
     assert parse_changes("a", ["x.y=1", "x.z=[1, 2]", "w=null"]) == {"x": {"y": 1, "z": [1, 2]}, "w": None}
-
-
-def test_without_a_graph_one_line_says_so(
-    quiet_domain: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mirrorwave.diagnose.running_graph.FIND_S", 0.2)
-    assert main(["param", "set", "ra_former", "mode=welch"]) == 1
-    assert "no graph runs" in capsys.readouterr().err

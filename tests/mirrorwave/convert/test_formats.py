@@ -27,7 +27,6 @@ from msgs.values.diagnostics import LogRecord
 from msgs.values.perception import (
     BevFrame,
     BevGrid,
-    HiddenObject,
     HiddenPoint,
     SceneTruth,
     TruthObject,
@@ -37,7 +36,7 @@ from msgs.values.perception import (
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.recording.shapes import Odometry, wall_line_m
-from tests.builders import beam_of, example_status, example_track, example_truth
+from tests.builders import beam_of, example_object, example_status, example_track, example_truth
 
 GRID = BevGrid(x_min_m=0.0, y_min_m=-2.0, cell_m=1.0, rows=4, columns=6)
 SETUP = RadarSetup(
@@ -62,16 +61,7 @@ def beam(scan: int, index: int) -> RadarBeam:
 def frame(scan: int) -> BevFrame:
     """`scan` objects, two points, one wall; cells 0, 1, 2, 0, 1, ..."""
     objects = tuple(
-        HiddenObject(
-            id=number,
-            x_m=11.0 + scan,
-            y_m=9.0,
-            length_m=4.5,
-            width_m=1.8,
-            yaw_rad=0.5,
-            score=0.75,
-            cov_m2=((0.1, 0.0), (0.0, 0.2)),
-        )
+        example_object(id=number, x_m=11.0 + scan, y_m=9.0, length_m=4.5, width_m=1.8, yaw_rad=0.5, score=0.75)
         for number in range(scan)
     )
     points = tuple(

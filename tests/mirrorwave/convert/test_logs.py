@@ -15,6 +15,7 @@ from msgs.recording.mcap import RecordingReader, info
 from msgs.recording.sigmf import write_capture
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.builders import beam_of
 from tests.mirrorwave.commands.captures.test_can import DBC, MAPPING, write_drive
 
 #: The drive of `write_drive`: seconds, its frames at 50 Hz, and states that are valid.
@@ -55,9 +56,7 @@ def test_every_format_gives_the_same_states(suffix: str, tmp_path: Path, capsys:
 
 
 @pytest.mark.parametrize("at", [1, 150, 299])
-@pytest.mark.parametrize(
-    "step_s", [-1e9, -100.0, 3600.0, 1e6], ids=["-32 years", "-100 s", "an hour", "11 days"]
-)  # fmt: skip
+@pytest.mark.parametrize("step_s", [-1e9, 3600.0], ids=["-32 years", "an hour"])
 def test_a_clock_that_was_set_costs_no_time(
     step_s: float, at: int, tmp_path: Path, caplog: pytest.LogCaptureFixture, drive: Path
 ) -> None:
@@ -161,14 +160,12 @@ def capture(folder: Path) -> tuple[Path, list[RadarBeam]]:
     setup = RadarSetup(radar=radar, beams=BeamGrid(azimuth_deg=(-5.0, 5.0)))
     rng = np.random.default_rng(0)
     beams = [
-        RadarBeam(
+        beam_of(
+            setup,
+            index,
+            rng.integers(-99, 99, (1, 64, 2), dtype=np.int16),
             stamp_ns=1_000_000 * (10 * scan + index),
             scan_id=scan,
-            beam_index=index,
-            beam_count=2,
-            azimuth_rad=float(np.deg2rad(setup.beams.azimuth_deg[index])),
-            samples=rng.integers(-99, 99, (1, 64, 2), dtype=np.int16),
-            full_scale_dbm=setup.full_scale_dbm,
         )
         for scan in range(2)
         for index in range(2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -56,9 +55,8 @@ def test_any_map_is_drawn(value: float) -> None:
     assert map_png(small_map(value)).startswith(PNG)
 
 
-@pytest.mark.parametrize("path", sorted((LAUNCH / "scenes").glob("*.yaml"))[:3], ids=lambda path: path.stem)
-def test_a_scene_is_drawn(path: Path) -> None:
-    assert scene_png(load_scene(path)).startswith(PNG)
+def test_a_scene_is_drawn() -> None:
+    assert scene_png(load_scene(LAUNCH / "scenes" / "corner.yaml")).startswith(PNG)
 
 
 def test_types_are_those_that_are_registered() -> None:

@@ -8,6 +8,7 @@ import pytest
 from models.scores.object_error import object_distances
 from models.scores.object_matching import match_objects
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
+from tests.builders import example_object, example_truth
 
 #: A car of 4 m by 2 m along x, its centre at (10, 5), that drives at 2 m/s along y.
 CAR = TruthObject(
@@ -26,17 +27,12 @@ def centre_error_m(report: HiddenObject, truth: TruthObject, seen: SceneTruth) -
 def scene(*points_m: tuple[float, float]) -> SceneTruth:
     """The car with visible scattering centres."""
     points = np.array([(x, y, 0.5) for x, y in points_m], np.float32).reshape(-1, 3)
-    return SceneTruth(
-        stamp_ns=1_000_000_000, scan_id=0, los_points_m=np.zeros((0, 3), np.float32), mirrored_points_m=points,
-        hidden_points_m=points, hidden_object=np.zeros(len(points), np.int32), objects=(CAR,),
-    )  # fmt: skip
+    seen = {"hidden_object": np.zeros(len(points), np.int32), "objects": (CAR,)}
+    return example_truth(stamp_ns=1_000_000_000, mirrored_points_m=points, hidden_points_m=points, **seen)
 
 
 def found(x_m: float, y_m: float, stamp_ns: int = 0) -> HiddenObject:
-    return HiddenObject(
-        id=8, x_m=x_m, y_m=y_m, length_m=2.0, width_m=1.0, yaw_rad=0.0, score=0.9, stamp_ns=stamp_ns,
-        cov_m2=((1.0, 0.0), (0.0, 1.0)),
-    )  # fmt: skip
+    return example_object(id=8, x_m=x_m, y_m=y_m, length_m=2.0, width_m=1.0, stamp_ns=stamp_ns)
 
 
 @pytest.mark.parametrize(

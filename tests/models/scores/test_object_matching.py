@@ -5,21 +5,19 @@ import pytest
 
 from models.scores.object_matching import match_objects
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
+from tests.builders import example_object, example_truth
 
 
 def found(number: int, x: float, y: float, stamp_ns: int = 0) -> HiddenObject:
-    return HiddenObject(
-        id=number, x_m=x, y_m=y, length_m=2.0, width_m=1.0, yaw_rad=0.0, score=0.9,
-        cov_m2=((1.0, 0.0), (0.0, 1.0)), stamp_ns=stamp_ns,
-    )  # fmt: skip
+    return example_object(id=number, x_m=x, y_m=y, length_m=2.0, width_m=1.0, stamp_ns=stamp_ns)
 
 
 def scene() -> SceneTruth:
     """A hidden car at (12, 8) that drives along -y, whose face at x = 13 is seen; a visible car at (10, -3)."""
     points = np.array([[13.0, 7.0, 1.0], [13.0, 9.0, 1.0]], np.float32)
-    return SceneTruth(
-        stamp_ns=1_000_000_000, scan_id=0, los_points_m=np.zeros((0, 3), np.float32), mirrored_points_m=points,
-        hidden_points_m=points, hidden_object=np.array([1, 1], np.int32),
+    return example_truth(
+        stamp_ns=1_000_000_000, mirrored_points_m=points, hidden_points_m=points,
+        hidden_object=np.array([1, 1], np.int32),
         objects=(
             TruthObject(id=7, object_class="car", x_m=10.0, y_m=-3.0, length_m=4.4, width_m=1.8, yaw_rad=0.0),
             TruthObject(

@@ -46,15 +46,6 @@ def test_peers_that_leave_at_once_end_no_process() -> None:
     assert sum(row.tried for row in rows) == 7 * 60 + 5 * 6
 
 
-def test_a_meeting_place_is_not_one_where_everybody_may_rename(tmp_path: Path) -> None:
-    tmp_path.chmod(0o777)
-    with pytest.raises(ValueError, match=r"others may rename what is in it; chmod go-w, or \+t"):
-        make_run_dir(tmp_path / "graph")
-    tmp_path.chmod(0o1777)
-    make_run_dir(tmp_path / "graph")
-    assert (tmp_path / "graph").stat().st_mode & 0o777 == 0o700
-
-
 def test_a_meeting_place_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Root gives it away; anybody else, who cannot, becomes another."""
     make_run_dir(tmp_path / "graph")

@@ -90,15 +90,6 @@ def test_what_exceeds_the_history_is_refused_and_counted(pair: tuple[ZmqBus, Zmq
     assert tail.counts()[0][0].lost == 5
 
 
-def test_only_the_newest_where_receivers_want_no_other(pair: tuple[ZmqBus, ZmqBus]) -> None:
-    head, tail = pair
-    tail.subscribe(MAP)
-    for scan in range(3):
-        head.publish(MAP, ra_map(scan, 10))
-    assert [received.message.scan_id for received in tail.receive(0.0)] == [2]
-    assert tail.counts()[0][0].outdated == 2
-
-
 def test_a_message_ends_a_wait_in_another_thread(pair: tuple[ZmqBus, ZmqBus]) -> None:
     head, tail = pair
     tail.subscribe(STATE)

@@ -30,16 +30,8 @@ def test_a_sensor_may_leave_out_what_it_does_not_measure() -> None:
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
-        ({"range_m": np.array([math.nan, 1.0])}, "detections.range_m must be within 0..1e\\+06, got nan"),
-        (
-            {"azimuth_rad": np.array([1e9, 1.0])},
-            "detections.azimuth_rad must be within -3.14159..3.14159, got 1000000000.0",
-        ),
         ({"azimuth_rad": np.zeros(3)}, r"detections.azimuth_rad must have shape 2, got \(3,\)"),
-        ({"covariance": np.full((2, 2, 2), math.inf)}, "detections.covariance must have variances within"),
-        ({"rcs_dbsm": np.array([math.inf, 0.0])}, "detections.rcs_dbsm must be within -300..300 or NaN, got inf"),
         ({"snr_db": np.zeros(2, np.float32)}, "detections.snr_db must have dtype <f8"),
-        ({"lost": -1}, "detections.lost must be within 0..2.14748e"),
         (
             {"range_m": np.ones(17000), "azimuth_rad": np.ones(17000), "covariance": np.zeros((17000, 2, 2))},
             r"detections.count must lie in 0..16384, got 17000",

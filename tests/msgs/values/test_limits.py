@@ -50,9 +50,9 @@ SIGNED = {
 }  # fmt: skip
 #: Codes of which every one means something.
 CODES = {
-    *("RadarBeam.samples", "RangeAzimuthMap.radial_speed_cmps", "PhotonHistograms.counts", "LidarPoints.data"),
-    *("CameraImage.jpeg"),
-}
+    "RadarBeam.samples", "RangeAzimuthMap.radial_speed_cmps", "PhotonHistograms.counts", "LidarPoints.data",
+    "CameraImage.jpeg",
+}  # fmt: skip
 #: What no rule of a single field tells.
 GIVEN: dict[str, dict[str, Any]] = {
     "Wall": {"normal": (-1.0, 0.0)},
@@ -165,6 +165,7 @@ def read(kind: type[msgspec.Struct], field: str, value: Any) -> None:
 @pytest.mark.parametrize("kind", kinds(), ids=lambda kind: kind.__name__)
 def test_what_no_sensor_gives_is_refused(kind: type[msgspec.Struct]) -> None:
     message, hints, known = made(kind), get_type_hints(kind, include_extras=True), []
+    whole = "pose" if kind.__name__ == "Pose2" else ""
     read(kind, kind.__struct_fields__[0], getattr(message, kind.__struct_fields__[0]))
     for field in kind.__struct_fields__:
         name = f"{kind.__name__}.{field}"
@@ -176,9 +177,9 @@ def test_what_no_sensor_gives_is_refused(kind: type[msgspec.Struct]) -> None:
                 continue
             for value in spoiled(hints[field], number, message):
                 known.append(name)
-                with pytest.raises(ValueError):
+                with pytest.raises(ValueError, match=whole or field):
                     msgspec.structs.replace(message, **{field: value})
-                with pytest.raises(CodecError):
+                with pytest.raises(CodecError, match=whole or field):
                     read(kind, field, value)
     for name in LEGAL:
         if name.startswith(f"{kind.__name__}."):

@@ -24,7 +24,7 @@ from msgs.values.radar import (
     speed_codes,
 )
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
-from msgs.values.vehicle import VehicleState, ego_motion
+from msgs.values.vehicle import ego_motion
 
 METRES = st.floats(-200.0, 200.0)
 ANGLES = st.floats(-3.1, 3.1)
@@ -112,23 +112,11 @@ def beam(**changes: object) -> RadarBeam:
         ({"samples": np.zeros((1, 8), "<i2")}, "beam.samples must have shape"),
         ({"samples": [1, 2]}, "beam.samples must be an array"),
         ({"beam_index": 25}, "beam.beam_index must be 0..beam_count-1, got 25 of 25"),
-        ({"scan_id": -1}, "beam.scan_id must be within 0"),
-        ({"azimuth_rad": math.nan}, "beam.azimuth_rad must be within -3"),
     ],
 )
 def test_beam_refuses(change: dict, rule: str) -> None:
     with pytest.raises(ValueError, match=rule.replace(".", r"\.")):
         beam(**change)
-
-
-def peak(**changes: float) -> Peaks:
-    """One peak, some of its arrays filled with another value."""
-    fields = {
-        "range_m": np.ones(1), "azimuth_rad": np.zeros(1), "score": np.ones(1), "path_class": np.zeros(1, np.uint8),
-        "covariance": np.ones((1, 2, 2)), "peak_stamp_ns": np.zeros(1, np.int64), "snr_db": np.ones(1),
-    }  # fmt: skip
-    changed = {name: np.full_like(fields[name], value) for name, value in changes.items()}
-    return Peaks(stamp_ns=0, scan_id=0, **{**fields, **changed})
 
 
 @pytest.mark.parametrize(
@@ -143,27 +131,11 @@ def peak(**changes: float) -> Peaks:
         (lambda: RangeAzimuthGrid(range_bins=0), "grid.range_bins must be 1..8192, got 0"),
         (lambda: RadarSetup(beat_sign=0), "setup.beat_sign must be"),
         (lambda: RadarSetup(steering_weights=np.ones((3, 8), "<c8")), "setup.steering_weights must have shape 25x8"),
-        (lambda: RadarSetup(steering_weights=np.full((25, 8), np.nan, "<c8")), "setup.steering_weights must be finite"),
-        (lambda: RadarSetup(background=np.full((25, 8192), np.inf, "<c8")), "setup.background must be finite"),
-        (lambda: VehicleState(stamp_ns=0, speed_mps=math.inf), "vehicle.speed_mps must be within"),
         (lambda: Wall(normal=(1.0, 1.0), offset_m=0.0, ends_m=((0, 0), (1, 1)), inliers=2), "length 1"),
         (lambda: BevGrid(rows=0), "bev_grid.rows"),
         # found by the fuzz of the nodes: what follows of these overflows, or takes all memory
-        (lambda: RadarParams(samples_per_chirp=2**63), "radar.samples_per_chirp must lie in 1..1.04858e"),
-        (lambda: RadarParams(scan_period_s=1e300), "radar.scan_period_s must lie in"),
-        (lambda: ArrayParams(columns=2**40), "array.columns must lie in 1..256"),
         (lambda: ElementPattern(azimuth_hpbw_deg=5e-324), "element.azimuth_hpbw_deg must lie in 0.001..inf"),
         (lambda: BeamGrid(azimuth_deg=(0.0,) * 1025), "at most 1024 beams, got 1025"),
-        (lambda: RadarSetup(full_scale_dbm=1e300), "setup.full_scale_dbm must be within -300..300"),
-        (lambda: RadarSetup(stamp_ns=2**64 - 1), "setup.stamp_ns must be within -2"),
-        (lambda: VehicleState(stamp_ns=-(2**63)), "vehicle.stamp_ns must be within -2"),
-        (lambda: VehicleState(stamp_ns=0, speed_mps=1e300), "vehicle.speed_mps must be within -1000..1000"),
-        (lambda: Pose2(1e155, 0.0, 0.0), "pose must lie in"),
-        (lambda: beam(stamp_ns=2**63), "beam.stamp_ns must be within -2"),
-        (lambda: beam(beam_count=2**40), "beam.beam_count must be within 1..1024"),
-        (lambda: peak(range_m=1e155), "peaks.range_m must be within 0..1e"),
-        (lambda: peak(covariance=1e300), "peaks.covariance must have variances"),
-        (lambda: peak(peak_stamp_ns=np.iinfo(np.int64).min), "peaks.peak_stamp_ns must be within -2"),
     ],
 )
 def test_parameters_refuse(make, rule: str) -> None:
@@ -178,8 +150,6 @@ def test_map_and_peaks_refuse_what_is_not_finite_or_not_theirs() -> None:
         "azimuth_stamp_ns": np.zeros(3, "<i8"), "noise_power_mw": 1e-9, "incoherent": np.zeros(4, bool),
     }  # fmt: skip
     RangeAzimuthMap(**fields)
-    with pytest.raises(ValueError, match="noise_power_mw"):
-        RangeAzimuthMap(**{**fields, "noise_power_mw": math.nan})
     with pytest.raises(ValueError, match="mode"):
         RangeAzimuthMap(**{**fields, "mode": "magic"})
     none = np.zeros(0)

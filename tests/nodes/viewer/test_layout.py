@@ -205,25 +205,6 @@ def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open) ->
         leave(page)
 
 
-def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open) -> None:
-    with ViewerServer(busy_board(urgent=1), title="desk") as server:
-        page = open_page(server, "light", DESK)
-        until(page, "mirrorwave.state.warnings.length >= 2")
-        # where several are urgent, these share the banner by their titles and times alone
-        cut = """() => [...document.querySelectorAll('.warnings li:not([data-level=urgent]) .words *')]
-          .filter((one) => {
-          const words = one.closest('.words').getBoundingClientRect();
-          const box = one.getBoundingClientRect();
-          const ends = [one.closest('li'), one.closest('ol')].map((part) => part.getBoundingClientRect().bottom);
-          return box.right > words.right + 1 || box.bottom > Math.min(...ends) + 1 ||
-            getComputedStyle(one).textOverflow === 'ellipsis';
-        }).map((one) => one.textContent)"""
-        for scheme in ("light", "dark"):
-            resize(page, DESK, scheme)
-            assert page.locator(".warnings li:not([data-level=urgent]) .detail").count() >= 1
-            assert page.evaluate(cut) == []
-
-
 #: Words of warnings that do not lie whole within their box.
 CUT_WORDS = """() => [...document.querySelectorAll('.warnings .words *')].filter((one) => {
   const words = one.closest('.words').getBoundingClientRect(), box = one.getBoundingClientRect();

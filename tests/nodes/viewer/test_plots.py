@@ -21,7 +21,7 @@ from nodes.viewer.numeric_fields import numeric_fields
 from nodes.viewer.series import SeriesStore
 from nodes.viewer.server import ViewerServer
 from tests.mirrorwave.commands.captures.test_view import SCANS, write_recording
-from tests.nodes.viewer.conftest import Open, resize, until
+from tests.nodes.viewer.conftest import Open, until
 from tests.nodes.viewer.test_page import frame
 
 pytestmark = pytest.mark.graph
@@ -181,20 +181,6 @@ def test_no_more_plots_than_the_server_takes(board: Board, server: ViewerServer,
     assert page.locator("#plots li").count() == 6
     until(page, "mirrorwave.plots.data.size === 6")
     assert page.evaluate("mirrorwave.state.connection") == "live"
-
-
-def test_plots_fit_the_page(board: Board, server: ViewerServer, open_page: Open) -> None:
-    run_graph(board, range(5))
-    page = open_page(server, width=320)
-    plot(page, "vehicle/state", "speed_mps")
-    until(page, "mirrorwave.plots.shown[0].data")
-    for width, scheme in ((320, "light"), (400, "dark"), (1440, "dark")):
-        resize(page, width, scheme)
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        box = page.locator("#plots canvas").bounding_box()
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= width
-        assert page.evaluate(INK, 0) > 10
 
 
 def test_a_recording_shows_its_whole_span_and_a_click_goes_there(tmp_path: Path, open_page: Open) -> None:

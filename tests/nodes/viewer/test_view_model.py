@@ -7,7 +7,6 @@ import math
 import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -16,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colormaps
 
-import nodes.viewer
 from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import (
@@ -258,10 +256,6 @@ def test_a_large_map_is_pooled_and_keeps_its_peaks() -> None:
     assert map_json(big, None)["pool"] == [3, 2]
 
 
-def test_the_nominal_map_costs_64_kib() -> None:
-    assert len(map_tile(ra_map(np.ones((512, 256))))) == 16 + 512 * 128
-
-
 def test_a_map_is_told_with_its_own_peaks_only() -> None:
     told = map_json(ra_map(np.full((4, 4), 10.0)), peaks())
     assert told["peaks"] == [[22.13, 0.1234, 1, 0.5]]
@@ -366,14 +360,6 @@ def test_nodes_stand_in_the_order_of_the_stream() -> None:
     assert [row["node"] for row in table.rows(0)] == ["player", "geometry", "viewer"]
 
 
-def test_the_table_is_bounded() -> None:
-    table = NodeTable()
-    for index in range(MAX_NODES + 5):
-        table.add(status(f"n{index:03}"), index)
-    assert len(table.rows(0)) == MAX_NODES
-    assert table.rows(0)[0]["node"] == "n005"
-
-
 def test_a_peer_s_names_do_not_drive_out_the_nodes_of_this_host() -> None:
     table = NodeTable()
     table.add(status("geometry"), 0)
@@ -438,10 +424,3 @@ def test_a_peer_that_invents_all_it_can_fills_neither_table_nor_page() -> None:
     assert max(len(heard) for heard in table._heard.values()) == MAX_HEARTBEATS
     assert all(len(row[name]) <= MAX_ENTRIES for row in rows for name in ("stages", "shed", "rates"))
     assert len(json_text(rows)) < MAX_NODES * 6000
-
-
-def test_the_page_names_the_error_of_the_centre_first() -> None:
-    static = Path(nodes.viewer.__file__).parent / "static"
-    script = (static / "viewer.js").read_text()
-    assert "centre, face error" in (static / "index.html").read_text()
-    assert script.index("centre_error.toFixed") < script.index("face_error.toFixed")

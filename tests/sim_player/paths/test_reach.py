@@ -27,7 +27,7 @@ from tests.sim_player.scene.same_paths import assert_same_paths, of_part, of_who
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("index", range(6))
+@pytest.mark.parametrize("index", range(3))
 def test_drawn_places_keep_all_paths(index: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Arcs, hedges, low walls, glass and grounds are among them; the radar stands where the scene says, then beside."""
     monkeypatch.setattr(reach, "WHOLE_WALLS", 0)
@@ -144,8 +144,7 @@ def test_a_part_holds_no_more_than_its_world() -> None:
     assert np.array_equal(part.centre_m, world.centre_m[part.centre_id])
 
 
-@pytest.mark.parametrize("kind", ["terraced", "detached"])
-@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.5])
+@pytest.mark.parametrize(("kind", "yaw_rad"), [("terraced", 0.0), ("detached", 0.7), ("detached", -2.5)])
 def test_what_lies_behind_the_antenna_has_no_power_and_all_else_stays(kind: CityKind, yaw_rad: float) -> None:
     """Of the paths ahead none is missing and none is another; those left out have no power in any beam."""
     world = prepare(made_city(200, kind))

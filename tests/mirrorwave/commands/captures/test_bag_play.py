@@ -25,7 +25,6 @@ from mirrorwave.replay.schedule import Position, Replay, ReplayParams, Schedule,
 from msgs.bus import zmq as zmq_bus
 from msgs.bus.codec import encode_inline, json_schema
 from msgs.bus.interface import Envelope, Received
-from msgs.bus.sequencing import Tally
 from msgs.bus.zmq import ZmqBus
 from msgs.recording.mcap import Recorded, RecordingReader, RecordingWriter
 from msgs.values.diagnostics import NodeStatus, ShedCount, TopicCount
@@ -410,26 +409,6 @@ def test_paced_beams_are_all_folded_up_to_what_only_a_flood_would_pile() -> None
         assert (len(queue) == kept) if paced else (queue.shed_scans > 0)
     queue.put(received("radar/beam", beam(MAX_SCANS_WAITING, 0), True, most))
     assert (len(queue), queue.shed_beams) == (most, 1)
-
-
-def test_what_is_made_of_paced_messages_is_paced_and_kept() -> None:
-    source, node, reader = Tally("source", paced=True), Tally("node"), Tally("reader")
-    node.expect("vehicle/state")
-    reader.expect(ANSWER)
-    assert not node.pack(ANSWER, view(0), 1)[0].paced
-    _, frames = source.pack("vehicle/state", VehicleState(stamp_ns=0), 1)
-    node.accept("vehicle/state", frames, 2)
-    packed = [node.pack(ANSWER, view(scan), 2 + scan) for scan in range(1, 4)]
-    assert all(envelope.paced for envelope, _ in packed)
-    taken = [reader.accept(ANSWER, frames, 9) for _, frames in packed]
-    assert len(reader.without_outdated([one for one in taken if one is not None])) == 3
-    assert len(Tally("player", keeps_all=True).without_outdated([received(ANSWER, view(0))] * 2)) == 2
-    assert node.pack(ANSWER, view(4), 10**10)[0].paced
-    # its player has ended long ago
-    assert not node.pack(ANSWER, view(4), 2 * 10**10)[0].paced
-    _, frames = Tally("radar").pack("vehicle/state", VehicleState(stamp_ns=0), 3)
-    node.accept("vehicle/state", frames, 4)
-    assert not node.pack(ANSWER, view(5), 9)[0].paced
 
 
 @pytest.mark.graph

@@ -16,25 +16,9 @@ from msgs.recording.mcap import RecordingReader
 from msgs.values.detections import RadarDetections
 
 FIELDS = [
-    "x",
-    "y",
-    "z",
-    "dyn_prop",
-    "id",
-    "rcs",
-    "vx",
-    "vy",
-    "vx_comp",
-    "vy_comp",
-    "is_quality_valid",
-    "ambig_state",
-    "x_rms",
-    "y_rms",
-    "invalid_state",
-    "pdh0",
-    "vx_rms",
-    "vy_rms",
-]
+    "x", "y", "z", "dyn_prop", "id", "rcs", "vx", "vy", "vx_comp", "vy_comp", "is_quality_valid", "ambig_state",
+    "x_rms", "y_rms", "invalid_state", "pdh0", "vx_rms", "vy_rms",
+]  # fmt: skip
 SIZES, TYPES = "444124444411111111", "FFFIIFFFFFIIIIIIII"
 NAME = "n015__RADAR_FRONT__1532402927647951.pcd"
 

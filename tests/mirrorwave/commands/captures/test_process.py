@@ -64,17 +64,6 @@ def test_process_writes_objects_times_and_a_picture(processed: Path) -> None:
 
 
 @pytest.mark.slow
-def test_process_is_the_chain_cut_at_the_topics(processed: Path) -> None:
-    """Same bytes as `chain.py`."""
-    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS, effects="basic"))
-    chain = cfar_chain(player.setup)
-    state = player.vehicle_state(0)
-    views = [view for scan in (0, 1) for index in range(25) for view in chain.add(player.beam(scan, index), state)]
-    said = (processed / "objects.jsonl").read_text()
-    assert said == "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in views)
-
-
-@pytest.mark.slow
 def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     """A drive with vehicle states: a line a scan, by `process` and by `chain.py` the same."""
     drive, chirps = "launch/drives/side_street.yaml", 4
@@ -360,21 +349,6 @@ def test_a_file_or_the_sample(words: list[str], line: str, capsys: pytest.Captur
     error = capsys.readouterr().err
     assert line in error
     assert len(error.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_a_truncated_sample_is_shown_as_far_as_it_goes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Playback, "run", interrupted)
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(SAMPLE.read_bytes()[: SAMPLE.stat().st_size // 4])
-    command = ["process", str(path), "--out", str(tmp_path / "out"), "--view", "--no-browser", "--port", "0"]
-    assert main([*command, "--profile", "cfar"]) == ExitCode.DONE_WITH_LOSS
-    captured = capsys.readouterr()
-    assert f"{path}: " in captured.out
-    assert "scans; open http://127.0.0.1:" in captured.out
-    assert "Traceback" not in captured.err
 
 
 def test_somebody_elses_view_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,8 +122,3 @@ def test_files_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert dot.read_text().startswith("digraph")
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
-
-
-def test_a_quiet_domain_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["graph", "--window", "0.6"]) == 1
-    assert "no graph runs in domain 'default'" in capsys.readouterr().err

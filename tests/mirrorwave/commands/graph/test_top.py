@@ -115,12 +115,6 @@ def test_before_the_first_heartbeat_the_table_says_so() -> None:
     assert "no heartbeat yet" in str(_picture({"domain": "x", **GraphWatch(0).report(1)}))
 
 
-@pytest.mark.parametrize("option", ["--json", "--once"])
-def test_a_quiet_domain_is_an_error(quiet_domain: Path, option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["top", option, "--window", "0.5"]) == 1
-    assert "no graph runs in domain 'default'" in capsys.readouterr().err
-
-
 @pytest.mark.graph
 def test_one_object_after_one_window(quiet_domain: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from msgs.bus.zmq import ZmqBus, run_dir

@@ -86,14 +86,6 @@ def test_drives_are_counted_in_scans(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not (tmp_path / "long").exists()
 
 
-def test_both_are_commands() -> None:
-    """Their signatures are such as typer can turn into options."""
-    app = typer.Typer()
-    app.command()(dataset)
-    app.command()(statistics)
-    assert {"dataset", "statistics"} <= set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
-
-
 def test_statistics_as_json_and_as_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     statistics(folder, as_json=True)
     found = json.loads(capsys.readouterr().out)

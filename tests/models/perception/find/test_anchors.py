@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.find.anchors import anchor_cells, anchor_points
+from models.perception.find.anchors import anchor_points
 
 
 def quiet(rows: int = 8, columns: int = 8) -> np.ndarray:
@@ -16,12 +16,6 @@ def quiet(rows: int = 8, columns: int = 8) -> np.ndarray:
 def put(output: np.ndarray, at: tuple[int, int], path_class: int, logit: float, offset: tuple[float, float]) -> None:
     output[path_class, at[0], at[1]] = logit
     output[3:, at[0], at[1]] = offset
-
-
-def test_anchors_lie_in_the_middle_of_their_cells() -> None:
-    np.testing.assert_array_equal(anchor_cells(3, 1), [0.0, 1.0, 2.0])
-    np.testing.assert_array_equal(anchor_cells(3, 2), [0.5, 2.5, 4.5])
-    np.testing.assert_array_equal(anchor_cells(2, 4), [1.5, 5.5])
 
 
 def test_point_is_its_anchor_plus_its_offset() -> None:

@@ -9,15 +9,16 @@ import pytest
 from models.perception.find.peaks import PeakParams, echo_power, find_peaks, local_maxima, peaks_at, polar_covariance
 from msgs.values.perception import MAX_PEAKS, PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.builders import example_map
 
 GRID = RangeAzimuthGrid()
 
 
 def flat_map(values: np.ndarray | None = None, incoherent: bool = False) -> RangeAzimuthMap:
-    return RangeAzimuthMap(
+    return example_map(
+        np.zeros(GRID.shape) if values is None else values,
         stamp_ns=10,
         scan_id=4,
-        values=np.zeros(GRID.shape, np.complex64) if values is None else values.astype(np.complex64),
         azimuth_stamp_ns=np.arange(256, dtype=np.int64) * 1000,
         noise_power_mw=1e-10,
         incoherent=np.full(512, incoherent),

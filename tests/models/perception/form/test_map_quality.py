@@ -28,12 +28,12 @@ from msgs.values.radar import (
     WIRING_FAULTS,
     ArrayParams,
     BeamGrid,
-    RadarBeam,
     RadarParams,
     RadarSetup,
     RangeAzimuthGrid,
     RangeAzimuthMap,
 )
+from tests.builders import beam_of
 
 SETUP = RadarSetup()
 BEAMS, RANGES = 25, 96
@@ -203,18 +203,8 @@ def _folded(samples_of: Callable[[int, np.random.Generator], np.ndarray]) -> Ran
     setup = RadarSetup(radar=RadarParams(samples_per_chirp=2048, sample_rate_hz=0.375e9, chirps_per_beam=8))
     former, rng = RaFormer(setup), np.random.default_rng(8)
     maps = []
-    for index, azimuth_rad in enumerate(setup.beams.azimuth_rad):
-        maps += former.add(
-            RadarBeam(
-                stamp_ns=index * setup.beam_interval_ns,
-                scan_id=0,
-                beam_index=index,
-                beam_count=len(setup.beams),
-                azimuth_rad=float(azimuth_rad),
-                samples=np.rint(samples_of(index, rng)).astype(np.int16),
-                full_scale_dbm=setup.full_scale_dbm,
-            )
-        )
+    for index in range(len(setup.beams)):
+        maps += former.add(beam_of(setup, index, np.rint(samples_of(index, rng)).astype(np.int16)))
     (only,) = maps
     return only
 
@@ -271,13 +261,7 @@ def _wired(samples: np.ndarray, beat_sign: int = 1) -> tuple[str, ...]:
     )
     former, maps = RaFormer(setup), []
     for index, codes in enumerate(samples):
-        azimuth_rad = float(setup.beams.azimuth_rad[index])
-        maps += former.add(
-            RadarBeam(
-                stamp_ns=index, scan_id=0, beam_index=index, beam_count=6, azimuth_rad=azimuth_rad, samples=codes,
-                full_scale_dbm=-20.0,
-            )
-        )  # fmt: skip
+        maps += former.add(beam_of(setup, index, codes, stamp_ns=index, full_scale_dbm=-20.0))
     (ra_map,) = maps
     return tuple(name for name in ra_map.faults if name in WIRING_FAULTS)
 
