@@ -33,6 +33,8 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     channel_y_m: tuple[float, ...] = tuple(0.5 * SPEED_OF_LIGHT_MPS / 78.956e9 * n for n in range(8))
     #: Beat frequency of zero range (boards that offset their intermediate frequency).
     beat_offset_hz: float = 0.0
+    #: +1 where beats have positive frequency for positive range, -1 where the hardware differs.
+    beat_sign: int = 1
     #: Take the mean over chirps off every channel: what stands still disappears.
     remove_static: bool = False
 
@@ -48,6 +50,8 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
             )
         if min(self.channel_slot) < 0:
             raise ValueError(f"digital_array.channel_slot must not be negative, got {self.channel_slot}")
+        if self.beat_sign not in (1, -1):
+            raise ValueError(f"digital_array.beat_sign must be +1 or -1, got {self.beat_sign!r}")
 
     @property
     def wavelength_m(self) -> float:
@@ -94,6 +98,8 @@ def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
     # the transforms would spread a single bad value over every cell
     if not np.isfinite(samples).all():
         raise ValueError(f"samples must be finite, got {np.count_nonzero(~np.isfinite(samples))} that are not")
+    if params.beat_sign < 0:
+        samples = samples.conj()
     if params.remove_static:
         # summed in float64: what stands still may be 100 dB over what moves, and there are thousands of chirps
         samples = samples - samples.mean(axis=0, dtype=np.complex128).astype(np.complex64)
