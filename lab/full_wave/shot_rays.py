@@ -9,6 +9,7 @@ Not modelled: diffraction by edges beyond physical optics, creeping waves, trans
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from sim_player.bodies.meshes import Mesh
 from sim_player.bodies.triangles import (
     ahead,
     cross,
+    cut_triangles,
     dot,
     first_hit,
     lookup,
@@ -27,11 +29,37 @@ from sim_player.bodies.triangles import (
     row,
     search_tree,
     sinc,
+    triangle_areas,
 )
 
 #: Default largest spacing of rays as a share of a wavelength.
 RAY_SPACING = 1.0 / 8.0
 MAX_RAYS = 16_000_000
+#: Longest edge of the piece of a face that one centre stands for, as a share of a wavelength.
+CENTRE_SPACING = 0.25
+
+
+@dataclass(frozen=True)
+class MeshCentres:
+    """Scattering centres of a mesh, K of them; the phase of a centre is that of its position."""
+
+    #: Position and outward normal [K, 3], RCS along the normal [K] m^2, exponent of its lobe cos^q of power [K].
+    position_m: np.ndarray
+    normal: np.ndarray
+    peak_rcs_m2: np.ndarray
+    lobe_exponent: np.ndarray
+
+
+def mesh_centres(mesh: Mesh, wavelength_m: float) -> MeshCentres:
+    """Return a mesh as points for tracers that know points with lobes: their coherent sum is its physical optics.
+
+    Each is a piece of a face, so small that its lobe is the cosine of physical optics alone: side lobes come from the
+    sum. It has the reflectance at normal incidence. One bounce; parts do not hide each other.
+    """
+    pieces, owner = cut_triangles(mesh.corners_m, CENTRE_SPACING * wavelength_m)
+    te, _ = reflection_table(mesh.material, wavelength_m)
+    peak_rcs_m2 = 4.0 * math.pi * abs(te[-1]) ** 2 * (triangle_areas(pieces) / wavelength_m) ** 2
+    return MeshCentres(pieces.mean(axis=1), mesh.normals[owner], peak_rcs_m2, np.full(len(pieces), 2.0))
 
 
 def mesh_field(
