@@ -64,7 +64,7 @@ FORMERLY = {
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage; defaults are the released settings where those exist.
 
-    The back end `specification` uses `objects` alone.
+    The back end `specification` uses the clusters and `objects` alone.
     """
 
     #: Walls, association and rejection: ours, or those of the specification.
@@ -177,7 +177,7 @@ def direct_structure(peaks: Peaks, params: GeometryParams) -> tuple[DirectReturn
     if len(peaks) > MAX_PEAKS:
         raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
     if params.back_end == "specification":
-        return published_structure(peaks)
+        return published_structure(peaks, params.cluster_eps_m, params.cluster_min_points)
     direct = peaks.path_class == PathClass.LOS
     points_m = xy_from_polar(peaks.range_m[direct], peaks.azimuth_rad[direct])
     covariance_m2 = _direct_covariance(peaks)

@@ -20,11 +20,13 @@ NEAREST_SHARE = 0.2
 BUDDY = RecoveryParams(association="buddy", second_order=False)
 
 
-def published_structure(peaks: Peaks) -> tuple[DirectReturns, list[Wall]]:
+def published_structure(
+    peaks: Peaks, cluster_eps_m: float = CLUSTER_EPS_M, cluster_min_points: int = CLUSTER_MIN_POINTS
+) -> tuple[DirectReturns, list[Wall]]:
     """Return the direct returns with their clusters, and the lines through them."""
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
     direct = _not_too_near(points_m, peaks.path_class)
-    labels = dbscan(points_m[direct], CLUSTER_EPS_M, CLUSTER_MIN_POINTS)
+    labels = dbscan(points_m[direct], cluster_eps_m, cluster_min_points)
     walls, wall_of_point = published_walls(points_m[direct], labels)
     return DirectReturns(points_m[direct], peaks.snr_db[direct], labels, wall_of_point), walls
 
