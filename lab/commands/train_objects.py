@@ -12,8 +12,8 @@ from mirrorwave.console import AsJson, print_json, print_line, progress_bar
 if TYPE_CHECKING:
     from lab.training.evidence.grid_training import GridEpoch, GridSchedule
 
-#: Learning rates of batches of 8, and weight decay.
-FIELD_RATE, FIELD_DECAY, EVIDENCE_RATE, EVIDENCE_DECAY = 2e-3, 1e-3, 3e-3, 1e-2
+#: Learning rates of batches of 8 of fresh networks and of trained ones, and weight decay.
+FIELD_RATES, FIELD_DECAY, EVIDENCE_RATES, EVIDENCE_DECAY = (2e-3, 1.5e-3), 1e-3, (3e-3, 1e-3), 1e-2
 
 
 def objects(
@@ -27,6 +27,12 @@ def objects(
     ] = None,
     fields: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Field network (ONNX), in place of training one.")
+    ] = None,
+    init: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Evidence network (ONNX, full precision) to go on from, its field network too."
+        ),
     ] = None,
     epochs: Annotated[int, typer.Option(min=1, help="Of each network.")] = 8,
     minutes: Annotated[
@@ -57,15 +63,16 @@ def objects(
         folder=out,
         detector=detector,
         field_start=DEFAULT_MODEL,
+        init=init,
         workers=workers,
         sample_minutes=minutes,
     )
 
-    def schedule(epochs: int, rate: float, weight_decay: float) -> GridSchedule:
+    def schedule(rates: tuple[float, float], weight_decay: float) -> GridSchedule:
         return GridSchedule(
             epochs=epochs,
             batch_size=batch_size,
-            learning_rate=rate * math.sqrt(batch_size / 8),
+            learning_rate=rates[init is not None] * math.sqrt(batch_size / 8),
             weight_decay=weight_decay,
             minutes=minutes,
             seed=seed,
@@ -81,10 +88,10 @@ def objects(
             progress()
 
         if fields is None:
-            run.train_fields(schedule(epochs, FIELD_RATE, FIELD_DECAY), show)
+            run.train_fields(schedule(FIELD_RATES, FIELD_DECAY), show)
         else:
             run.take_fields(fields)
-        card = run.train_evidence(schedule(epochs, EVIDENCE_RATE, EVIDENCE_DECAY), show)
+        card = run.train_evidence(schedule(EVIDENCE_RATES, EVIDENCE_DECAY), show)
     if json:
         print_json(msgspec.to_builtins(card))
         return

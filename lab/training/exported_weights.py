@@ -8,8 +8,8 @@ statistics of its own data (`settle_norms`), by which they learn on as any other
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from itertools import chain
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lab.networks.compact_unet import CompactUNet
+from lab.networks.swin_unet import WindowAttention
 from models.perception.find.onnx_model import load_card
 from models.perception.onnx_session import open_session
 
@@ -27,33 +27,53 @@ PARITY = 1e-4
 SETTLING_BATCHES = 25
 
 
-def load_exported(network: CompactUNet, path: Path) -> None:
-    """Fill a network with the weights of an exported one; channels that it alone reads, the last, weigh nothing.
+def load_exported(network: Any, path: Path) -> None:
+    """Fill a dense network with an exported one, whose file answers probabilities; as `fill_exported`."""
+    card = load_card(path)
+    more = network.config.in_channels - len(card.encoding.channels)
+    fill_exported(network, path, card.sha256, answer=torch.sigmoid, more_channels=max(more, 0))
+
+
+@torch.no_grad()
+def fill_exported(
+    network: nn.Module,
+    path: Path,
+    sha256: str,
+    *,
+    answer: Callable[[Tensor], Tensor] = lambda logits: logits,
+    more_channels: int = 0,
+) -> None:
+    """Fill a network with the weights of an exported one, the `answer` of which the file gives; `more_channels` that it
+    alone reads, the last, weigh nothing.
 
     Raises `ValueError` naming a file that is none, is of another shape, or answers otherwise than its weights say.
     """
     import onnx
     from onnx import numpy_helper
 
-    session = open_session(path, load_card(path).sha256, 1)
+    session = open_session(path, sha256, 1)
     graph = onnx.load(path).graph
-    # it lies within one that answers probabilities
-    values = {
-        entry.name.removeprefix("network."): np.array(numpy_helper.to_array(entry)) for entry in graph.initializer
-    }
-    try:
-        with torch.no_grad():
-            _fill_convolutions(network, [node for node in graph.node if node.op_type == "Conv"], values)
-            _fill_products(network, [node for node in graph.node if node.op_type == "MatMul"], values)
-            for name, parameter in network.named_parameters():
-                if name in values:
-                    parameter.copy_(_tensor(values[name]))
-    except (KeyError, RuntimeError, ValueError) as error:
-        first = str(error).splitlines()[0]
-        raise ValueError(f"{path}: start must be a network of this shape in full precision: {first}") from None
     source = session.get_inputs()[0]
     cells = np.random.default_rng(0).standard_normal(source.shape).astype(np.float32)
-    _check_parity(network, path, cells, session.run(None, {source.name: cells})[0])
+    # one that answers probabilities holds it as its part
+    values = {entry.name.removeprefix("network."): _tensor(numpy_helper.to_array(entry)) for entry in graph.initializer}
+    try:
+        widened = np.pad(cells, ((0, 0), (0, more_channels), (0, 0), (0, 0)))
+        shown = torch.from_numpy(widened).to(next(network.parameters()).device)
+        layers = _layers_in_order(network, shown)
+        _fill_convolutions(layers, graph.node, values)
+        _fill_products(layers, graph.node, values)
+        _fill_position_biases(layers, graph.node, values)
+        for name, parameter in network.named_parameters():
+            if name in values and values[name].shape == parameter.shape:
+                parameter.copy_(values[name])
+    except (IndexError, KeyError, RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise ValueError(f"{path}: start must be a network of this shape in full precision: {first}") from None
+    said, wanted = answer(network(shown)).cpu().numpy(), session.run(None, {source.name: cells})[0]
+    difference = float(np.abs(said - wanted).max() / np.abs(wanted).max())
+    if not difference <= PARITY:
+        raise ValueError(f"{path}: weights must answer as the file does within {PARITY}, differ by {difference}")
 
 
 @torch.no_grad()
@@ -91,44 +111,53 @@ def _restate(norm: nn.BatchNorm2d, mean: Tensor, mean_square: Tensor) -> None:
     norm.running_var.copy_(variance)
 
 
-def _convolutions(network: CompactUNet) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
-    """Return convolutions with their norms, in the order in which they are passed."""
-    ways_down = chain.from_iterable(zip(network.encode, network.down, strict=True))
-    parts = (network.stem, *ways_down, network.decode)
-    layers = [layer for part in parts for layer in part.modules()]
-    convolutions = [layer for layer in layers if isinstance(layer, nn.Conv2d)]
-    norms = [layer for layer in layers if isinstance(layer, nn.BatchNorm2d)]
-    return zip(convolutions, norms, strict=True)
+def _layers_in_order(network: nn.Module, shown: Tensor) -> list[nn.Module]:
+    """Return the layers with weights in the order in which an input passes them, as the nodes of a file have it."""
+    passed: list[nn.Module] = []
+    kinds = (nn.Conv2d, nn.ConvTranspose2d, nn.BatchNorm2d, nn.Linear, WindowAttention)
+    layers = [layer for layer in network.modules() if isinstance(layer, kinds)]
+    hooks = [layer.register_forward_pre_hook(lambda layer, _: passed.append(layer)) for layer in layers]
+    network.eval()(shown)
+    for hook in hooks:
+        hook.remove()
+    return passed
 
 
-def _fill_convolutions(network: CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
-    """Fill all convolutions whose norms the file holds within them, the last one of the head apart."""
-    for (convolve, norm), node in zip(_convolutions(network), nodes[:-1], strict=True):
-        weight, bias = (_tensor(values[name]) for name in node.input[1:])
+def _fill_convolutions(layers: list[nn.Module], nodes: Iterable[Any], values: dict[str, Tensor]) -> None:
+    """Fill all convolutions; a norm that follows one without a bias is held within it."""
+    convolutions = [node for node in nodes if node.op_type in ("Conv", "ConvTranspose")]
+    followed = [
+        pair for pair in pairwise([*layers, nn.Identity()]) if isinstance(pair[0], nn.Conv2d | nn.ConvTranspose2d)
+    ]
+    for (convolve, norm), node in zip(followed, convolutions, strict=True):
+        weight, *bias = (values[name.removeprefix("network.")] for name in node.input[1:])
         more = convolve.weight.shape[1] - weight.shape[1]
         convolve.weight.copy_(nn.functional.pad(weight, (0, 0, 0, 0, 0, max(more, 0))))
-        norm.weight.fill_(math.sqrt(1.0 + norm.eps))
-        norm.bias.copy_(bias)
+        if isinstance(norm, nn.BatchNorm2d) and convolve.bias is None:
+            norm.weight.fill_(math.sqrt(1.0 + norm.eps))
+            norm.bias.copy_(bias[0])
+        elif bias:
+            convolve.bias.copy_(bias[0])
 
 
-def _fill_products(network: CompactUNet, nodes: list[Any], values: dict[str, np.ndarray]) -> None:
-    """Fill the linear layers, which the file holds as products with constants."""
-    weights = [values[node.input[1]] for node in nodes if node.input[1] in values]
-    layers = [layer for layer in network.context.modules() if isinstance(layer, nn.Linear)]
-    for layer, weight in zip(layers, weights, strict=True):
-        layer.weight.copy_(_tensor(weight.T))
+def _fill_products(layers: list[nn.Module], nodes: Iterable[Any], values: dict[str, Tensor]) -> None:
+    """Fill the linear layers, which the file holds as products with constants; a bias has its own name."""
+    weights = [values[node.input[1]] for node in nodes if node.op_type == "MatMul" and node.input[1] in values]
+    linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    for layer, weight in zip(linear, weights, strict=True):
+        layer.weight.copy_(weight.T)
+
+
+def _fill_position_biases(layers: list[nn.Module], nodes: Iterable[Any], values: dict[str, Tensor]) -> None:
+    """Fill the position biases of attention, which the file holds spread to every pair of cells, without a name."""
+    terms = [name for node in nodes if node.op_type == "Add" for name in node.input if name.startswith("onnx::Add")]
+    attentions = [layer for layer in layers if isinstance(layer, WindowAttention)]
+    for attention, name in zip(attentions, terms[: len(attentions)], strict=True):
+        # a pair of cells that the seam of a shift does not part has its bias in some window: [heads, cells, cells]
+        pairs = values[name].unflatten(0, (-1, attention.heads)).amax(dim=0)
+        table = attention.relative_position_bias_table
+        table[attention.relative_position_index.flatten()] = pairs.flatten(1).T.to(table)
 
 
 def _tensor(values: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(values))
-
-
-def _check_parity(network: CompactUNet, path: Path, cells: np.ndarray, wanted: np.ndarray) -> None:
-    more = network.config.in_channels - cells.shape[1]
-    shown = torch.from_numpy(np.pad(cells, ((0, 0), (0, more), (0, 0), (0, 0))))
-    with torch.no_grad():
-        answer = network.eval()(shown.to(next(network.parameters()).device))
-    said = torch.sigmoid(answer).cpu().numpy()
-    difference = float(np.abs(said - wanted).max() / np.abs(wanted).max())
-    if not difference <= PARITY:
-        raise ValueError(f"{path}: weights must answer as the file does within {PARITY}, differ by {difference}")
+    return torch.from_numpy(np.array(values))

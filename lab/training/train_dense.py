@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from lab.networks.compact_unet import CompactUNet
 from lab.training.data.samples import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
 from lab.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
 from lab.training.families import FAMILIES, NetworkChoice
@@ -43,7 +42,7 @@ class TrainDenseConfig:
     threads: int = 1
     #: Arithmetic in bfloat16 where it is safe (section 3.3: mixed precision).
     mixed_precision: bool = True
-    #: File of initial weights: a checkpoint, or an exported `CompactUNet`.
+    #: File of initial weights: a checkpoint, or an exported network.
     init: str = ""
 
 
@@ -133,8 +132,6 @@ class DenseTraining(TrainingLoop[EpochReport]):
         if path.suffix != ".onnx":
             load_initial(self.network, path)
             return
-        if not isinstance(self.network, CompactUNet):
-            raise ValueError(f"init must be a checkpoint for {self.config.network.family}, got the exported {path}")
         load_exported(self.network, path)
         size = self.config.schedule.batch_size
         batches = shuffled_batches(self.data.train, self.former, size, (self.config.seed, 0))

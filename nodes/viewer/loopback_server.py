@@ -182,6 +182,8 @@ class LoopbackServer:
         )
 
     def _run(self) -> None:
+        logging.getLogger("asyncio").addFilter(_not_to_gone_clients)
+
         async def serve() -> None:
             self._loop = asyncio.get_running_loop()
             await self._server.serve(sockets=[self._socket])
@@ -190,6 +192,11 @@ class LoopbackServer:
             asyncio.run(serve())
         finally:
             self._loop = None
+
+
+def _not_to_gone_clients(record: logging.LogRecord) -> bool:
+    """Leave out what asyncio logs of writes to a client that has gone, until the next read notices it."""
+    return record.msg != "socket.send() raised exception."
 
 
 async def converse(*halves: Coroutine[Any, Any, None]) -> list[Exception]:

@@ -1,10 +1,13 @@
-"""Samples of the field and evidence networks on disk: made once by worker processes, read whole into memory."""
+"""Samples of the field and evidence networks on disk: made once by worker processes; evidence stays on disk until a
+batch asks for it.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +22,17 @@ from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding
 from models.perception.mirrors.mirror_table import WallArrays
 from models.perception.mirrors.observability import observability
-from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
+from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, joined_by_priors
 from models.perception.see.field_predictor import FieldPredictor
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.see.wall_memory import RadarPose, WallMemory
+from models.perception.track.wall_fusion import PlacedPrior
+from models.perception.track.wall_lines import WallLine
+from models.perception.track.wall_priors import WallPriorStore
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.array_table import stored_columns, stored_tables
+from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
 from sim_player.dataset.executors import map_jobs
 
@@ -33,6 +40,10 @@ from sim_player.dataset.executors import map_jobs
 SAMPLES_PER_FILE = 40
 #: Share of the training scans that an imperfect radar records.
 IMPERFECT_SHARE = 0.5
+#: Share of the training scans and drives with the walls of a poor map, and of these with a map that lies elsewhere.
+MAP_SHARE, MISPLACED_SHARE = 0.2, 0.2
+#: Standard deviation of where such a map lies, in both axes and of its heading.
+MISPLACED_M, MISPLACED_RAD = 1.0, math.radians(1.5)
 
 
 @dataclass(frozen=True)
@@ -100,11 +111,20 @@ def _make_file(job: tuple[Path, Sequence[int], FieldTask | EvidenceTask, Path, i
     directory, indices, task, path, seed = job
     data = _data_set(directory)
     frames = (_frame(data, index, seed) for index in indices)
-    arrays = _field_arrays(frames, task) if isinstance(task, FieldTask) else _evidence_arrays(frames, task, directory)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(task, FieldTask):
+        arrays = _field_arrays(frames, task)
+    else:
+        channels, arrays = _evidence_arrays(frames, task, directory, seed)
+        with whole(_channels_path(path)) as part, part.open("wb") as file:
+            np.save(file, channels)
     with whole(path) as part, part.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
     return path
+
+
+def _channels_path(path: Path) -> Path:
+    return path.with_suffix(".channels.npy")
 
 
 @lru_cache(maxsize=4)
@@ -138,7 +158,10 @@ def _field_arrays(frames: Iterator[Frame], task: FieldTask) -> dict[str, np.ndar
     }
 
 
-def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Path) -> dict[str, np.ndarray]:
+def _evidence_arrays(
+    frames: Iterator[Frame], task: EvidenceTask, directory: Path, seed: int | None
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the channels of some scans, int8 [scans, channels, x, y], and their objects and truths."""
     detector, fields = _networks(task, directory)
     channels, objects, truths, masks = [], [], [], []
     memory, drive = WallMemory(), ""
@@ -147,16 +170,19 @@ def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Pat
             memory, drive = WallMemory(), frame.sequence
         memory.move(RadarPose(0, frame.pose) if frame.sequence and frame.pose else None)
         peaks, geometry = detector.detect(frame.ra_map), task.geometry
-        _, fitted = direct_structure(peaks, geometry)
+        returns, fitted = direct_structure(peaks, geometry)
         masks.append(observability(fitted, peaks.sensitivity_db, geometry.grid, geometry.visibility))
         answer = fields.answer(frame.ra_map)
-        scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier())
+        priors = [] if seed is None else _poor_map(frame, seed)
+        with_priors = partial(joined_by_priors, peaks, returns, partial(WallPriorStore().fused, priors))
+        scan = scan_evidence(
+            task.encoding, frame.ra_map, answer, fitted, memory.earlier(), with_priors if priors else None
+        )
         memory.add(scan.elements)
         channels.append(quantized(scan.evidence.channels))
         objects.append(evidence_objects(frame, scan))
         truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))
-    arrays: dict[str, np.ndarray] = {"channels": np.stack(channels)}
-    arrays["visibility"] = np.stack(masks)
+    arrays: dict[str, np.ndarray] = {"visibility": np.stack(masks)}
     arrays["mirror"] = np.stack([truth.mirror for truth in truths]).astype(np.int8)
     arrays |= stored_columns("objects", objects)
     arrays |= stored_columns("walls", [truth.walls for truth in truths])
@@ -164,7 +190,25 @@ def _evidence_arrays(frames: Iterator[Frame], task: EvidenceTask, directory: Pat
     arrays["truth"] = np.array([msgspec.json.encode(truth.truth) for truth in truths])
     for name in ("noise_power_mw", "azimuth_stamp_ns", "ego_compensated"):
         arrays[name] = np.array([getattr(truth, name) for truth in truths])
-    return arrays
+    return np.stack(channels), arrays
+
+
+def _poor_map(frame: Frame, seed: int) -> list[PlacedPrior]:
+    """Return the walls that a poor map has of a scan, for a share of the scans and of the drives; none for others."""
+    rng = np.random.default_rng((seed, *(frame.sequence or str(frame.index)).encode()))
+    if rng.random() >= MAP_SHARE:
+        return []
+    move = Pose2()
+    if rng.random() < MISPLACED_SHARE:
+        x_m, y_m = rng.normal(0.0, MISPLACED_M, 2).tolist()
+        move = Pose2(x_m=x_m, y_m=y_m, yaw_rad=float(rng.normal(0.0, MISPLACED_RAD)))
+    return [
+        PlacedPrior(
+            "map",
+            WallLine.between(move.apply(np.array(wall.ends_m)), wall.offset_std_m, wall.angle_std_rad, wall.end_std_m),
+        )
+        for wall in frame.map_walls
+    ]
 
 
 def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray) -> ScanTruth:
@@ -172,6 +216,11 @@ def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray) -> ScanTruth:
     stamps = frame.ra_map.stamps_at(grid.azimuth_at(np.arange(grid.azimuth_bins))) - frame.ra_map.stamp_ns
     truth = frame.truth or ()
     return ScanTruth(walls, mirror, frame.labels, truth, frame.noise_power_mw, stamps, frame.ra_map.ego_compensated)
+
+
+def load_channels(path: Path) -> np.ndarray:
+    """Return the channels of the scans of a file, int8 [scans, channels, x, y], as they lie on disk."""
+    return np.load(_channels_path(path), mmap_mode="r")
 
 
 def load_objects(path: Path) -> list[EvidenceObjects]:

@@ -16,8 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from lab.training.exported_weights import fill_exported, settle_norms
 from lab.training.loop import TrainingLoop
 from lab.training.schedules import ScheduleConfig
+
+#: Scans whose statistics the norms of an exported network take before the training goes on.
+SETTLING_SCANS = 192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +74,22 @@ class GridTraining(TrainingLoop[GridEpoch]):
     @abstractmethod
     def batch_loss(self, index: Tensor, flip: bool) -> Tensor:
         """Return the loss of some training scans, int64 [B] on the CPU; `flip`: left and right exchanged."""
+
+    @abstractmethod
+    def inputs(self, index: Tensor) -> Tensor:
+        """Return what the network sees of some training scans, int64 [B] on the CPU."""
+
+    def start_from(self, path: Path, sha256: str) -> None:
+        """Begin with the weights of an exported network, in a run without an epoch; raises `ValueError` naming a file
+        of another shape.
+        """
+        if not self.reports:
+            fill_exported(self.network, path, sha256)
+            self.settle()
+
+    def settle(self) -> None:
+        """Give the norms the statistics of the first training scans."""
+        settle_norms(self.network, map(self.inputs, torch.arange(min(self.scans, SETTLING_SCANS)).split(16)))
 
     @abstractmethod
     def validate(self) -> tuple[float, dict[str, float]]:

@@ -23,8 +23,8 @@ from lab.training.export.evidence import export_evidence, export_fields
 from models.perception.cards import card_path
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DEFAULT_MODEL
-from models.perception.see.evidence_predictor import EvidenceCard
-from models.perception.see.field_predictor import FieldCard
+from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
+from models.perception.see.field_predictor import FieldCard, FieldPredictor
 from models.perception.see.scan_evidence import EvidenceEncoding
 from msgs.files.checksums import file_sha256
 from msgs.values.radar import RangeAzimuthGrid
@@ -42,6 +42,7 @@ Report = Callable[[str, GridEpoch], None]
 class EvidenceRun:
     """What both networks are trained and judged on, where the run lies, and how samples are made.
 
+    `init`: an exported evidence network, from which and from the field network beside it both go on; without it
     `field_start`: a detector (`compact_unet.onnx`) whose layers the field network begins with. `sample_minutes`: time
     for the training samples of each network; None: all are made.
 
@@ -53,6 +54,7 @@ class EvidenceRun:
     folder: Path
     detector: Path = DEFAULT_MODEL
     field_start: Path | None = None
+    init: Path | None = None
     workers: int = 1
     sample_minutes: float | None = None
 
@@ -69,8 +71,11 @@ class EvidenceRun:
         judges, train = self._samples(task, "fields")
         folder = self.folder / "fields"
         training = FieldTraining(train, judges, CHANNELS, GRID, schedule, folder)
-        if self.field_start is not None:
-            training.start_from(self.field_start)
+        if self.init is not None:
+            fields = EvidencePredictor(self.init).fields_path
+            training.start_from(fields, FieldPredictor(fields).card.sha256)
+        elif self.field_start is not None:
+            training.start_from_detector(self.field_start)
         best = training.run(lambda epoch: report("fields", epoch))
         return export_fields(folder, ENCODING, GRID, self.folder / FIELDS_FILE, **self._facts(training, best))
 
@@ -87,6 +92,8 @@ class EvidenceRun:
         judges, train = self._samples(EvidenceTask(EVIDENCE, self.detector, fields), "evidence")
         folder = self.folder / "evidence"
         training = EvidenceTraining(train, judges, EVIDENCE, GRID, schedule, folder)
+        if self.init is not None:
+            training.start_from(self.init, EvidencePredictor(self.init).card.sha256)
         best = training.run(lambda epoch: report("evidence", epoch))
         facts = self._facts(training, best)
         facts["data"] |= {
@@ -113,10 +120,11 @@ class EvidenceRun:
         """Return what a card says of a run."""
         schedule = {name: getattr(training.schedule, name) for name in training.schedule.__dataclass_fields__}
         sets = {"train": self.data, "validation": self.validation}
+        start = {} if self.init is None else {"start": f"{self.init.name}, sha256 {file_sha256(self.init)}"}
         return {
             "scores": best.scores,
             "data": {name: " ".join(path.name for path in paths) for name, paths in sets.items()},
-            "training": {"scans": training.scans, "seconds": round(best.seconds), "schedule": schedule},
+            "training": {"scans": training.scans, "seconds": round(best.seconds), "schedule": schedule} | start,
         }
 
 

@@ -16,7 +16,7 @@ from scipy.special import expit, logit
 from lab.measures.object_rows import ScanRow, is_false, single_reaches
 from lab.training.calibration import fit_table
 from lab.training.data.evidence_samples import SCALE
-from lab.training.data.evidence_store import ScanTruth, load_truths
+from lab.training.data.evidence_store import ScanTruth, load_channels, load_truths
 from lab.training.evidence.scan_rows import add_rows
 from models.perception.find.score_calibration import ScoreTable, calibrated
 from models.perception.mirrors.observability import visibility_at
@@ -24,7 +24,6 @@ from models.perception.mirrors.peaks_to_view import GeometryParams
 from models.perception.see.evidence_answers import evidence_detections, least_answer, shifted
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.scan_evidence import EvidenceEncoding
-from msgs.files.array_files import load_arrays
 
 #: False reports a scan at which the recall is shown.
 SHOWN_FALSE = (0.10, 0.15, 0.24)
@@ -106,7 +105,7 @@ def with_probabilities(card: EvidenceCard, predictor: EvidencePredictor, files: 
     answered = [
         (stored, predictor.answer(channels.astype(np.float32) / SCALE))
         for path in files
-        for stored, channels in zip(load_truths(path), load_arrays(path, only=("channels",))["channels"], strict=True)
+        for stored, channels in zip(load_truths(path), load_channels(path), strict=True)
     ]
     tallies = [EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS) for _ in (False, True)]
     for stored, answer in answered:

@@ -11,14 +11,13 @@ from torch import Tensor
 
 from lab.networks.evidence_unet import EvidenceUNet
 from lab.training.data.evidence_samples import SCALE, EvidenceObjects, joined_objects
-from lab.training.data.evidence_store import load_objects, load_truths
+from lab.training.data.evidence_store import load_channels, load_objects, load_truths
 from lab.training.evidence.grid_training import GridSchedule, GridTraining
 from lab.training.evidence.scoring import SHOWN_FALSE, EvidenceTally, recall_at
 from lab.training.objectives.evidence import EvidenceTargets, evidence_loss
 from models.perception.see.detections import ANSWERS
 from models.perception.see.gathering import BY_MIRROR
 from models.perception.see.scan_evidence import EvidenceEncoding
-from msgs.files.array_files import load_arrays
 from msgs.values.radar import RangeAzimuthGrid
 
 #: Direction of the way on at a place by its likeliest mirror.
@@ -45,20 +44,10 @@ class EvidenceTraining(GridTraining):
         self._x_m, self._y_m = (
             torch.from_numpy(axis).float().to(self.device) for axis in (encoding.grid.x_m, encoding.grid.y_m)
         )
-        self._channels = self._loaded(train)
+        # of each scan, on disk: a few ten thousand of them fill the memory
+        self._channels = [channels for path in train for channels in load_channels(path)]
         self._objects = [item for path in train for item in load_objects(path)]
         self._validation = list(validation)
-
-    def _loaded(self, paths: Sequence[Path]) -> Tensor:
-        """Return the channels of all scans, int8, on the device."""
-        counts = [len(load_arrays(path, only=("mirror",))["mirror"]) for path in paths]
-        channels = torch.empty((sum(counts), *self._encoding.shape), dtype=torch.int8, device=self.device)
-        first = 0
-        for path, count in zip(paths, counts, strict=True):
-            arrays = load_arrays(path, only=("channels",))
-            channels[first : first + count] = torch.from_numpy(arrays["channels"]).to(self.device)
-            first += count
-        return channels
 
     @property
     def scans(self) -> int:
@@ -68,7 +57,14 @@ class EvidenceTraining(GridTraining):
     def batch_loss(self, index: Tensor, flip: bool) -> Tensor:
         """Return the loss of some training scans."""
         objects = [self._objects[number] for number in index.tolist()]
-        return self._loss(self._channels[index.to(self.device)], objects, flip)[0]
+        return self._loss(self._batch(index), objects, flip)[0]
+
+    def inputs(self, index: Tensor) -> Tensor:
+        """Return the evidence of some training scans."""
+        return self._inputs(self._batch(index), False)
+
+    def _batch(self, index: Tensor) -> Tensor:
+        return torch.from_numpy(np.stack([self._channels[number] for number in index.tolist()])).to(self.device)
 
     def _inputs(self, channels: Tensor, flip: bool) -> Tensor:
         inputs = channels.float() / SCALE
@@ -102,7 +98,7 @@ class EvidenceTraining(GridTraining):
         losses = []
         with torch.no_grad():
             for path in self._validation:
-                channels = torch.from_numpy(load_arrays(path, only=("channels",))["channels"]).to(self.device)
+                channels = torch.from_numpy(np.array(load_channels(path))).to(self.device)
                 loss, answer = self._loss(channels, load_objects(path), False)
                 losses.append(loss.item())
                 for stored, said in zip(load_truths(path), answer.float().cpu().numpy(), strict=True):

@@ -13,7 +13,7 @@ from torch import Tensor
 from lab.networks.compact_unet import CompactUNet, CompactUNetConfig
 from lab.training.data.field_samples import Returns
 from lab.training.evidence.grid_training import GridSchedule, GridTraining
-from lab.training.exported_weights import load_exported, settle_norms
+from lab.training.exported_weights import load_exported
 from lab.training.objectives.evidence import heat_loss, wall_loss
 from models.perception.see.field_predictor import FIELD_ANSWERS
 from models.perception.see.wall_elements import BEYOND_M, WALL_ANSWERS
@@ -64,7 +64,7 @@ class FieldTraining(GridTraining):
         returns = [table for file in files for table in stored_tables(Returns, "returns", file)]
         return _Arrays(cells, range_m, angle_rad, returns)
 
-    def start_from(self, detector: Path) -> None:
+    def start_from_detector(self, detector: Path) -> None:
         """Begin with the layers and the two answers of an exported detector (`compact_unet.onnx`), in a run without an
         epoch; raises `ValueError` naming a file of another shape.
         """
@@ -77,8 +77,11 @@ class FieldTraining(GridTraining):
             # its answers are the last ones here
             state[name] = torch.cat([state[name][: -len(values)], values]) if name.startswith("head.") else values
         self.network.load_state_dict(state)
-        batches = (self._train.cells[first : first + 16].float() for first in range(0, min(self.scans, 192), 16))
-        settle_norms(self.network, batches)
+        self.settle()
+
+    def inputs(self, index: Tensor) -> Tensor:
+        """Return the cells of some training scans."""
+        return self._train.cells[index.to(self.device)].float()
 
     @property
     def scans(self) -> int:

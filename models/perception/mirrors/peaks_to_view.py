@@ -130,7 +130,7 @@ def recover_bev(
     if params.back_end == "specification":
         # it knows the walls of its scan alone
         wall_prior = None
-    with_priors = partial(_joined_by_priors, peaks, returns, wall_prior) if wall_prior else None
+    with_priors = partial(joined_by_priors, peaks, returns, wall_prior) if wall_prior else None
     # a network judges in a thread of its own, while the rest of the view is made
     judged = judge(walls, with_priors) if judge else None
     if wall_prior is not None:
@@ -205,7 +205,7 @@ def _with_priors(
     return replace(returns, wall=wall), walls
 
 
-def _joined_by_priors(peaks: Peaks, returns: DirectReturns, wall_prior: WallPrior, walls: list[Wall]) -> list[Wall]:
+def joined_by_priors(peaks: Peaks, returns: DirectReturns, wall_prior: WallPrior, walls: list[Wall]) -> list[Wall]:
     """Return walls that other means found in a scan with walls from elsewhere."""
     wall = nearest_walls(returns.points_m, wall_arrays(walls))
     return _with_priors(peaks, replace(returns, wall=wall), walls, wall_prior)[1]

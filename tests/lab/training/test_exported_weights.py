@@ -15,9 +15,10 @@ from lab.networks.unet import UNetConfig
 from lab.training.data.frames import Scan
 from lab.training.data.samples import DataConfig, SampleFormer, TrainingData
 from lab.training.exported_weights import load_exported, settle_norms
-from lab.training.families import INPUTS, choice_of
+from lab.training.families import INPUTS, choice_of, preset_network
 from lab.training.schedules import ScheduleConfig
 from lab.training.train_dense import DenseTraining, TrainDenseConfig
+from models.perception.cards import learned_path
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
 from msgs.values.radar import RangeAzimuthGrid
@@ -95,14 +96,21 @@ def test_a_training_goes_on_from_an_exported_network(tmp_path: Path) -> None:
     assert all(not torch.equal(before[name], after[name]) for name in before if "running_mean" in name)
 
 
-def test_networks_of_other_families_start_from_checkpoints(tmp_path: Path) -> None:
+@pytest.mark.parametrize("family", ["swin_unet", "unet"])
+def test_networks_of_the_specification_answer_what_their_files_answer(family: str) -> None:
+    """Attention's position biases and layers without a norm: parity with the file is checked on the way."""
+    network = preset_network(family, "compact", "complex")[0].build()
+    load_exported(network, learned_path(f"{family}.compact"))
+
+
+def test_a_file_of_another_family_is_refused_before_the_folder_is_taken(tmp_path: Path) -> None:
     network = UNetConfig(range_bins=512, columns=256, widths=(2, 2), patch=16)
     config = DataConfig(encoding=Encoding(range_bins=512, columns=256, channels=INPUTS["complex"]))
     data = TrainingData(train=[_scan(np.random.default_rng(0), config.grid)], validation=[], config=config)
     training = TrainDenseConfig(
         network=choice_of("unet", network), schedule=ScheduleConfig(batch_size=1), init=str(DEFAULT_MODEL)
     )
-    with pytest.raises(ValueError, match=r"init must be a checkpoint for unet, got the exported .*compact_unet\.onnx"):
+    with pytest.raises(ValueError, match=r"compact_unet\.onnx: start must be a network of this shape"):
         DenseTraining(training, data, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.special import expit
 
+from lab.training.data import evidence_store
 from lab.training.data.evidence_store import load_objects, load_truths
 from lab.training.data.frames import DataSet
 from lab.training.evidence.grid_training import GridEpoch, GridSchedule
@@ -82,7 +83,7 @@ def test_left_and_right_are_exchanged_in_evidence_and_objects_alike(
     """Half of all training: what a flip asks for is what the mirrored scan with mirrored objects asks for."""
     paths = list((trained / "evidence-samples" / places.name).glob("*.npz"))
     training = EvidenceTraining(paths, [], EVIDENCE, GRID, GridSchedule(epochs=1, batch_size=2), tmp_path)
-    channels = training._channels
+    channels = training._batch(torch.arange(training.scans))
     objects = load_objects(paths[0])
     assert any(item.asked.any() for item in objects)
     turned = channels.flip(3)
@@ -103,13 +104,43 @@ def test_a_field_network_begins_with_the_answers_of_a_detector(places: Path, tra
     schedule = GridSchedule(epochs=1, batch_size=2)
     training = FieldTraining(files, files, CHANNELS, GRID, schedule, tmp_path)
     detector = learned_path("compact_unet")
-    training.start_from(detector)
+    training.start_from_detector(detector)
     training.network.eval()
     cells = load_arrays(files[0], only=("cells",))["cells"][:1].astype(np.float32)
     with torch.no_grad():
         answer = training.network(torch.from_numpy(cells))[0, WALL_ANSWERS:].numpy()
     wanted = DensePredictor(detector).infer(cells[0])
     np.testing.assert_allclose(expit(answer), wanted, atol=2e-3)
+
+
+def test_a_run_goes_on_from_exported_networks(places: Path, judges: Path, trained: Path, tmp_path: Path) -> None:
+    """Parity with both files is checked on the way; their cards say the start."""
+    run = EvidenceRun(data=[places], validation=[judges], folder=tmp_path, init=trained / EVIDENCE_FILE)
+    cards = [
+        run.train_fields(GridSchedule(epochs=1, batch_size=2)),
+        run.train_evidence(GridSchedule(epochs=1, batch_size=2)),
+    ]
+    assert all(card.training["start"].startswith("evidence_unet.onnx, sha256") for card in cards)
+    with pytest.raises(ValueError, match="start must be a network of this shape in full precision"):
+        replace(run, folder=tmp_path / "int8", init=learned_path("evidence_unet.int8")).train_fields(GridSchedule())
+
+
+def test_some_training_scans_have_a_poor_map(places: Path) -> None:
+    """In the share of the scans that is asked for, where the data set has it; all or none of a drive's."""
+    frames = [DataSet(places).frame(0)] * 200
+    numbered = [replace(frame, index=index) for index, frame in enumerate(frames)]
+    maps = [evidence_store._poor_map(frame, 0) for frame in numbered]
+    exact = [tuple(map(tuple, wall.ends_m)) for wall in frames[0].map_walls]
+    assert exact
+    with_map = [walls for walls in maps if walls]
+    # binomial of 200 at 0.2: a standard deviation of 6
+    assert 20 < len(with_map) < 60
+    assert {len(walls) for walls in with_map} == {len(exact)}
+    placed = [np.allclose(walls[0].line.ends_m, frames[0].map_walls[0].ends_m, atol=1e-6) for walls in with_map]
+    # as the map has it but for a fifth, of 40: a standard deviation of 2.5
+    assert 0.6 < np.mean(placed) < 1.0
+    of_drive = [bool(evidence_store._poor_map(replace(frame, sequence="a"), 0)) for frame in numbered]
+    assert len(set(of_drive)) == 1
 
 
 def test_a_stopped_run_goes_on_to_the_same_weights(
