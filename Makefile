@@ -176,23 +176,35 @@ compare: setup  ## three sensors over all sweeps, the tables and pictures of doc
 results-gpu: setup-dev  ## the networks at full size and ours from data drawn meanwhile, on one GPU and many cores (8 minutes; goes on if stopped)
 	$(BIN)/python -m benchmarks.accuracy.full_size --work runs/full_size --out runs/full_size/results
 
-# the committed networks are of this recipe in stages, each from the weights of the one before (see their cards)
-object-network: setup-dev  ## field and evidence network from places and drives drawn for them (six hours on two cores; goes on if stopped)
-	$(BIN)/mirrorwave sim dataset --out data/object_places --count 2000 --effects all --truth --seed 6100 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_places_2 --count 8000 --effects all --truth --seed 6102 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_places_3 --count 8000 --effects all --truth --seed 6103 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives --count 200 --scans 8 --seed 6200 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_places_validation --count 600 --effects all --truth --seed 6101 --workers 2
-	$(BIN)/mirrorwave sim dataset --out data/object_drives_validation --count 50 --scans 8 --seed 6201 --workers 2
-	$(BIN)/mirrorwave train objects --data data/object_places --data data/object_places_2 --data data/object_places_3 \
-		--data data/object_drives --validation data/object_places_validation --out runs/objects --workers 2 --threads 2
-	$(BIN)/mirrorwave export runs/objects/evidence_unet.onnx --precision int8 --data data/object_places \
+OBJECT_DATA := data/object
+OBJECT_VALIDATION := --validation $(OBJECT_DATA)_places_validation --validation $(OBJECT_DATA)_drives_validation
+DRAW := $(BIN)/mirrorwave sim dataset --workers 2
+
+# the committed networks are of this recipe in smaller steps, each from the weights of the one before (see their cards)
+object-network: setup-dev  ## field and evidence network from places and drives drawn for them (half a day on two cores; goes on if stopped)
+	$(DRAW) --out $(OBJECT_DATA)_places --count 2000 --effects all --truth --seed 6100
+	$(DRAW) --out $(OBJECT_DATA)_places_2 --count 8000 --effects all --truth --seed 6102
+	$(DRAW) --out $(OBJECT_DATA)_places_3 --count 8000 --effects all --truth --seed 6103
+	$(DRAW) --out $(OBJECT_DATA)_drives --count 200 --scans 8 --seed 6200
+	$(DRAW) --out $(OBJECT_DATA)_places_5 --count 8000 --truth --seed 6106
+	$(DRAW) --out $(OBJECT_DATA)_places_6 --count 6000 --truth --seed 6107
+	$(DRAW) --out $(OBJECT_DATA)_places_7 --count 8000 --truth --seed 6109
+	$(DRAW) --out $(OBJECT_DATA)_places_hard --count 2500 --truth --shift hard --seed 6108
+	$(DRAW) --out $(OBJECT_DATA)_drives_5 --count 480 --scans 8 --seed 6205
+	$(DRAW) --out $(OBJECT_DATA)_drives_6 --count 300 --scans 8 --seed 6206
+	$(DRAW) --out $(OBJECT_DATA)_places_validation --count 1000 --effects all --truth --seed 6112
+	$(DRAW) --out $(OBJECT_DATA)_drives_validation --count 200 --scans 8 --seed 6210
+	$(BIN)/mirrorwave train objects $(OBJECT_VALIDATION) --out runs/objects_first --workers 2 --threads 2 --epochs 4 \
+		$(addprefix --data $(OBJECT_DATA)_,places places_2 places_3 drives)
+	$(BIN)/mirrorwave train objects $(OBJECT_VALIDATION) --out runs/objects --workers 2 --threads 2 --epochs 5 \
+		--init runs/objects_first/evidence_unet.onnx \
+		$(addprefix --data $(OBJECT_DATA)_,drives_5 drives_6 places_5 places_6 places_7 places_hard)
+	$(BIN)/mirrorwave export runs/objects/evidence_unet.onnx --precision int8 --data $(OBJECT_DATA)_places_5 \
 		--out runs/objects/evidence_unet.int8.onnx
 	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.onnx --flip-test --out runs/probabilities --workers 2 \
-		--validation data/object_places_validation --validation data/object_drives_validation
+		$(OBJECT_VALIDATION)
 	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.int8.onnx --out runs/probabilities_int8 --workers 2 \
-		--model models/weights/compact_unet.int8.onnx \
-		--validation data/object_places_validation --validation data/object_drives_validation
+		--model models/weights/compact_unet.int8.onnx $(OBJECT_VALIDATION)
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -76,15 +76,14 @@ class Weakest:
     def selected(self, paths: Paths, beam: int) -> tuple[np.ndarray, np.ndarray]:
         """Return which paths a beam keeps, and which of them overlap, bool [P] each.
 
-        Raises ValueError for paths that are not finite, if they are asked.
+        Raises ValueError for paths that are not finite.
         """
         kept, overlaps = np.ones(len(paths), bool), np.full(len(paths), self._effects.chirp_overlap)
         if len(paths) < FEWEST:
+            _require_finite(sum(float(np.abs(column).sum()) for column in _columns(paths)))
             return kept, overlaps
         strength, low, high, area, far, total = self._asked(paths, beam)
-        # a sum of all is finite where each is
-        if not math.isfinite(total):
-            raise ValueError(f"paths of a beam must be finite, got {total!r}")
+        _require_finite(total)
         near, everywhere, limit = np.zeros(RANGE_BINS), np.zeros(1), self._limit
         whole = kept, PATHS_SHARE * limit, self._skirt, far + self._skirt[-1]
         heads = overlaps, limit, np.zeros_like(self._skirt), far
@@ -106,13 +105,24 @@ class Weakest:
         The bound of its field; the first and the last range bin that its tone comes near; what the overlapped start of
         a unit echo changes nearby, and farther off.
         """
-        angles = paths.azimuth_rad, paths.elevation_rad, paths.departure_azimuth_rad, paths.departure_elevation_rad
-        motion = paths.length_m, paths.radial_speed_mps
-        steered = self._setup.array.steered_ways
+        amplitude, *angles, length_m, speed_mps = _columns(paths)
+        steered, motion = self._setup.array.steered_ways, (length_m, speed_mps)
         asked: _Asked = _asked(
-            self._patterns[:, :, beam], paths.amplitude, angles, steered, motion, self._lobe, self._rates
+            self._patterns[:, :, beam], amplitude, tuple(angles), steered, motion, self._lobe, self._rates
         )
         return asked
+
+
+def _columns(paths: Paths) -> tuple[np.ndarray, ...]:
+    """Return what a beam asks of paths: amplitudes, angles of both ways, lengths and speeds."""
+    angles = paths.azimuth_rad, paths.elevation_rad, paths.departure_azimuth_rad, paths.departure_elevation_rad
+    return paths.amplitude, *angles, paths.length_m, paths.radial_speed_mps
+
+
+def _require_finite(total: float) -> None:
+    """Raise `ValueError` where a sum over all paths is not finite, as it is where each is."""
+    if not math.isfinite(total):
+        raise ValueError(f"paths of a beam must be finite, got {total!r}")
 
 
 @lru_cache(maxsize=8)

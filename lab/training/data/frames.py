@@ -65,6 +65,8 @@ class _LabelledScene:
     noise_power_mw: float = 0.0
     labels: FrameLabels
     place: str = ""
+    #: Kinds of the walls that mirror, as `curved_wall`.
+    relays: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     #: Indices of the objects that only mirrors show.
     hidden: tuple[int, ...] = ()
@@ -220,6 +222,7 @@ class _Facts(msgspec.Struct):
     """Facts of a scene in a shard, as far as they are used."""
 
     place: str = ""
+    relays: tuple[str, ...] = ()
     objects: tuple[Any, ...] = ()
     hidden: tuple[Any, ...] = ()
     truth: tuple[TruthObject, ...] | None = None

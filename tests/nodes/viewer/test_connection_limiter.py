@@ -402,3 +402,10 @@ def test_what_goes_wrong_inside_does_not_tell_the_token(server: ViewerServer, ca
             opened.sendall(ws_frame(TEXT, json.dumps({"type": "x"}).encode()))
             opened.recv(1 << 16)
     assert token(server) not in caplog.text
+
+
+def test_a_page_that_is_closed_is_no_warning(server: ViewerServer, caplog: pytest.LogCaptureFixture) -> None:
+    """asyncio's own words for a write after its client has gone; what else it says stays."""
+    for said in ("socket.send() raised exception.", "another"):
+        logging.getLogger("asyncio").warning(said)
+    assert caplog.messages == ["another"]
