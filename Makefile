@@ -157,6 +157,7 @@ sample: setup  ## the shipped sample capture, simulated again: docs/guides/first
 	$(BIN)/python -m benchmarks.simulator.sample_capture
 
 pictures: setup  ## the pictures of README, first look and walls again, by the present default (minutes); others: compare, full-wave
+	mkdir -p runs/pictures
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 	$(BIN)/mirrorwave sim run launch/scenes/two_hidden_vehicles.yaml --out runs/pictures/two.mcap --scans 1
 	$(BIN)/mirrorwave process runs/pictures/two.mcap --out runs/pictures/two

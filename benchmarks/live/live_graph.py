@@ -54,6 +54,8 @@ def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool, opt
         said.seek(0)
         selected = [line.strip() for line in said if line.startswith("profile ")]
     bus.close()
+    if not usage:
+        sys.exit("the graph must start, its reason is above")
     return {"options": options, "chosen": selected, **report(latency_ms, age_ms, status, usage, graph.returncode)}
 
 

@@ -49,6 +49,7 @@ def test_simulated_frames_are_formed_as_on_the_vehicle(simulated: Path) -> None:
     assert frame.ra_map.scan_id == frame.index == 3
     assert len(frame.labels) > 0
     assert frame.place
+    assert frame.relays
     assert frame.scene_yaml
     strongest = np.abs(frame.ra_map.values).max()
     assert strongest**2 > 100.0 * frame.ra_map.noise_power_mw
