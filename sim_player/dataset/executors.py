@@ -57,7 +57,13 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
     listener, lifeline = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, context, initializer=_follow, initargs=(listener,))
     try:
-        for done in as_completed([pool.submit(function, job) for job in jobs]):
+        # workers inherit the mask: the parent alone handles keyboard and terminal signals, from their first moment on
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+        try:
+            futures = [pool.submit(function, job) for job in jobs]
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for done in as_completed(futures):
             yield done.result()
     except BrokenExecutor:
         raise RuntimeError(
@@ -74,9 +80,7 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
 
 
 def _follow(listener: Connection) -> None:
-    """End this worker with its parent, however that ends; the parent alone handles keyboard and terminal signals."""
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    """End this worker with its parent, however that ends."""
 
     def wait() -> None:
         try:

@@ -74,7 +74,7 @@ def test_beams_in_mirrored_order_are_the_mirrored_scene() -> None:
     samples = np.stack([player.beam(0, index).samples for index in range(25)])
     seen = [Perception(player.setup).see(turned).frame.objects for turned in (samples, samples[::-1].copy())]
     here, there = ([(item.x_m, item.y_m, item.score) for item in objects] for objects in seen)
-    assert len(here) == 2
+    assert len(here) == len(there) >= 2
     apart = np.abs(there * np.array([1.0, -1.0, 1.0]) - here)
     assert (apart.max(axis=0) <= (0.14, 0.14, 0.02)).all()
 
