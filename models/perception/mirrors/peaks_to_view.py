@@ -25,7 +25,7 @@ from models.perception.mirrors.recovery import (
     recover,
     reflection_state,
 )
-from models.perception.mirrors.rejection import hidden_mask
+from models.perception.mirrors.rejection import hidden_mask, in_plain_sight
 from models.perception.mirrors.walls import WallParams, find_walls
 from models.perception.target_lists.two_witnesses import agreed
 from models.perception.target_lists.wall_points import wall_like
@@ -141,7 +141,7 @@ def recover_bev(
     if judged is None or peaks.sensor:
         objects = form_objects(hidden, scan.walls, params.objects)
     if judged is not None:
-        objects = agreed(judged(), objects) if peaks.sensor else judged(visibility, params.grid)
+        objects = agreed(judged(), objects) if peaks.sensor else _hidden(judged(visibility, params.grid), scan)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
@@ -155,6 +155,14 @@ def recover_bev(
         settled_stamp_ns=peaks.settled_stamp_ns,
         flags=condition_flags(peaks),
     )
+
+
+def _hidden(objects: tuple[HiddenObject, ...], scan: FoldedScan) -> tuple[HiddenObject, ...]:
+    """Return the objects that do not stand in plain sight, where a direct echo would outdo that of any mirror."""
+    places_m = np.array([(item.x_m, item.y_m) for item in objects]).reshape(-1, 2)
+    seen = in_plain_sight(places_m, scan.walls, scan.returns)
+    kept = [item for item, is_seen in zip(objects, seen, strict=True) if not is_seen]
+    return tuple(msgspec.structs.replace(item, id=number) for number, item in enumerate(kept))
 
 
 def heeding(params: GeometryParams, sensor: SensorLimits | None) -> GeometryParams:

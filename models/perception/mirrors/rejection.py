@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,10 @@ OPEN_VIEW_MARGIN_M = 2.5
 COMPARABLE_DB = 6.0
 #: Direct returns this near each other may be of one vehicle.
 VEHICLE_EPS_M = 2.5
+
+#: A return past a point lies so near its direction and so much farther, one before it likewise nearer.
+PAST_RAD, PAST_M = math.radians(4.0), 2.0
+BEFORE_RAD, BEFORE_M = math.radians(8.0), 0.5
 
 
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
@@ -118,3 +123,15 @@ def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np
     outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
     longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
     return ~behind_walls(points_m, longer, 0.0)
+
+
+def in_plain_sight(points_m: np.ndarray, walls: list[Wall], returns: DirectReturns) -> np.ndarray:
+    """Return the points [N, 2] that the radar looks past: a direct return lies farther on in their direction, and
+    neither a wall nor a return stands before them; bool [N].
+    """
+    range_m, azimuth_rad = (values[:, None] for values in polar_from_xy(points_m))
+    return_range_m, return_azimuth_rad = polar_from_xy(returns.points_m)
+    apart_rad = np.abs(azimuth_rad - return_azimuth_rad)
+    past = (apart_rad <= PAST_RAD) & (return_range_m > range_m + PAST_M)
+    before = (apart_rad <= BEFORE_RAD) & (return_range_m < range_m - BEFORE_M)
+    return in_open_view(points_m, walls, OPEN_VIEW_MARGIN_M) & past.any(axis=1) & ~before.any(axis=1)

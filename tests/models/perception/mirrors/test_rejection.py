@@ -11,7 +11,7 @@ import pytest
 from models.perception.mirrors.image_walls import DirectReturns, RecoveryParams
 from models.perception.mirrors.mirror_table import NO_WALL
 from models.perception.mirrors.recovery import Recovered
-from models.perception.mirrors.rejection import hidden_mask, in_open_view
+from models.perception.mirrors.rejection import hidden_mask, in_open_view, in_plain_sight
 from msgs.values.perception import Wall
 
 #: Ends at (10, 4) and (16, 4), the radar's side below it.
@@ -112,3 +112,30 @@ def test_another_side_of_a_visible_vehicle_fits_in_its_box(x_m: float, snr_db: f
     """
     seen = returns((10.0, -1.0), (10.0, 1.0))
     assert mask(recovered((x_m, 0.0), snr_db=snr_db), seen, ()) == [hidden]
+
+
+@pytest.mark.parametrize(
+    ("seen_m", "is_seen"),
+    [
+        # 12 m straight ahead of a point at 10 m; not 2 m farther; 4.1 degrees beside it; nothing at all
+        ([(12.1, 0.0)], True),
+        ([(11.9, 0.0)], False),
+        ([(12.1, 12.1 * math.tan(math.radians(4.1)))], False),
+        ([], False),
+        # something stands before it, or just beside the way
+        ([(12.1, 0.0), (9.4, 0.0)], False),
+        ([(12.1, 0.0), (9.6, 0.0)], True),
+        ([(12.1, 0.0), (5.0, 5.0 * math.tan(math.radians(7.9)))], False),
+        ([(12.1, 0.0), (5.0, 5.0 * math.tan(math.radians(8.1)))], True),
+    ],
+)
+def test_a_point_that_the_radar_looks_past_is_in_plain_sight(seen_m: list[tuple[float, float]], is_seen: bool) -> None:
+    assert in_plain_sight(np.array([(10.0, 0.0)]), [], returns(*seen_m)).tolist() == [is_seen]
+
+
+def test_nothing_behind_a_wall_is_in_plain_sight() -> None:
+    """Returns past it are images, or come over the wall."""
+    hidden, beside = (13.0, 6.0), (13.0, -6.0)
+    seen = returns(*(tuple(1.5 * np.array(point)) for point in (hidden, beside)))
+    assert in_plain_sight(np.array([hidden, beside]), [WALL], seen).tolist() == [False, True]
+    assert in_plain_sight(np.zeros((0, 2)), [WALL], seen).tolist() == []
