@@ -38,6 +38,8 @@ from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, HiddenObject, P
 WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
 #: Walls of a scan -> the same, corrected and extended by those of a map or another sensor.
 WithPriors = Callable[[list[Wall]], list[Wall]]
+#: An object in plain sight stays from this score on: returns that hid it may be missed.
+SURE_SCORE = 0.7
 #: Fitted walls of a scan, and what joins priors to walls -> what waits for its hidden objects, in place of clusters of
 #: folded positions; it takes the view's mask and its grid, or neither.
 ObjectJudge = Callable[[list[Wall], WithPriors | None], Callable[..., tuple[HiddenObject, ...]]]
@@ -158,10 +160,10 @@ def recover_bev(
 
 
 def _hidden(objects: tuple[HiddenObject, ...], scan: FoldedScan) -> tuple[HiddenObject, ...]:
-    """Return the objects that do not stand in plain sight, where a direct echo would outdo that of any mirror."""
+    """Return the objects but unsure ones in plain sight, where a direct echo would outdo that of any mirror."""
     places_m = np.array([(item.x_m, item.y_m) for item in objects]).reshape(-1, 2)
-    seen = in_plain_sight(places_m, scan.walls, scan.returns)
-    kept = [item for item, is_seen in zip(objects, seen, strict=True) if not is_seen]
+    looked_past = in_plain_sight(places_m, scan.walls, scan.returns)
+    kept = [item for item, is_past in zip(objects, looked_past, strict=True) if not is_past or item.score >= SURE_SCORE]
     return tuple(msgspec.structs.replace(item, id=number) for number, item in enumerate(kept))
 
 
