@@ -82,6 +82,8 @@ def settle_norms(network: nn.Module, batches: Iterable[Tensor]) -> None:
     answer to every input as before.
     """
     norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    if not norms:
+        return
     moments: dict[nn.Module, list[Tensor]] = {norm: [] for norm in norms}
 
     def watch(norm: nn.Module, inputs: tuple[Tensor, ...]) -> None:

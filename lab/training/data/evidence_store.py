@@ -27,11 +27,11 @@ from models.perception.see.field_predictor import FieldPredictor
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.see.wall_memory import RadarPose, WallMemory
 from models.perception.track.wall_fusion import PlacedPrior
-from models.perception.track.wall_lines import WallLine
 from models.perception.track.wall_priors import WallPriorStore
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from msgs.values.array_table import stored_columns, stored_tables
+from msgs.values.environment import WallPriors
 from msgs.values.frames import Pose2
 from msgs.values.perception import TruthObject
 from sim_player.dataset.executors import map_jobs
@@ -174,10 +174,9 @@ def _evidence_arrays(
         masks.append(observability(fitted, peaks.sensitivity_db, geometry.grid, geometry.visibility))
         answer = fields.answer(frame.ra_map)
         priors = [] if seed is None else _poor_map(frame, seed)
-        with_priors = partial(joined_by_priors, peaks, returns, partial(WallPriorStore().fused, priors))
-        scan = scan_evidence(
-            task.encoding, frame.ra_map, answer, fitted, memory.earlier(), with_priors if priors else None
-        )
+        wall_prior = partial(WallPriorStore().fused, priors)
+        with_priors = partial(joined_by_priors, peaks, returns, wall_prior) if priors else None
+        scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier(), with_priors)
         memory.add(scan.elements)
         channels.append(quantized(scan.evidence.channels))
         objects.append(evidence_objects(frame, scan))
@@ -202,13 +201,9 @@ def _poor_map(frame: Frame, seed: int) -> list[PlacedPrior]:
     if rng.random() < MISPLACED_SHARE:
         x_m, y_m = rng.normal(0.0, MISPLACED_M, 2).tolist()
         move = Pose2(x_m=x_m, y_m=y_m, yaw_rad=float(rng.normal(0.0, MISPLACED_RAD)))
-    return [
-        PlacedPrior(
-            "map",
-            WallLine.between(move.apply(np.array(wall.ends_m)), wall.offset_std_m, wall.angle_std_rad, wall.end_std_m),
-        )
-        for wall in frame.map_walls
-    ]
+    store = WallPriorStore()
+    store.add(WallPriors(stamp_ns=0, source="map", walls=frame.map_walls))
+    return store.at(0, lambda _: None, move.inverse())
 
 
 def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray) -> ScanTruth:

@@ -20,11 +20,11 @@ from lab.training.evidence.grid_training import GridEpoch, GridSchedule, GridTra
 from lab.training.evidence.train_evidence import EvidenceTraining
 from lab.training.evidence.train_fields import FieldTraining
 from lab.training.export.evidence import export_evidence, export_fields
-from models.perception.cards import card_path
+from models.perception.cards import card_path, read_card
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DEFAULT_MODEL
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
-from models.perception.see.field_predictor import FieldCard, FieldPredictor
+from models.perception.see.field_predictor import FieldCard
 from models.perception.see.scan_evidence import EvidenceEncoding
 from msgs.files.checksums import file_sha256
 from msgs.values.radar import RangeAzimuthGrid
@@ -73,7 +73,7 @@ class EvidenceRun:
         training = FieldTraining(train, judges, CHANNELS, GRID, schedule, folder)
         if self.init is not None:
             fields = EvidencePredictor(self.init).fields_path
-            training.start_from(fields, FieldPredictor(fields).card.sha256)
+            training.start_from(fields, read_card(card_path(fields), FieldCard).sha256)
         elif self.field_start is not None:
             training.start_from_detector(self.field_start)
         best = training.run(lambda epoch: report("fields", epoch))
@@ -93,7 +93,7 @@ class EvidenceRun:
         folder = self.folder / "evidence"
         training = EvidenceTraining(train, judges, EVIDENCE, GRID, schedule, folder)
         if self.init is not None:
-            training.start_from(self.init, EvidencePredictor(self.init).card.sha256)
+            training.start_from(self.init, read_card(card_path(self.init), EvidenceCard).sha256)
         best = training.run(lambda epoch: report("evidence", epoch))
         facts = self._facts(training, best)
         facts["data"] |= {
