@@ -10,11 +10,13 @@ import shutil
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Literal, TypeVar, get_args
 
 Job = TypeVar("Job")
@@ -55,16 +57,19 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
     # fresh processes: a fork would copy the locks of threads it does not copy
     context = get_context("spawn")
     listener, lifeline = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(workers, context, initializer=_follow, initargs=(listener,))
+    done: SimpleQueue[Future[Result]] = SimpleQueue()
+    # an interrupt inside of the pool would leave its locks held. Workers inherit the mask: the parent alone handles
+    # keyboard and terminal signals, from their first moment on
+    with _undisturbed():
+        pool = ProcessPoolExecutor(workers, context, initializer=_follow, initargs=(listener,))
+    # anew: the first lock of a process starts a tracker, which lets SIGINT through again
+    with _undisturbed():
+        futures = [pool.submit(function, job) for job in jobs]
+        for future in futures:
+            future.add_done_callback(done.put)
     try:
-        # workers inherit the mask: the parent alone handles keyboard and terminal signals, from their first moment on
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
-        try:
-            futures = [pool.submit(function, job) for job in jobs]
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for done in as_completed(futures):
-            yield done.result()
+        for _ in futures:
+            yield done.get().result()
     except BrokenExecutor:
         raise RuntimeError(
             "a worker process died (out of memory?); the same command goes on where it stopped"
@@ -74,9 +79,20 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
         lifeline.close()
         raise
     finally:
-        pool.shutdown(cancel_futures=True)
-        lifeline.close()
-        listener.close()
+        with _undisturbed():
+            pool.shutdown(cancel_futures=True)
+            lifeline.close()
+            listener.close()
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold back the signals of keyboard and terminal from this thread, and from what is started meanwhile."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _follow(listener: Connection) -> None:

@@ -200,14 +200,16 @@ def test_other_verbs_end_at_once_and_quietly(running: None, verb: str) -> None:
 def test_workers_go_with_their_parent(box: Path) -> None:
     out = box / "set"
     words = ["sim", "dataset", "--out", str(out), "--count", "100000", "--seed", "1", "--workers", "2"]
-    with started(words, stderr=subprocess.DEVNULL, start_new_session=True) as process:
+    # a file: workers hold a pipe open
+    trouble = (box / "stderr").open("w+")
+    with trouble, started(words, stderr=trouble, start_new_session=True) as process:
         wait_for(lambda: list(out.glob("*")))
         children = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
         # as the kernel does: everybody in the group hears it
         os.killpg(process.pid, signal.SIGHUP)
         process.wait(PATIENCE_S)
         wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children))
-    assert process.returncode == HUNG_UP
+    assert process.returncode == HUNG_UP, (box / "stderr").read_text()
     assert not list(out.glob("*.part"))
 
 
