@@ -87,7 +87,7 @@ def _files(incomplete: str, folder: str) -> list[str]:
 Profile = Annotated[
     str,
     typer.Option(
-        metavar="NAME|FILE", help="Parameters: fast, accurate, ..., or a file.", autocompletion=complete_profiles
+        metavar="NAME|FILE", help="Parameters: default, accurate, ..., or a file.", autocompletion=complete_profiles
     ),
 ]
 Overrides = Annotated[

@@ -17,7 +17,7 @@ PROFILES = LAUNCH / "profiles"
 #: The one that runs where none is named.
 DEFAULT = "default"
 #: Former profiles, each read as the one that replaced it.
-FORMER = {"balanced": "default", "unfiltered": "fast"}
+FORMER = dict.fromkeys(("balanced", "fast", "unfiltered"), DEFAULT)
 
 
 def profile_names() -> list[str]:

@@ -2,7 +2,7 @@
 
 Writes docs/results/profiles.json: each profile with its present parameters and its mean loss over the report's sets.
 Usage: mirrorwave eval --objects --set validation --set validation_moving --profile default --profile accurate
-       --profile fast --profile cfar --out runs/profiles
+       --profile cfar --out runs/profiles
        python -m benchmarks.accuracy.profile_losses runs/profiles/results.json
 """
 

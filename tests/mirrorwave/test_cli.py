@@ -280,7 +280,7 @@ def test_what_json_prints_is_json(words: list[str], capsys: pytest.CaptureFixtur
     [
         ("topic echo perc", ["perception/peaks", "perception/hidden_objects"]),
         ("graph launch/corner.", ["launch/corner.yaml"]),
-        ("launch launch/corner.yaml --profile fas", ["fast"]),
+        ("launch launch/corner.yaml --profile acc", ["accurate"]),
         ("sim run launch/scenes/two_h", ["launch/scenes/two_hidden_vehicles.yaml"]),
         ("sim material concr", ["concrete"]),
         ("node info no_such", []),

@@ -32,7 +32,7 @@ def launch(
     profile: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME|FILE", help="Parameters: fast, accurate, ..., or a file.", autocompletion=complete_profiles
+            metavar="NAME|FILE", help="Parameters: default, accurate, ..., or a file.", autocompletion=complete_profiles
         ),
     ] = None,
     latency_budget_ms: Annotated[

@@ -19,7 +19,7 @@ from sim_player.generate.places import draw_place
 from sim_player.scene.description import scene_sha256
 
 SEED, PLACES = 5, 3
-WORDS = ("eval", "--objects", "--profile", "cfar", "--profile", "fast", "--seed", str(SEED), "--places", str(PLACES))
+WORDS = ("eval", "--objects", "--profile", "cfar", "--profile", "default", "--seed", str(SEED), "--places", str(PLACES))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_report_counts_what_the_rows_hold(made: Path) -> None:
     assert (one["seed"], one["places"], one["moving"], one["effects"]) == (SEED, PLACES, False, "basic")
     rows = [json.loads(path.read_text()) for path in sorted((made / "drawn" / "places").glob("*.json"))]
     assert [row["place"] for row in rows] == list(range(PLACES))
-    for profile in ("cfar", "fast"):
+    for profile in ("cfar", "default"):
         hidden = [
             one for row in rows for scan in row["rows"][profile] for one in scan["hidden"] if one["image"]["mirrored"]
         ]
@@ -60,7 +60,7 @@ def test_report_counts_what_the_rows_hold(made: Path) -> None:
 def test_page_and_terminal_say_the_same(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*WORDS, "--effects", "basic", "--out", str(made)]) == 0
     printed, page = capsys.readouterr().out, (made / "results.md").read_text()
-    recall = json.loads((made / "results.json").read_text())["sets"]["drawn"]["profiles"]["fast"]["recall"]
+    recall = json.loads((made / "results.json").read_text())["sets"]["drawn"]["profiles"]["default"]["recall"]
     words = f"{recall['part']:g} of {recall['whole']:g}"
     assert words in printed
     assert words in page

@@ -57,7 +57,7 @@ def run(out: Path, *options: str) -> Report:
     return msgspec.json.decode(result.stdout, type=Report)
 
 
-#: Rows over two profiles, one of each; that of `fast` is of a network that is not there.
+#: Rows over two profiles, one of each; that of `accurate` is of a network that is not there.
 MADE = ("--row", "beams", "--row", "network: UNet")
 
 
@@ -65,7 +65,7 @@ MADE = ("--row", "beams", "--row", "network: UNet")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Report]]:
     out = tmp_path_factory.mktemp("tradeoff")
     settings = out / "rows.yaml"
-    absent = "{switch: network, value: UNet, over: fast, params: {dense_predictor: {model: none/here/unet.onnx}}}"
+    absent = "{switch: network, value: UNet, over: accurate, params: {dense_predictor: {model: none/here/unet.onnx}}}"
     one = re.sub(r".*value: (13|9) of 25.*\n", "", DEFAULT_SETTINGS.read_text())
     settings.write_text(f"{one}\n  - {absent}\n")
     with pytest.MonkeyPatch.context() as patch:
@@ -77,7 +77,7 @@ def test_every_committed_row_sets_what_its_nodes_know() -> None:
     rows = read_settings()
     assert rows[0].name == "default"
     assert len({row.switch for row in rows}) >= 12
-    assert len(rows) >= 40
+    assert len(rows) >= 36
     for row in rows:
         for stage, params in row.params.items():
             convert_at(params, STAGE_PARAMS[stage], f"{row.name}: {stage}")
@@ -88,7 +88,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     """Fewer beams fold in less time; a network that is not there leaves a row without numbers."""
     out, report = made
     rows = {row.name: row for row in report.rows}
-    assert list(rows) == ["default", "fast", "beams: 7 of 25", "network: UNet"]
+    assert list(rows) == ["default", "accurate", "beams: 7 of 25", "network: UNet"]
     failed = rows["network: UNet"]
     assert failed.failed is not None
     assert "none/here/unet.json" in failed.failed
@@ -96,8 +96,8 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     assert not failed.pareto
     default = rows["default"]
     assert default.against_over["object_f1"] == Interval(value=0.0, low=0.0, high=0.0)
-    for row, judge in ((default, "evidence_unet.int8.onnx"), (rows["fast"], "evidence_unet.coarse.int8.onnx")):
-        assert row.size_bytes == sum(map(size, ("compact_unet.int8.onnx", judge)))
+    for row, precision in ((default, ".int8"), (rows["accurate"], "")):
+        assert row.size_bytes == sum(map(size, (f"compact_unet{precision}.onnx", f"evidence_unet{precision}.onnx")))
     assert rows["beams: 7 of 25"].accuracy["dense_macro_f1"] != default.accuracy["dense_macro_f1"]
     assert default.end_to_end_ms is not None
     assert default.end_to_end_ms.p99 is None, "two samples have no 99th percentile"

@@ -127,7 +127,7 @@ def test_a_cut_recording_is_processed_as_far_as_it_goes_and_said(
         (["process", "nowhere.mcap"], "nowhere.mcap"),
         (
             ["process", "{capture}", "--profile", "magic"],
-            "unknown profile 'magic'; known are default, accurate, cfar, fast, specification, or FILE.yaml",
+            "unknown profile 'magic'; known are default, accurate, cfar, specification, or FILE.yaml",
         ),
         (["process", "{capture}", "-p", "geometry.grid.magic=1"], "geometry.params.grid"),
         (["process", "{capture}", "-p", "nobody.x=1"], "unknown node 'nobody'"),
