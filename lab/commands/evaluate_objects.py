@@ -10,14 +10,17 @@ from typing import Any
 
 from lab.evaluate.against import ListRequest, compared
 from lab.evaluate.against import tables as list_tables
+from lab.evaluate.place_figure import draw_curves
 from lab.evaluate.place_report import ObjectRequest, Table, measured, page, tables
 from lab.studies.report import write_report
 from mirrorwave.console import print_json, print_line, print_table
 
 
 def evaluate_objects(request: ObjectRequest, as_json: bool) -> None:
-    """Run the sets, write `results.json` and `results.md` where a folder is given, and print the tables."""
+    """Run the sets, write `results.json`, `results.md` and `curves.png` where a folder is given; print the tables."""
     results = measured(request)
+    if request.out is not None:
+        draw_curves(results["sets"], request.out / "curves.png")
     _show(results, list(tables(results)), request.out, as_json)
 
 
@@ -44,4 +47,4 @@ def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as
         print_line(title)
         print_table(columns, rows)
     if out is not None:
-        print_line(f"{out}: results.json and results.md")
+        print_line(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")

@@ -145,7 +145,7 @@ def headline_rows(report: dict[str, Any]) -> list[list[object]]:
         cells = [interval_text(method["measures"][TRUTH][name]) for _, name in HEADLINES]
         times = method["milliseconds"]
         spent = [f"{times[stage]['median']:.3g} ({times[stage]['p90']:.3g})" for stage in ("detect", "geometry")]
-        name = method["name"] + (" (told truth)" if method["privileged"] else "")
+        name = method["name"] + (" (given the truth)" if method["privileged"] else "")
         rows.append([name, *cells, method["parameters"], *spent])
     return rows
 

@@ -14,7 +14,15 @@ from lab.evaluate.mot_tables import write_mot_tables
 from lab.evaluate.place_runs import ObjectPlan, ObjectSet, PlaceResult, read_sets, run_objects, scenes_sha256
 from lab.measures.drive_metrics import DriveReport, drive_report
 from lab.measures.frame_scores import Estimate, bootstrap_weights
-from lab.measures.object_metrics import ObjectReport, ObjectScores, Ratio, mean_loss, object_report
+from lab.measures.object_metrics import (
+    CROWDED_M,
+    CURVE_FALSE,
+    ObjectReport,
+    ObjectScores,
+    Ratio,
+    mean_loss,
+    object_report,
+)
 from lab.measures.object_rows import BANDS, FALSE_M, FOUND_M, NOTHING_M, ScanRow
 from lab.measures.tracking_scores import GATE_M, TrackingScores
 from lab.tradeoff.rows import profile_setting
@@ -33,6 +41,8 @@ DEFINITIONS = {
     "error": "from the position of the report to the nearest visible face of the true box or to its centre, whichever "
     "is nearer, the truth moved to the time of the report; `by centre`: to the true centre alone",
     "image": "strongest scattering centre among its images in the map, over the noise of the beam that sees it best",
+    "another within 2 m": f"its centre within {CROWDED_M:g} m of that of another object out of sight",
+    "at so many false": "reports of the highest scores, so many that this many a scan are false",
     "promised": "the view calls the cell of its centre observable by a mirror, for an object of 10 dBsm",
     "false": f"a report more than {FALSE_M:g} m from every object out of sight",
     "nothing there": f"a report more than {NOTHING_M:g} m from the box of every object, in sight or not",
@@ -164,8 +174,10 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         yield _recalls(f"{name}: found by the SNR of the strongest image", BANDS, reports, "recall_by_band")
         classes = sorted({kind for report in reports.values() for kind in report.recall_by_class})
         yield _recalls(f"{name}: found by class", classes, reports, "recall_by_class")
+        yield _classes(name, reports)
         yield position_errors(name, reports)
         yield _scores(name, reports)
+        yield _curve(name, reports)
         if set_report["tracks"]:
             yield _tracks(name, set_report["tracks"])
             yield standard_scores(name, set_report["tracks"])
@@ -202,14 +214,15 @@ def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
 def _aims(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """Return what a driver asks: objects that one mirror shows well, reports of nothing, how sure of it."""
     columns = ("profile", "one mirror, 25 dB on", "15 to 25 dB", "pedestrians, bicycles, 25 dB on",
-               "vehicles where promised", "nothing there, a scan", "in plain sight, a scan", "in the 95 % ellipse",
-               "NEES")  # fmt: skip
+               "another within 2 m", "vehicles where promised", "nothing there, a scan", "in plain sight, a scan",
+               "in the 95 % ellipse", "NEES")  # fmt: skip
     rows = [
         (
             profile,
             str(report.recall_single_25_db),
             _short(report.recall_single_15_db),
             _short(report.recall_vulnerable_25_db),
+            _short(report.recall_crowded),
             _short(report.recall_promised),
             _rate(report.nothing_per_scan),
             _rate(report.in_sight_per_scan),
@@ -224,8 +237,8 @@ def _aims(name: str, reports: Mapping[str, ObjectReport]) -> Table:
 def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
     """Return what is said of objects over a drive."""
     columns = ("profile", "after 1 s in view", "by one mirror, 25 dB on", "false tracks a minute",
-               "in plain sight, a minute", "id switches an object", "velocity error, first scan: p50, p90 [m/s]",
-               "after 1 s", "lead of the most possible [s]")  # fmt: skip
+               "in plain sight, a minute", "id switches an object", "class changes a scan",
+               "velocity error, first scan: p50, p90 [m/s]", "after 1 s", "lead of the most possible [s]")  # fmt: skip
     rows = [
         (
             profile,
@@ -234,6 +247,7 @@ def _tracks(name: str, reports: Mapping[str, DriveReport]) -> Table:
             _rate(report.false_tracks_per_minute),
             _rate(report.in_sight_tracks_per_minute),
             _short(report.id_switches),
+            _short(report.class_changes),
             _quantile_pair(report.first_velocity_error_mps),
             _quantile_pair(report.later_velocity_error_mps),
             str(report.lead),
@@ -281,6 +295,24 @@ def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectRepo
         (profile, *(_short(getattr(report, name)[group]) for group in groups)) for profile, report in reports.items()
     ]
     return title, ("profile", *groups), rows
+
+
+def _classes(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """Return the classes that reports say of found objects."""
+    kinds = sorted({said for report in reports.values() for row in report.classes.values() for said in row})
+    rows = [
+        (profile, true, *(row.get(said, 0) for said in kinds))
+        for profile, report in reports.items()
+        for true, row in report.classes.items()
+    ]
+    return f"{name}: class of found objects, and how often each is reported", ("profile", "true class", *kinds), rows
+
+
+def _curve(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """Return the curve of recall against false reports."""
+    rates = [f"{rate:g}" for rate in CURVE_FALSE]
+    rows = [(profile, *(report.recall_at_false.get(rate) for rate in rates)) for profile, report in reports.items()]
+    return f"{name}: found of one mirror, 25 dB on, at so many false reports a scan", ("profile", *rates), rows
 
 
 def position_errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:

@@ -141,7 +141,9 @@ def table_rows() -> list[Row]:
     for system in SYSTEMS:
         geometry = {"geometry": (profile if system.residual else plain)["geometry"]}
         if not system.family:
-            rows.append(Row(name=f"{system.label} (told truth)", label=system.label, params=geometry, privileged=True))
+            rows.append(
+                Row(name=f"{system.label} (given the truth)", label=system.label, params=geometry, privileged=True)
+            )
         for path, card in _weights(system.family) if system.family else ():
             network = {"dense_predictor": {**profile["dense_predictor"], "model": path.stem}}
             size = "" if card is None else f", {card.parameters / 1e6:.3g} M {card.precision}"

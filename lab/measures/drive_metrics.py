@@ -50,6 +50,8 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     in_sight_tracks_per_minute: Ratio
     #: Changes of the id on an object, of the objects that a track stood on.
     id_switches: Ratio
+    #: Changes of the class that a track says of an object, of the scans in which it stood there in the scan before.
+    class_changes: Ratio
     #: Mean of the GOSPA of the scans [m], cut off at 2 m, and its squared parts a scan [m2].
     gospa_m: Ratio
     gospa_pairs_m2: Ratio
@@ -103,6 +105,7 @@ def drive_report(scores: ObjectScores, weights: np.ndarray) -> DriveReport:
             np.array([where.count("in sight") for where in stands], np.float64), minutes
         ),
         id_switches=sums(lambda history: history.id_switches()),
+        class_changes=sums(lambda history: history.class_changes()),
         gospa_m=gospa(lambda row: row.distance_m),
         gospa_pairs_m2=gospa(lambda row: row.pairs_m2),
         gospa_missed_m2=gospa(lambda row: 0.5 * FALSE_M**2 * row.missed),
@@ -146,6 +149,12 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
         """Return the number of changes of the id that stands on it, and 1 if any track does."""
         ids = [row.track_id for _, row in self._followed()]
         return float(sum(before != after for before, after in pairwise(ids))), float(bool(ids))
+
+    def class_changes(self) -> tuple[float, float]:
+        """Return in how many scans the track says another class than in the scan before, and how many there are."""
+        pairs = [(one, other) for one, other in pairwise(self.rows) if one is not None and other is not None]
+        same = [(one, other) for one, other in pairs if one.track_id is not None and one.track_id == other.track_id]
+        return float(sum(one.track_class != other.track_class for one, other in same)), float(len(same))
 
     def velocity_errors_mps(self) -> tuple[list[float], list[float]]:
         """Return velocity errors at the first scan that a track stands on it, and of the scans 1 s later and on."""

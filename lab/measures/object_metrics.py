@@ -11,6 +11,7 @@ too. A hidden object is found when a report of its own (one to one) errs by `FOU
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -37,6 +38,10 @@ ELLIPSE_95 = -2.0 * math.log(0.05)
 SCORE_EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99, 1.0)
 VEHICLES = ("car", "van", "truck", "bus")
 VULNERABLE = ("pedestrian", "bicycle")
+#: Centres of objects out of sight nearer than this crowd each other.
+CROWDED_M = 2.0
+#: False reports a scan at which the curve of recall is read.
+CURVE_FALSE = (0.02, 0.05, 0.1, 0.15, 0.24, 0.5, 1.0)
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
 
 
@@ -52,6 +57,17 @@ class ObjectScores:
     def asked(self) -> list[tuple[int, HiddenRow]]:
         """Row of the place and every hidden object that a mirror shows."""
         return [(self._row[scan.place], row) for scan in self.scans for row in scan.hidden if row.image.mirrored]
+
+    @cached_property
+    def crowded(self) -> list[tuple[int, HiddenRow]]:
+        """As `asked`, those with another object out of sight within `CROWDED_M`."""
+        return [
+            (self._row[scan.place], row)
+            for scan in self.scans
+            for row in scan.hidden
+            if row.image.mirrored
+            and any(other is not row and math.dist(other.at_m, row.at_m) < CROWDED_M for other in scan.hidden)
+        ]
 
     @cached_property
     def unseen(self) -> int:
@@ -70,6 +86,10 @@ class ObjectScores:
     def sum_of_objects(self, value: Callable[[HiddenRow], float]) -> np.ndarray:
         """Return the sum of a value over the askable objects, by place [P]."""
         return self._count([row for row, _ in self.asked], [float(value(item)) for _, item in self.asked])
+
+    def of_crowded(self, holds: Callable[[HiddenRow], bool]) -> np.ndarray:
+        """As `of_objects`, of crowded ones."""
+        return self._count([row for row, item in self.crowded if holds(item)])
 
     def of_reports(self, value: Callable[[ReportRow], float]) -> np.ndarray:
         """Return the sum of a value over the reports, by place [P]."""
@@ -126,6 +146,13 @@ class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
     recall_single_25_db: Ratio
     recall_single_15_db: Ratio
     recall_vulnerable_25_db: Ratio
+    #: Of objects with another one out of sight within `CROWDED_M`.
+    recall_crowded: Ratio
+    #: Of objects that one mirror shows at 25 dB or more, the share found by the reports of the highest scores, so many
+    #: that `CURVE_FALSE` of them a scan are false; fewer points where the profile's threshold leaves out the others.
+    recall_at_false: dict[str, float]
+    #: Found objects by class, and by the class that their reports say.
+    classes: dict[str, dict[str, int]]
     #: Of vehicles where the view calls a vehicle observable by a mirror.
     recall_promised: Ratio
     #: Objects out of sight that no mirror shows; they are not to be found.
@@ -188,6 +215,9 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         recall_vulnerable_25_db=draw.recall(
             lambda item: item.object_class in VULNERABLE and single_reaches(item, BAND_EDGES_DB[1])
         ),
+        recall_crowded=draw.ratio(scores.of_crowded(_is_found), scores.of_crowded(lambda item: True)),
+        recall_at_false=_recall_at_false(scores),
+        classes=_classes(scores),
         recall_promised=draw.recall(lambda item: item.promised and item.object_class in VEHICLES),
         not_mirrored=scores.unseen,
         reports=len(scores.reports),
@@ -210,6 +240,27 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
         false_cost=false_cost,
         loss=draw.ratio(asked - found_count + false_cost * false, scans),
     )
+
+
+def _recall_at_false(scores: ObjectScores) -> dict[str, float]:
+    """Return the share of loud objects found at each rate of false reports that is reached."""
+    loud = [row for _, row in scores.asked if _is_loud(row)]
+    false = sorted((report.score for _, report in scores.reports if is_false(report)), reverse=True)
+    points = {}
+    for rate in CURVE_FALSE:
+        count = round(rate * len(scores.scans))
+        if loud and count < len(false):
+            points[f"{rate:g}"] = sum((row.score or 0.0) > false[count] for row in loud) / len(loud)
+    return points
+
+
+def _classes(scores: ObjectScores) -> dict[str, dict[str, int]]:
+    """Return how often found objects of each class were given each."""
+    pairs = Counter((row.object_class, row.reported_class) for _, row in scores.asked if row.reported_class)
+    return {
+        true: {said: count for (kind, said), count in sorted(pairs.items()) if kind == true}
+        for true in sorted({kind for kind, _ in pairs})
+    }
 
 
 def _is_found(row: HiddenRow) -> bool:

@@ -47,6 +47,10 @@ class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
     centre_m: float | None
     #: Found one to one if the distance of centres alone counts.
     found_by_centre: bool
+    #: Of that report: its score and the class it says; and the class that the track says.
+    score: float | None = None
+    reported_class: str | None = None
+    track_class: str | None = None
     #: Squared Mahalanobis distance of the truth by the covariance of the report that found it.
     mahalanobis2: float | None = None
     object_id: int = -1
@@ -139,6 +143,8 @@ def scan_row(
             error_m=float(error_m[by[column], column]) if column in by else None,
             centre_m=float(centre_m[by[column], column]) if column in by else None,
             found_by_centre=column in by_centre,
+            score=objects[by[column]].score if column in by else None,
+            reported_class=objects[by[column]].object_class if column in by else None,
             mahalanobis2=float(mahalanobis2[by[column], column]) if column in by else None,
             object_id=truth.objects[index].id,
             promised=promised is not None and promised[index],
@@ -190,7 +196,7 @@ def _track_of(track: Track | None, truth: TruthObject) -> dict[str, Any]:
     if track is None:
         return {}
     off_mps = math.hypot(track.velocity_x_mps - truth.velocity_x_mps, track.velocity_y_mps - truth.velocity_y_mps)
-    return {"track_id": track.id, "velocity_error_mps": off_mps}
+    return {"track_id": track.id, "velocity_error_mps": off_mps, "track_class": track.object_class}
 
 
 def _gospa(error_m: np.ndarray) -> GospaRow:

@@ -159,7 +159,7 @@ def test_the_table_goes_on_and_keeps_the_reason_of_what_cannot_run(
     )
     assert "0.934 of 41.39 M parameters" in swin["why"]
     assert rows["default"]["measures"]["dense_macro_f1"]["value"] > 0.5
-    assert rows["CFAR-NLOS (told truth)"]["measures"]["dense_macro_f1"]["value"] > 0.3
+    assert rows["CFAR-NLOS (given the truth)"]["measures"]["dense_macro_f1"]["value"] > 0.3
     for row in rows.values():
         assert bool(row["failed"]) != bool(row["measures"])
     plan = table.TablePlan(seed=5, places=1, rows=table.table_rows(), effects="basic")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -86,6 +87,14 @@ def test_id_switches_and_velocity_errors() -> None:
     assert (report.id_switches.part, report.id_switches.whole) == (1.0, 1.0)
     assert report.first_velocity_error_mps["p50"].value == 3.0
     assert report.later_velocity_error_mps["p90"].value == 1.0
+
+
+def test_class_changes_are_those_of_one_track() -> None:
+    """Car, car, van by track 7, van by track 8, car by 8: of three pairs of scans with one track two change."""
+    said = ((7, "car"), (7, "car"), (7, "van"), (8, "van"), (8, "car"))
+    rows = [msgspec.structs.replace(hidden(track), track_class=kind) for track, kind in said]
+    report = measured([scan(n, [row]) for n, row in enumerate(rows)])
+    assert (report.class_changes.part, report.class_changes.whole) == (2.0, 3.0)
 
 
 def test_lead_is_the_time_before_direct_sight_of_what_a_mirror_allows() -> None:

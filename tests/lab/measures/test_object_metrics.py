@@ -79,6 +79,7 @@ def test_a_scan_becomes_a_row_of_its_hidden_objects_and_its_reports() -> None:
     # one to one, then the nearest: 0.1 m from the centre beats 0.6 m from the face
     assert (row.hidden[0].error_m, row.hidden[0].centre_m) == (pytest.approx(0.1), pytest.approx(0.1))
     assert row.hidden[0].found_by_centre
+    assert (row.hidden[0].score, row.hidden[0].reported_class) == (objects[1].score, objects[1].object_class)
     assert [one.error_m for one in row.hidden[1:]] == [None, None]
     assert [one.found for one in row.reports] == [False, True, False, False, False]
     # the report at (40, 1.5) is 1.5 m from the centre of what no mirror shows: not false, and not a find
@@ -274,6 +275,35 @@ def test_aims_by_hand() -> None:
         "nothing_per_scan": (1.0, 1.0), "in_sight_per_scan": (1.0, 1.0), "inside_ellipse": (2.0, 3.0),
         "nees": (14.0, 3.0),
     }  # fmt: skip
+
+
+def test_curve_and_classes_by_hand() -> None:
+    """100 scans, 4 false reports of scores 0.5 to 0.8: two a hundred scans are passed by scores over 0.6, five by all.
+
+    Of four cars at 30 dB three are found, at 0.9, 0.65 and 0.55, one of them taken for a van; one is faint.
+    """
+    found = [(0.9, "car"), (0.65, "van"), (0.55, "car")]
+    rows = [msgspec.structs.replace(hidden(0.4), score=score, reported_class=kind) for score, kind in found]
+    rows += [hidden(None), msgspec.structs.replace(hidden(0.4, snr_db=20.0), score=0.99, reported_class="car")]
+    reports = [said(score, 9.0, box_m=9.0) for score in (0.8, 0.7, 0.6, 0.5)]
+    scans = [ScanRow(place=number, scan=0, hidden=[], reports=[]) for number in range(1, 100)]
+    scores = ObjectScores([ScanRow(place=0, scan=0, hidden=rows, reports=reports), *scans])
+    result = object_report(scores, np.ones((1, 100)), 1.0)
+    assert result.recall_at_false == {"0.02": 0.5}
+    assert result.classes == {"car": {"car": 3, "van": 1}}
+
+
+def test_crowded_objects_have_another_out_of_sight_within_two_metres() -> None:
+    """Cars at 0, 1.9 and 4 m; the last beside one that no mirror shows, which is not to be found itself."""
+    rows = [
+        msgspec.structs.replace(hidden(error_m, mirrored=mirrored), at_m=(x_m, 0.0))
+        for x_m, error_m, mirrored in ((0.0, 0.4, True), (1.9, None, True), (4.0, 0.4, True), (5.5, None, False))
+    ]
+    scan = ScanRow(place=0, scan=0, hidden=rows, reports=[])
+    crowded = object_report(ObjectScores([scan]), np.ones((1, 1)), 1.0).recall_crowded
+    assert (crowded.part, crowded.whole) == (2.0, 3.0)
+    apart = msgspec.structs.replace(scan, hidden=rows[:1])
+    assert object_report(ObjectScores([apart]), np.ones((1, 1)), 1.0).recall_crowded.whole == 0.0
 
 
 def test_of_what_a_view_promises_only_vehicles_count() -> None:
