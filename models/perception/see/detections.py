@@ -21,6 +21,11 @@ OBJECT, CLASS, PLACE, LOG_STD, LOG_SIZE, HEADING, CENTRE = (
 ANSWERS = 17
 #: Bounds of the logarithms of errors and sizes.
 LOG_STD_LIMITS, LOG_SIZE_LIMITS = (-4.0, 2.0), (-1.5, 3.0)
+#: Reports nearer than this are one object, and those of which one box has more than this share of its ground within the
+#: other: chosen by loss and average precision on 1,000 validation places (seed 6112).
+SAME_PLACE_M, SHARED_GROUND = 0.6, 0.1
+#: Points of a box that stand for its ground, in lengths and widths from its centre.
+_GROUND = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 7)] * 2), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -43,15 +48,35 @@ class Detections(ArrayTable):
     away_rad: np.ndarray
 
 
-def distinct(reports: Detections, tie: np.ndarray, same_m: float, same_share: float) -> np.ndarray:
-    """Return the indices of reports of different objects, best first, then lower `tie`: `same_m` or a share apart."""
+def distinct(reports: Detections, tie: np.ndarray) -> np.ndarray:
+    """Return the indices of reports of different objects, best first, then lower `tie`."""
     kept: list[int] = []
-    reach_m = np.maximum(same_m, same_share * reports.size_m[:, 0])
+    reach_m = 0.5 * np.hypot(*reports.size_m.T)
     for index in np.lexsort((tie, -reports.score)):
         away_m = np.linalg.norm(reports.place_m[kept] - reports.place_m[index], axis=1)
-        if (away_m > np.maximum(reach_m[kept], reach_m[index])).all():
+        apart_m = np.linalg.norm(reports.centre_m[kept] - reports.centre_m[index], axis=1)
+        near = np.array(kept, int)[apart_m < reach_m[kept] + reach_m[index]]
+        if (away_m >= SAME_PLACE_M).all() and not any(_share_ground(reports, index, other) for other in near):
             kept.append(int(index))
     return np.array(kept, int)
+
+
+def _share_ground(reports: Detections, one: int, other: int) -> bool:
+    """Return whether too many points of the box of either lie within that of the other."""
+    return max(_part_within(reports, one, other), _part_within(reports, other, one)) > SHARED_GROUND
+
+
+def _part_within(reports: Detections, inner: int, outer: int) -> float:
+    """Return the share of the points of one box that lie within another."""
+    points_m = reports.centre_m[inner] + (_GROUND * reports.size_m[inner]) @ _axes(reports.yaw_rad[inner])
+    offset_m = (points_m - reports.centre_m[outer]) @ _axes(reports.yaw_rad[outer]).T
+    return float((np.abs(offset_m) <= 0.5 * reports.size_m[outer]).all(axis=1).mean())
+
+
+def _axes(yaw_rad: float) -> np.ndarray:
+    """Return the directions of length and width, as rows."""
+    along = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+    return np.stack([along, [-along[1], along[0]]])
 
 
 def hidden_objects(

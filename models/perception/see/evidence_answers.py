@@ -24,8 +24,6 @@ from models.perception.see.detections import (
 from models.perception.see.gathering import BirdsEyeGrid
 from models.physics.mirror import reflect
 
-#: Reports nearer than this, or than a share of the longer one, are one object.
-SAME_OBJECT_M, SAME_OBJECT_SHARE = 1.2, 0.4
 #: Share of a threshold that no rounding of a probability reaches.
 ROUNDING = 1.0 - 1e-9
 
@@ -53,7 +51,7 @@ def evidence_detections(
         azimuth_rad=np.arctan2(image_m[:, 1], image_m[:, 0]),
         away_rad=np.arctan2(away[:, 1], away[:, 0]),
     )
-    return reports.take(distinct(reports, np.abs(reports.place_m[:, 1]), SAME_OBJECT_M, SAME_OBJECT_SHARE))
+    return reports.take(distinct(reports, np.abs(reports.place_m[:, 1])))
 
 
 def _peaks(object_logit: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
