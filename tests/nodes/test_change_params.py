@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from models.perception.mirrors.peaks_to_view import made_up_peaks
+from models.perception.mirrors.peaks_to_view import synthetic_peaks
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.perception import BevFrame
 from msgs.values.radar import RadarBeam, RangeAzimuthMap
@@ -73,7 +73,7 @@ def test_the_predictor_detects_by_the_other_method_from_the_next_map_on() -> Non
 def test_what_earlier_scans_have_left_outlives_a_change_of_the_geometry() -> None:
     """Tracks, walls and vehicle states are those of before; the next view has the mask for people."""
     node = geometry.create(geometry.Params())
-    peaks = received(made_up_peaks(), "perception/peaks")
+    peaks = received(synthetic_peaks(), "perception/peaks")
     answers(node, [peaks])
     memory = node._stage._memory
     node.change_params(geometry.Params(visibility=geometry.Mask(rcs_dbsm=-5.0)))

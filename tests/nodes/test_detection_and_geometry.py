@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.perception.yaw_bias import limited
 from models.perception.find.detectors import NetworkDetector
-from models.perception.mirrors.peaks_to_view import made_up_peaks
+from models.perception.mirrors.peaks_to_view import synthetic_peaks
 from msgs.bus.interface import Envelope, Received
 from msgs.bus.local import LocalNetwork
 from msgs.values.diagnostics import NodeState
@@ -186,7 +186,7 @@ def test_a_map_of_which_no_powers_follow_is_refused(method: str, cell: float, no
 def test_views_go_out_in_the_order_of_their_scans() -> None:
     """A scan whose map is late, followed by one whose map is there: both wait for the first, which is given up."""
     node = geometry.create(geometry.Params(object_network="evidence_unet.int8"))
-    peaks = [msgspec.structs.replace(made_up_peaks(), scan_id=scan, detector="sha256/pursuit") for scan in (3, 4)]
+    peaks = [msgspec.structs.replace(synthetic_peaks(), scan_id=scan, detector="sha256/pursuit") for scan in (3, 4)]
     assert node.step([received(item, "perception/peaks") for item in peaks] + [map_of(4)], 0) == []
     outgoing = node.step([], geometry.MAP_PATIENCE_NS)
     assert [item.message.scan_id for item in outgoing if isinstance(item.message, BevFrame)] == [3, 4]
@@ -207,7 +207,7 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
     assert "radar/ra_map" not in geometry.create(geometry.Params()).inputs
     objects = []
     for scan, maps, late_ns, late in ((0, [0], 0, []), (1, [1, 2], 0, []), (5, [], 20_000_000, [5]), (9, [], None, [])):
-        peaks = msgspec.structs.replace(made_up_peaks(), scan_id=scan, detector="sha256/pursuit")
+        peaks = msgspec.structs.replace(synthetic_peaks(), scan_id=scan, detector="sha256/pursuit")
         outgoing = list(node.step([received(peaks, "perception/peaks"), *map(map_of, maps)], 0))
         if not maps:
             assert (outgoing, node.due_ns(0)) == ([], geometry.MAP_PATIENCE_NS)
@@ -219,7 +219,7 @@ def test_the_geometry_node_joins_peaks_with_the_map_they_came_from(tmp_path: Pat
         objects.append(out.message.objects)
     assert objects[0]
     assert objects[1] == objects[2] == objects[0]
-    assert objects[3] == geometry.view_stage(geometry.Params()).view(made_up_peaks()).objects != objects[0]
+    assert objects[3] == geometry.view_stage(geometry.Params()).view(synthetic_peaks()).objects != objects[0]
     assert [(count.what, count.reason, count.count) for count in node.shed.counts()] == [
         ("view", "made without a map", 1)
     ]
@@ -237,7 +237,7 @@ def test_the_geometry_node_fuses_walls_from_elsewhere() -> None:
     """Walls that come with the peaks of their scan, whichever comes first in a step; none change nothing."""
     wall = PriorWall(ends_m=((4.0, 13.0), (14.0, 13.0)), offset_std_m=0.1, angle_std_rad=0.01, end_std_m=0.5)
     walls = received(WallPriors(stamp_ns=0, source="map", walls=(wall,)), "environment/walls")
-    peaks = received(made_up_peaks(), "perception/peaks")
+    peaks = received(synthetic_peaks(), "perception/peaks")
     views = []
     for inputs in ([peaks], [walls, peaks], [peaks, walls]):
         node = geometry.create(geometry.Params())

@@ -66,10 +66,10 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 def warm(params: CfarParams) -> None:
     """Compile the kernels that maps need, or load them: the first map must not wait for that."""
-    from models.perception.mirrors.peaks_to_view import made_up_peaks
+    from models.perception.mirrors.peaks_to_view import synthetic_peaks
 
     ridge_cells(np.zeros((1, 1)), params.ridges.spacing)
-    classify_behind_walls(made_up_peaks())
+    classify_behind_walls(synthetic_peaks())
     ordered_statistic_alpha(WINDOW, _rank(WINDOW), params.false_alarm_rate)
 
 

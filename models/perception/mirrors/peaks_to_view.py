@@ -235,13 +235,13 @@ def _walls_among(
 
 def warm(params: GeometryParams) -> None:
     """Compile or load the stage's kernels, by a synthetic street, and lay out its grid, before the first scan."""
-    recover_bev(made_up_peaks(), GeometryParams())
+    recover_bev(synthetic_peaks(), GeometryParams())
     if params.wall_points:
         wall_like(np.zeros((1, 2)), np.zeros((1, 2, 2)), np.zeros(1), None)
     observability([], 0.0, params.grid, params.visibility)
 
 
-def made_up_peaks() -> Peaks:
+def synthetic_peaks() -> Peaks:
     """Return a facade with a kink, a vehicle before it, and two images behind it, one of that vehicle."""
     along = np.linspace(0.0, 10.0, 9)
     facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)

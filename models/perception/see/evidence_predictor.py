@@ -15,7 +15,7 @@ import numpy as np
 from models.perception.cards import learned_path
 from models.perception.find.score_calibration import ScoreTable, calibrated, check_table
 from models.perception.mirrors.observability import visibility_at
-from models.perception.mirrors.peaks_to_view import GeometryParams, WithPriors, direct_structure, made_up_peaks
+from models.perception.mirrors.peaks_to_view import GeometryParams, WithPriors, direct_structure, synthetic_peaks
 from models.perception.mirrors.walls import WallParams
 from models.perception.onnx_session import ArrayCard, ArraySession
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
@@ -100,7 +100,7 @@ class EvidencePredictor:
         #: The newest map that peaks are awaited for, and what waits for its field answer.
         self._expected: tuple[RangeAzimuthMap, Callable[[], np.ndarray]] | None = None
         silent = silent_map(self.grid)
-        _, walls = direct_structure(made_up_peaks(), GeometryParams(walls=self.walls))
+        _, walls = direct_structure(synthetic_peaks(), GeometryParams(walls=self.walls))
         self.judge(silent, walls)()
 
     @property

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from models.perception.mirrors.peaks_to_view import GeometryParams, made_up_peaks, recover_bev
+from models.perception.mirrors.peaks_to_view import GeometryParams, synthetic_peaks, recover_bev
 from msgs.files.shipped import CHECKOUT
 
 #: In a process of its own, where nothing has been compiled or loaded yet.
@@ -46,11 +46,11 @@ def test_after_warming_no_scan_compiles_anything() -> None:
 
 def test_warming_scan_reaches_walls_images_and_what_explains_them() -> None:
     """Two walls at an angle, three images of which two fold to the vehicle that stands in sight."""
-    view = recover_bev(made_up_peaks(), GeometryParams())
+    view = recover_bev(synthetic_peaks(), GeometryParams())
     assert (len(view.walls), len(view.points)) == (2, 1)
 
 
 def test_equal_scans_give_equal_bytes() -> None:
-    one, other = (recover_bev(made_up_peaks(), GeometryParams()) for _ in range(2))
+    one, other = (recover_bev(synthetic_peaks(), GeometryParams()) for _ in range(2))
     assert (one.walls, one.points, one.objects) == (other.walls, other.points, other.objects)
     np.testing.assert_array_equal(one.visibility, other.visibility)

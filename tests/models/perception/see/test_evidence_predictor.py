@@ -13,7 +13,7 @@ from scipy.special import logit
 from lab.training.export.onnx import write_card
 from models.perception.cards import card_path, read_card
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, recover_bev
-from models.perception.mirrors.peaks_to_view import made_up_peaks as street_peaks
+from models.perception.mirrors.peaks_to_view import synthetic_peaks as street_peaks
 from models.perception.see.detections import ANSWERS, CENTRE, HEADING, OBJECT, PLACE
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.track.views_over_scans import ViewStage
@@ -23,7 +23,7 @@ from msgs.values.vehicle import VehicleState
 from tests.models.perception.see.networks_by_hand import EVIDENCE, GRID, echoes, empty_map, evidence_network, written
 
 
-def made_up_peaks() -> Peaks:
+def synthetic_peaks() -> Peaks:
     """The made-up street as a network detects it."""
     return msgspec.structs.replace(street_peaks(), detector="sha256/pursuit")
 
@@ -43,7 +43,7 @@ def street_map(**values: object) -> RangeAzimuthMap:
 
 def view(predictor: EvidencePredictor | None, **values: object) -> BevFrame:
     """The made-up street: a facade at x = 20 m, images at (27, -9), (27, -7) and (28, -4)."""
-    return ViewStage(predictor=predictor).view(made_up_peaks(), street_map(**values))
+    return ViewStage(predictor=predictor).view(synthetic_peaks(), street_map(**values))
 
 
 def near(objects: tuple[HiddenObject, ...], x_m: float, y_m: float) -> float:
@@ -77,7 +77,7 @@ def test_a_vehicle_in_motion_has_its_own_calibration(network: Path) -> None:
         stage = ViewStage(predictor=predictor)
         if speed_mps is not None:
             stage.add_state(VehicleState(stamp_ns=0, speed_mps=speed_mps))
-        scores[speed_mps] = [item.score for item in stage.view(made_up_peaks(), street_map()).objects]
+        scores[speed_mps] = [item.score for item in stage.view(synthetic_peaks(), street_map()).objects]
     assert all(len(said) == len(scores[None]) > 0 for said in scores.values())
     for speed_mps in (None, 0.0, 0.4):
         assert min(scores[speed_mps]) > 0.9
@@ -88,18 +88,18 @@ def test_a_vehicle_in_motion_has_its_own_calibration(network: Path) -> None:
 def test_without_map_or_for_another_sensor_the_places_are_clustered(network: Path) -> None:
     """A LiDAR's map, a grid of other range bins, no map at all, no network: the same objects each time."""
     predictor = EvidencePredictor(network)
-    plain = recover_bev(made_up_peaks(), GeometryParams()).objects
+    plain = recover_bev(synthetic_peaks(), GeometryParams()).objects
     assert plain != view(predictor).objects
     assert view(None).objects == plain
     assert view(predictor, mode="photons").objects == plain
     assert view(predictor, grid=RangeAzimuthGrid(range_bin_m=0.1)).objects == plain
-    assert ViewStage(predictor=predictor).view(made_up_peaks()).objects == plain
+    assert ViewStage(predictor=predictor).view(synthetic_peaks()).objects == plain
     # peaks of CFAR: the network was trained on another detector's
     assert ViewStage(predictor=predictor).view(street_peaks(), street_map()).objects == plain
 
 
 def test_a_map_that_does_not_suit_is_refused(network: Path) -> None:
-    _, walls = direct_structure(made_up_peaks(), GeometryParams())
+    _, walls = direct_structure(synthetic_peaks(), GeometryParams())
     with pytest.raises(ValueError, match=r"map\.mode must be of a radar for by_hand, got photons"):
         EvidencePredictor(network).judge(street_map(mode="photons"), walls)
 
@@ -108,7 +108,7 @@ def test_a_score_heeds_the_views_mask(network: Path) -> None:
     """A logit more where a mirror shows its place; in direct sight it falls below the threshold."""
     card = msgspec.structs.replace(read_card(card_path(network), EvidenceCard), visibility_logits=(0.0, -20.0, 1.0))
     write_card(card, network)
-    grid, (_, walls) = GeometryParams().grid, direct_structure(made_up_peaks(), GeometryParams())
+    grid, (_, walls) = GeometryParams().grid, direct_structure(synthetic_peaks(), GeometryParams())
     begun = EvidencePredictor(network, threshold=0.2).judge(street_map(), walls)
     masks = {state: np.full((grid.rows, grid.columns), state, np.uint8) for state in Visibility}
     plain = begun()
@@ -120,7 +120,7 @@ def test_a_score_heeds_the_views_mask(network: Path) -> None:
 
 def test_scans_are_judged_beside_each_other(network: Path) -> None:
     """A scan that waits for its objects gets its own, whatever was begun meanwhile, as often as it asks."""
-    predictor, (_, walls) = EvidencePredictor(network), direct_structure(made_up_peaks(), GeometryParams())
+    predictor, (_, walls) = EvidencePredictor(network), direct_structure(synthetic_peaks(), GeometryParams())
     maps = street_map(), street_map(values=echoes((30.0, 2.0)))
     alone = [predictor.judge(ra_map, walls)() for ra_map in maps]
     begun = [predictor.judge(ra_map, walls) for ra_map in maps]
@@ -130,7 +130,7 @@ def test_scans_are_judged_beside_each_other(network: Path) -> None:
 
 def test_a_map_whose_peaks_are_awaited_is_answered_once(network: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The field network begins with the map; another map, and one that does not suit, are answered as without it."""
-    predictor, (_, walls) = EvidencePredictor(network), direct_structure(made_up_peaks(), GeometryParams())
+    predictor, (_, walls) = EvidencePredictor(network), direct_structure(synthetic_peaks(), GeometryParams())
     maps = street_map(), street_map(values=echoes((30.0, 2.0)))
     alone = [predictor.judge(ra_map, walls)() for ra_map in maps]
     answered: list[RangeAzimuthMap] = []
@@ -154,13 +154,13 @@ def test_what_fails_beside_the_scan_is_raised_where_it_waits(network: Path, monk
         raise ValueError("answers must be finite")
 
     monkeypatch.setattr(predictor, "answer", fail)
-    _, walls = direct_structure(made_up_peaks(), GeometryParams())
+    _, walls = direct_structure(synthetic_peaks(), GeometryParams())
     begun = predictor.judge(street_map(), walls)
     with pytest.raises(ValueError, match="answers must be finite"):
         begun()
     # the next scan is judged again
     monkeypatch.undo()
-    assert ViewStage(predictor=predictor).view(made_up_peaks(), street_map()).objects
+    assert ViewStage(predictor=predictor).view(synthetic_peaks(), street_map()).objects
 
 
 def test_objects_have_the_time_of_their_own_column(network: Path) -> None:
@@ -186,7 +186,7 @@ def test_an_objects_radial_speed_is_along_the_ray_that_the_wall_turns(network: P
     the object at (13, -9) moves. Directions within 4 deg (cells of half a metre, and the wall's error); 80 m/s at an
     SNR of 1 is 0.8 at 40 dB.
     """
-    objects = ViewStage(predictor=EvidencePredictor(network)).view(made_up_peaks(), moving_map(2.0)).objects
+    objects = ViewStage(predictor=EvidencePredictor(network)).view(synthetic_peaks(), moving_map(2.0)).objects
     item = min(objects, key=lambda one: float(np.hypot(one.x_m - 13.0, one.y_m + 9.0)))
     assert item.radial_speed is not None
     assert item.radial_speed.speed_mps == 2.0
@@ -196,8 +196,8 @@ def test_an_objects_radial_speed_is_along_the_ray_that_the_wall_turns(network: P
 
 def test_no_radial_speed_is_said_in_noise_or_of_a_map_from_an_unknown_motion(network: Path) -> None:
     stage = ViewStage(predictor=EvidencePredictor(network))
-    silent = stage.view(made_up_peaks(), moving_map(np.nan)).objects
-    unknown = stage.view(made_up_peaks(), msgspec.structs.replace(moving_map(2.0), ego_compensated=False)).objects
+    silent = stage.view(synthetic_peaks(), moving_map(np.nan)).objects
+    unknown = stage.view(synthetic_peaks(), msgspec.structs.replace(moving_map(2.0), ego_compensated=False)).objects
     assert silent
     assert unknown
     assert all(item.radial_speed is None for item in (*silent, *unknown))
