@@ -14,7 +14,7 @@ from typing import ClassVar
 import can
 import msgspec
 
-from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
+from models.vehicle.can_decoder import CanDecoder, StampMapper, StateReporter
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import shipped_path
 from msgs.values.diagnostics import NodeState

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from models.vehicle.can_state import DIMENSIONS
+from models.vehicle.can_decoder import DIMENSIONS
+from models.vehicle.can_mapping import CanMapping, MessageRule, QuantityRule, period_ns
 from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension
 from msgs.values.vehicle import VehicleState

@@ -150,7 +150,7 @@ def test_each_module_keeps_the_laws() -> None:
         ("models.physics.mirror", "from models.perception import walls"),
         ("nodes.geometry", "def late():\n    import torch"),
         ("nodes.geometry", "import mirrorwave.cli"),
-        ("nodes.player", "def late():\n    import contrib.boards.cn0566"),
+        ("nodes.player", "def late():\n    import contrib.boards.phaser_device"),
         ("mirrorwave.offline", "from lab.measures import frame_scores"),
         ("lab.training.ranks", "import contrib.annotate.manifest"),
         ("sim_player.scene.world", "from sim_player.trace import routes"),

@@ -536,7 +536,7 @@ def _is_complete(plan: Plan, *splits: MapArrays) -> bool:
 
 def run_config(plan: Plan, job: Job, on_gpu: bool) -> Any:
     """Return the configuration of a run as its folder and the card state it, alike whenever the command is given."""
-    from lab.training.families import FAMILIES, choice_of, preset_network
+    from lab.training.map_networks import FAMILIES, choice_of, preset_network
     from lab.training.schedules import ScheduleConfig
     from lab.training.train_dense import RunConfig, TrainDenseConfig
 

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter1d
 from mirrorwave.convert.can_log import log_states
 from models.perception.track.odometry import Odometry
 from models.perception.track.yaw_rate_bias import BiasSource
-from models.vehicle.can_state import CanDecoder, StateReporter
+from models.vehicle.can_decoder import CanDecoder, StateReporter
 from msgs.files.shipped import CHECKOUT
 from msgs.values.frames import wrap_angle
 from msgs.values.units import ns_from_s, s_from_ns

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.captures import add_data_option, capture_folder
-from contrib.boards.phaser import (
+from contrib.boards.phaser_model import (
     CHIRP_INTERVAL_S,
     INTERVAL_SAMPLES,
     OFFSET_HZ,

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from contrib.boards.phaser import PhaserCalibration
+from contrib.boards.phaser_model import PhaserCalibration
 from contrib.calibrate.background import mean_chirp
 from contrib.calibrate.capture import Capture, complete_scans
 from contrib.calibrate.element_calibration import (

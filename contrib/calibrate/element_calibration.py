@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from contrib.boards.phaser import CHANNEL_OF_ELEMENT, COLUMNS, PhaserCalibration
+from contrib.boards.phaser_model import CHANNEL_OF_ELEMENT, COLUMNS, PhaserCalibration
 from msgs.values.radar import RadarSetup
 from msgs.values.units import db_from_ratio
 

@@ -51,7 +51,7 @@ def dense(
 
     from lab.training.data.frames import DataSet
     from lab.training.data.samples import DataConfig, load_training_data
-    from lab.training.families import FAMILIES, preset_network
+    from lab.training.map_networks import FAMILIES, preset_network
     from lab.training.schedules import SCHEDULES
     from lab.training.train_dense import DenseTraining, TrainDenseConfig
     from lab.training.training_curves import draw_curves

@@ -152,9 +152,12 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
 
     def class_changes(self) -> tuple[float, float]:
         """Return in how many scans the track says another class than in the scan before, and how many there are."""
-        pairs = [(one, other) for one, other in pairwise(self.rows) if one is not None and other is not None]
-        same = [(one, other) for one, other in pairs if one.track_id is not None and one.track_id == other.track_id]
-        return float(sum(one.track_class != other.track_class for one, other in same)), float(len(same))
+        same = [
+            (before, after)
+            for before, after in pairwise(self.rows)
+            if before and after and before.track_id is not None and before.track_id == after.track_id
+        ]
+        return float(sum(before.track_class != after.track_class for before, after in same)), float(len(same))
 
     def velocity_errors_mps(self) -> tuple[list[float], list[float]]:
         """Return velocity errors at the first scan that a track stands on it, and of the scans 1 s later and on."""

@@ -14,8 +14,8 @@ from torch import nn
 
 from lab.training.data.samples import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
 from lab.training.exported_weights import SETTLING_BATCHES, load_exported, settle_norms
-from lab.training.families import FAMILIES, NetworkChoice
 from lab.training.loop import TrainingLoop
+from lab.training.map_networks import FAMILIES, NetworkChoice
 from lab.training.objectives.objectives import ObjectiveConfig, objective_of
 from lab.training.pretrained import load_initial
 from lab.training.run_folder import BEST, LAST, SUMMARY, adopt_config, load_config, load_json, load_state

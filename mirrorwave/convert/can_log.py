@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from models.vehicle.can_state import CanDecoder, Judged
+    from models.vehicle.can_decoder import CanDecoder, Judged
     from msgs.values.vehicle import VehicleState
     from nodes.can.bus import LogFrame
 
@@ -21,7 +21,7 @@ class LogStep(NamedTuple):
 
 def log_states(decoder: CanDecoder, frames: Iterable[LogFrame]) -> Iterator[LogStep]:
     """Judge the frames of a log in order; a frame without a time gives no state."""
-    from models.vehicle.can_state import StateReporter
+    from models.vehicle.can_decoder import StateReporter
     from nodes.can.bus import decode_frame
 
     reporter: StateReporter | None = None

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from mirrorwave.convert.can_log import log_states
 from models.perception.track.odometry import Odometry
-from models.vehicle.can_state import HARMLESS
+from models.vehicle.can_decoder import HARMLESS
 
 if TYPE_CHECKING:
     from mirrorwave.diagnose.can_signals import SignalReport
-    from models.vehicle.can_state import CanDecoder, Judged
+    from models.vehicle.can_decoder import CanDecoder, Judged
     from msgs.values.vehicle import VehicleState
     from nodes.can.bus import LogFrame
 

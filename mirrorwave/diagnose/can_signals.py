@@ -8,9 +8,9 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from models.vehicle.frame_check import FrameCheck, Verdict
+from models.vehicle.can_frame import FrameCheck, Verdict
+from models.vehicle.can_mapping import MessageRule
 from models.vehicle.hidden_object_list import is_protected, message_rule
-from models.vehicle.mapping import MessageRule
 
 if TYPE_CHECKING:
     from cantools.database import Database

@@ -42,6 +42,7 @@ class Layer:
 
 
 #: Some materials have a second row for a higher band; rows rise in frequency.
+#: A material of yours needs a row in `models.physics.photons.optics.OPTICAL` too.
 TABLE: dict[str, tuple[MaterialRow, ...]] = {
     "vacuum": (MaterialRow(1.0, 0.0, 0.0, 0.0, 0.001, 100.0),),
     "concrete": (

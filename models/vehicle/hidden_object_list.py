@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from models.vehicle.can_mapping import MessageRule, period_ns
 from models.vehicle.end_to_end import ChecksumRule, CounterRule, checksum_byte, checksum_of, counter_modulus, signal_of
-from models.vehicle.mapping import MessageRule, period_ns
 from msgs.values.frames import wrap_angle
 from msgs.values.perception import BevFrame, HiddenObject, Visibility
 from msgs.values.radar import MAP_FAULTS, WIRING_FAULTS

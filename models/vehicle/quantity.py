@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from models.vehicle.can_mapping import DbcRange, QuantityRule
 from models.vehicle.end_to_end import signal_of
-from models.vehicle.mapping import DbcRange, QuantityRule
 from models.vehicle.signal_units import SI_NAMES, Dimension, known_units, parse_unit
 
 if TYPE_CHECKING:

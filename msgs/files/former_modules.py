@@ -11,6 +11,7 @@ from typing import Any
 
 #: Former name of a module, or of a room, and what it is called; the longest counts.
 FORMER = {
+    "contrib.boards.radar_driver": "contrib.boards.phaser_radar",
     "models.perception.detection": "models.perception.find",
     "models.perception.detection.stage": "models.perception.find.maps_to_peaks",
     "models.perception.detections": "models.perception.target_lists",
@@ -28,13 +29,16 @@ FORMER = {
     "models.perception.tracking": "models.perception.track",
     "models.perception.tracking.association": "models.perception.track.joint_association",
     "models.perception.tracking.stage": "models.perception.track.views_over_scans",
+    "models.vehicle.can_state": "models.vehicle.can_decoder",
+    "models.vehicle.frame_check": "models.vehicle.can_frame",
+    "models.vehicle.mapping": "models.vehicle.can_mapping",
     "nodes.bridges.foxglove": "contrib.foxglove.foxglove_bridge",
     "nodes.bridges.ros2": "contrib.ros2.ros2_bridge",
     "nodes.dca1000_radar": "contrib.boards.dca1000_radar",
     "nodes.drivers.detections_radar": "contrib.boards.detections_radar",
     "nodes.drivers.recorded_sensors": "contrib.imports.recorded_sensors",
     "nodes.link": "contrib.two_machines.link",
-    "nodes.radar_driver": "contrib.boards.radar_driver",
+    "nodes.radar_driver": "contrib.boards.phaser_radar",
     "sim_player.effects.names": "sim_player.trace.effect_names",
     "sim_player.scene.meshes": "sim_player.bodies.meshes",
     "sim_player.scene.reach": "sim_player.paths.reach",

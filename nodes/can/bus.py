@@ -14,8 +14,8 @@ import cantools
 import msgspec
 from cantools.database import Database
 
-from models.vehicle.can_state import CanDecoder, Judged, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule
+from models.vehicle.can_decoder import CanDecoder, Judged, Verdict
+from models.vehicle.can_mapping import CanMapping, MessageRule
 from msgs.files.text_files import AS_CP1252, read_text
 from msgs.values.known_names import refuse_unknown
 from msgs.values.units import NANOSECONDS_PER_SECOND, ns_from_s

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, cast
 
 import can
 
-from models.vehicle.can_state import RESTART_NS
+from models.vehicle.can_decoder import RESTART_NS
 from msgs.files.text_files import AS_CP1252, text_encoding
 from msgs.files.unpacking import Budget, UnpackedFile, unpack
 from msgs.recording.clock_steps import Bridged

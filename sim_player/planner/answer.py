@@ -13,8 +13,8 @@ import numpy as np
 from msgs.values.radar import RadarSetup
 from sim_player.planner.ablation import SIGMAS, mirrored
 from sim_player.planner.cells import cells_of
-from sim_player.planner.choice import INFLATION, Choice
 from sim_player.planner.evaluation import NOTHING, STEADY, WHOLE, HeadChange, error, evaluate
+from sim_player.planner.kept_paths import INFLATION, Choice
 from sim_player.planner.purposes import Purpose
 from sim_player.planner.sweep_terms import SweepTerms
 from sim_player.scene.front_end import FrontEnd

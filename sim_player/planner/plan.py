@@ -6,7 +6,7 @@ for the same noise. Questions go from cheap to dear, and asking ends with the fi
 1. what the scene has nothing of is absent, whatever its strength;
 2. all other paths are traced: hardly an effect stays under the law in whole, and what costs most is the signal;
 3. the weakest paths go, the squint and the overlap of others, and weights that change too little
-   (`sim_player.planner.choice`); an effect whose paths all go is skipped;
+   (`sim_player.planner.kept_paths`); an effect whose paths all go is skipped;
 4. where the map is all that is wanted, what is left is evaluated with a bound of its error
    (`sim_player.planner.answer`), which is the map.
 
@@ -37,7 +37,7 @@ from sim_player.paths.truth import may_be_seen
 from sim_player.planner.ablation import FAR_SIGMAS, EffectAblation, clutter_rms, crowd, signal_effects
 from sim_player.planner.answer import Law, evaluated
 from sim_player.planner.changes import change_of
-from sim_player.planner.choice import WEIGHT_SHARE, Choice, Limit, choose, fits
+from sim_player.planner.kept_paths import WEIGHT_SHARE, Choice, Limit, choose, fits
 from sim_player.planner.purposes import Purpose
 from sim_player.planner.sweep_terms import sweep_terms
 from sim_player.planner.weakest import Weakest

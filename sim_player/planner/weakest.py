@@ -2,8 +2,8 @@
 
 A beam hears few of the paths: two side lobes are 26 dB down or more. So each beam chooses for itself, at the instant at
 which its paths are frozen (`sim_player.player`). The weakest paths go as long as their magnitudes, added up without
-phases, stay in every range bin under what may change (`sim_player.planner.choice`), whatever else stands there; in the
-same way the overlap of others goes, which costs most. It holds in every range and Doppler bin, and a map keeps the
+phases, stay in every range bin under what may change (`sim_player.planner.kept_paths`), whatever else stands there; in
+the same way the overlap of others goes, which costs most. It holds in every range and Doppler bin, and a map keeps the
 budget too, whichever times its beams are of. Labels are those of everything.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 from models.compiled import compiled
 from msgs.values.radar import ArrayParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.planner.choice import Limit
 from sim_player.planner.evaluation import hann_skirt
+from sim_player.planner.kept_paths import Limit
 from sim_player.planner.purposes import Purpose
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.levels import RANGE_BINS

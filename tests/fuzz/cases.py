@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper, save
 
-from contrib.boards import dca1000_radar, detections_radar, radar_driver
+from contrib.boards import dca1000_radar, detections_radar, phaser_radar
 from contrib.boards import dca1000_socket as dca1000
 from contrib.boards.dca1000_packets import datagram
 from contrib.boards.target_list import TargetListReader
@@ -31,7 +31,7 @@ from fuzz.seeds import CFG, GNSS
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
 from models.perception.track.scan_state import MemoryParams
-from models.vehicle.can_state import CanDecoder
+from models.vehicle.can_decoder import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
 from msgs.bus.topics import TOPICS
 from msgs.files.shipped import shipped_path
@@ -532,7 +532,7 @@ def make_dca1000_radar(folder: Path, seed: int, script: Sequence[Step]) -> Node:
 
 def make_radar_driver(folder: Path, seed: int, script: Sequence[Step]) -> Node:
     scans = (None, 1, 3)[seed % 3]
-    return radar_driver.RadarDriver(WhimsicalDevice(seed), radar_driver.Params(scans=scans))
+    return phaser_radar.RadarDriver(WhimsicalDevice(seed), phaser_radar.Params(scans=scans))
 
 
 def make_player(folder: Path, seed: int, script: Sequence[Step]) -> Node:
@@ -752,7 +752,7 @@ CASES: dict[str, Case] = {
         make_player, all_talk(), "nodes.player", lambda folder: {"capture": str(write_recording(folder, None))}
     ),
     "dca1000_radar": Case(make_dca1000_radar, (), "contrib.boards.dca1000_radar", card_params),
-    "radar_driver": Case(make_radar_driver, (), "contrib.boards.radar_driver"),
+    "radar_driver": Case(make_radar_driver, (), "contrib.boards.phaser_radar"),
     "ra_former": Case(
         make_ra_former,
         [*radar_talk(), Said("radar/setup", DIGITAL), *radar_scan(9, 10**10, DIGITAL)],

@@ -24,7 +24,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from contrib.boards import dca1000_radar, radar_driver
+from contrib.boards import dca1000_radar, phaser_radar
 from models.perception.form import beams_to_maps as forming_stage
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import FormingParams
@@ -281,5 +281,5 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(can_link, "open_bus", lambda params: WhimsicalBus(1))
     monkeypatch.setattr(can_link.CanLink.__init__, "__defaults__", (can_link.open_bus,))
     monkeypatch.setattr(dca1000_radar.dca1000, "Card", lambda params, lanes: WhimsicalCard(0))
-    monkeypatch.setattr(radar_driver.cn0566, "Cn0566", lambda params, beams: WhimsicalDevice(0))
+    monkeypatch.setattr(phaser_radar.cn0566, "Cn0566", lambda params, beams: WhimsicalDevice(0))
     monkeypatch.setattr(snapshot_recorder.signal, "signal", lambda number, action: None)

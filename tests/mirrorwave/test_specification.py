@@ -17,7 +17,7 @@ from lab.networks.swin_unet import SwinUNetConfig
 from lab.tradeoff.rows import profile_setting, read_settings
 from lab.training.export.onnx import Exported, export_onnx, write_card
 from lab.training.export.residual import export_residual_onnx
-from lab.training.families import choice_of
+from lab.training.map_networks import choice_of
 from mirrorwave.api import Perception
 from mirrorwave.cli import main
 from mirrorwave.profiles import PROFILES, profile_names, read_profile

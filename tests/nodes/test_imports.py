@@ -15,7 +15,7 @@ MOVERS = (
     "nodes.recorder",
     "nodes.recording.snapshot_recorder",
     "contrib.two_machines.link",
-    "contrib.boards.radar_driver",
+    "contrib.boards.phaser_radar",
     "nodes.vehicle_can",
     "nodes.can_out",
     "nodes.car_sim",

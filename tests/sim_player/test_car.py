@@ -9,8 +9,8 @@ import cantools
 import msgspec
 import pytest
 
-from models.vehicle.can_state import CanDecoder, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignRule
+from models.vehicle.can_decoder import CanDecoder, Verdict
+from models.vehicle.can_mapping import CanMapping, MessageRule, QuantityRule, SignRule
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar, steering_rad

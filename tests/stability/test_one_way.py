@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contrib.boards.phaser import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
+from contrib.boards.phaser_model import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
 from models.perception.form.coarray import AzimuthInterpolator, ideal_beams
 from msgs.values.radar import BeamGrid
 from tests.stability.catalogue import Errors
@@ -30,7 +30,7 @@ def _map_error(weights: np.ndarray | None, real: np.ndarray, azimuth_deg: float)
     return float(np.abs(row - exact).max() / np.sqrt(8.0))
 
 
-@pytest.mark.hard("contrib.boards.phaser", "weights of the phases that were asked for", 2e-5, "of the peak",
+@pytest.mark.hard("contrib.boards.phaser_model", "weights of the phases that were asked for", 2e-5, "of the peak",
                   "ridge of 1e-7; beams in float32")  # fmt: skip
 def test_rounded_calibrated_phases(errors: Errors) -> None:
     """Calibration plus steering is rounded to 2.8 degrees in the register: every column keeps another rest."""

@@ -10,7 +10,7 @@ import pytest
 
 from models.perception.form.coarray import AzimuthInterpolator
 from models.perception.form.ra_forming import ScanProfiles, form_map
-from models.vehicle.can_state import StampMapper
+from models.vehicle.can_decoder import StampMapper
 from msgs.values.frames import Pose2
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
@@ -156,7 +156,7 @@ def test_scan_numbers_that_jump(errors: Errors) -> None:
     errors(naive=2**31 - 7 - 1, ours=watch.figures(period_ns + last_beam_ns()).absent_total)
 
 
-@pytest.mark.hard("models.vehicle.can_state", "one offset between the clocks", 200e-6, "s",
+@pytest.mark.hard("models.vehicle.can_decoder", "one offset between the clocks", 200e-6, "s",
                   "the delay of every frame, 0.2 ms")  # fmt: skip
 def test_source_clock_that_wraps(errors: Errors) -> None:
     """A counter of 32 bits of microseconds wraps after 71 minutes: two windows of 1 s later stamps are right again."""

@@ -9,8 +9,8 @@ import cantools
 import numpy as np
 import pytest
 
-from models.vehicle.can_state import AGE_PERIODS, CanDecoder, StampMapper, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule
+from models.vehicle.can_decoder import AGE_PERIODS, CanDecoder, StampMapper, Verdict
+from models.vehicle.can_mapping import CanMapping, MessageRule, QuantityRule
 from nodes.can.bus import frame_stamp_ns
 from tests.stability.catalogue import Errors
 
@@ -29,7 +29,7 @@ def test_epoch_stamps_keep_a_quarter_of_a_microsecond(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard("models.vehicle.can_state", "difference of seconds since 1970", 0.0, "ns", "integers")
+@pytest.mark.hard("models.vehicle.can_decoder", "difference of seconds since 1970", 0.0, "ns", "integers")
 def test_ages_are_exact_at_the_limit(errors: Errors) -> None:
     """Ten periods of 10 ms after an epoch stamp: integers meet the limit to 1 ns, seconds as floats miss it."""
     start_ns = 1_700_000_000_123_456_789
@@ -72,7 +72,7 @@ def test_the_last_value_of_a_range_counts_and_the_next_does_not(scale: str) -> N
         assert naive_wrong > 0
 
 
-@pytest.mark.hard("models.vehicle.can_state", "offset of the first frame", 200e-6, "s",
+@pytest.mark.hard("models.vehicle.can_decoder", "offset of the first frame", 200e-6, "s",
                   "the delay of every other frame, 0.2 ms")  # fmt: skip
 def test_a_slow_first_frame_does_not_shift_the_clock(errors: Errors) -> None:
     """The first frame waited 80 ms in a queue: an offset taken from it alone is wrong for good."""
@@ -89,7 +89,7 @@ def test_a_slow_first_frame_does_not_shift_the_clock(errors: Errors) -> None:
 
 
 @pytest.mark.parametrize("drift", [-2e-4, 2e-4])
-@pytest.mark.hard("models.vehicle.can_state", "offset of the first frame", 400e-6, "s",
+@pytest.mark.hard("models.vehicle.can_decoder", "offset of the first frame", 400e-6, "s",
                   "200 ppm over two windows of 1 s")  # fmt: skip
 def test_drifting_clocks_do_not_walk_away(errors: Errors, drift: float) -> None:
     """200 ppm for ten minutes is 120 ms, more than ten periods of 10 ms."""

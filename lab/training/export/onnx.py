@@ -21,7 +21,7 @@ from lab.measures.point_scores import Counts
 from lab.training.data.frames import DataSet, Frame, fixed_splits
 from lab.training.data.samples import point_labels
 from lab.training.export.quantize import quantize_int8
-from lab.training.families import FAMILIES, INPUTS
+from lab.training.map_networks import FAMILIES, INPUTS
 from lab.training.schedules import SCHEDULES
 from lab.training.scoring import DetectionTally
 from lab.training.train_dense import RunConfig, load_best, load_summary

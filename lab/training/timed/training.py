@@ -24,8 +24,8 @@ from torch import Tensor, nn
 from lab.measures.point_scores import Counts
 from lab.training.data.map_arrays import MapArrays, Maps
 from lab.training.data.samples import PointLabels
-from lab.training.families import FAMILIES
 from lab.training.loop import KeptRun
+from lab.training.map_networks import FAMILIES
 from lab.training.objectives.anchors import anchor_loss, anchor_targets
 from lab.training.objectives.focal import binary_focal_loss
 from lab.training.objectives.losses import heatmap_focal_loss

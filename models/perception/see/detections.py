@@ -61,9 +61,9 @@ def distinct(reports: Detections, tie: np.ndarray) -> np.ndarray:
     return np.array(kept, int)
 
 
-def _share_ground(reports: Detections, one: int, other: int) -> bool:
+def _share_ground(reports: Detections, first: int, second: int) -> bool:
     """Return whether too many points of the box of either lie within that of the other."""
-    return max(_part_within(reports, one, other), _part_within(reports, other, one)) > SHARED_GROUND
+    return max(_part_within(reports, first, second), _part_within(reports, second, first)) > SHARED_GROUND
 
 
 def _part_within(reports: Detections, inner: int, outer: int) -> float:

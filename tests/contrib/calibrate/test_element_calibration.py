@@ -6,7 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from contrib.boards.phaser import ELEMENT_BEAMS, PhaserCalibration, PhaserParams, beam_table, element_table, radar_setup
+from contrib.boards.phaser_model import (
+    ELEMENT_BEAMS,
+    PhaserCalibration,
+    PhaserParams,
+    beam_table,
+    element_table,
+    radar_setup,
+)
 from contrib.calibrate.element_calibration import board_calibration, element_responses
 from msgs.values.radar import BeamGrid, RadarSetup
 

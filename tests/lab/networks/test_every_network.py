@@ -15,7 +15,7 @@ from lab.networks.further_than_cfar import FurtherThanCfarConfig
 from lab.networks.radar_tensor_network import RadarTensorNetworkConfig
 from lab.networks.swin_unet import SwinUNetConfig
 from lab.networks.unet import UNetConfig
-from lab.training.families import FAMILIES
+from lab.training.map_networks import FAMILIES
 
 #: Family and a configuration of few cells.
 TINY: dict[str, Any] = {

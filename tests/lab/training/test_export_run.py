@@ -13,7 +13,7 @@ from lab.networks.compact_unet import CompactUNetConfig
 from lab.training.data.samples import DataConfig
 from lab.training.export import onnx as export_onnx
 from lab.training.export.onnx import PARITY, ExportConfig, export_run
-from lab.training.families import NetworkChoice
+from lab.training.map_networks import NetworkChoice
 from lab.training.run_folder import BEST, CONFIG, SUMMARY
 from lab.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig
 from models.perception.find.encoding import Encoding

@@ -15,7 +15,7 @@ from lab.networks.unet import UNetConfig
 from lab.training.data.frames import Scan
 from lab.training.data.samples import DataConfig, SampleFormer, TrainingData
 from lab.training.exported_weights import load_exported, settle_norms
-from lab.training.families import INPUTS, choice_of, preset_network
+from lab.training.map_networks import INPUTS, choice_of, preset_network
 from lab.training.schedules import ScheduleConfig
 from lab.training.train_dense import DenseTraining, TrainDenseConfig
 from models.perception.cards import learned_path

@@ -11,7 +11,7 @@ import torch
 from lab.networks.compact_unet import CompactUNetConfig
 from lab.training.data.frames import Scan
 from lab.training.data.samples import DataConfig, Perturbation, SampleFormer, TrainingData
-from lab.training.families import NetworkChoice, choice_of
+from lab.training.map_networks import NetworkChoice, choice_of
 from lab.training.run_folder import CURVES, SUMMARY
 from lab.training.schedules import ScheduleConfig
 from lab.training.train_dense import DenseTraining, EpochReport, TrainDenseConfig, load_best

@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.vehicle.can_state import CanDecoder, Verdict
+from models.vehicle.can_decoder import CanDecoder, Verdict
+from models.vehicle.can_mapping import CanMapping, QuantityRule
 from models.vehicle.end_to_end import crc8_sae_j1850
 from models.vehicle.hidden_object_list import HiddenObjectList, ListFrame, message_rule, observable_share, worst_std_m
-from models.vehicle.mapping import CanMapping, QuantityRule
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject
 from msgs.values.radar import MAP_FAULTS, WIRING_FAULTS
 from msgs.values.vehicle import VehicleState

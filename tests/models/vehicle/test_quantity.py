@@ -8,7 +8,7 @@ import cantools
 import msgspec
 import pytest
 
-from models.vehicle.mapping import DbcRange, QuantityRule
+from models.vehicle.can_mapping import DbcRange, QuantityRule
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension, parse_unit
 

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
+from models.vehicle.can_mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
 from models.vehicle.end_to_end import Algorithm, ChecksumRule, CounterRule
-from models.vehicle.mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
 from nodes.can.bus import load_decoder, load_mapping
 from nodes.process.launch_file import parse_yaml
 

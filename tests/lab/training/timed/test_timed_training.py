@@ -14,7 +14,7 @@ from benchmarks.accuracy.full_size import tiny
 from lab.training.data.map_arrays import ArrayMaker, MapArrays, View
 from lab.training.data.samples import DataConfig
 from lab.training.export.onnx import export_scored
-from lab.training.families import FAMILIES, INPUTS, choice_of, preset_network
+from lab.training.map_networks import FAMILIES, INPUTS, choice_of, preset_network
 from lab.training.objectives.heatmaps import class_heatmaps, class_masks
 from lab.training.run_folder import save_state
 from lab.training.schedules import ScheduleConfig

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from models.perception.mirrors.peaks_to_view import GeometryParams, synthetic_peaks, recover_bev
+from models.perception.mirrors.peaks_to_view import GeometryParams, recover_bev, synthetic_peaks
 from msgs.files.shipped import CHECKOUT
 
 #: In a process of its own, where nothing has been compiled or loaded yet.

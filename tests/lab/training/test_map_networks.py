@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lab.training.families import FAMILIES, INPUTS, preset_network
+from lab.training.map_networks import FAMILIES, INPUTS, preset_network
 
 SIZES = [(family, size) for family in FAMILIES for size in FAMILIES[family].sizes]
 

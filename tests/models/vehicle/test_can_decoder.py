@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.vehicle.can_state import AGE_PERIODS, MAX_STAMP_NS, CanDecoder, StampMapper, StateReporter, Verdict
+from models.vehicle.can_decoder import AGE_PERIODS, MAX_STAMP_NS, CanDecoder, StampMapper, StateReporter, Verdict
+from models.vehicle.can_mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
 from models.vehicle.end_to_end import CounterRule
-from models.vehicle.mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
 from msgs.bus.codec import encode_inline
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import decode_frame, load_dbc, load_decoder, load_mapping

@@ -10,10 +10,10 @@ from sim_player.generate.places import random_place
 from sim_player.paths.conversion import as_paths
 from sim_player.paths.ray_tracing import trace_echoes
 from sim_player.paths.reach import reachable_snapshot
-from sim_player.planner import choice
+from sim_player.planner import kept_paths
 from sim_player.planner.ablation import signal_effects
 from sim_player.planner.cells import cells_of
-from sim_player.planner.choice import Limit, choose
+from sim_player.planner.kept_paths import Limit, choose
 from sim_player.planner.purposes import Purpose
 from sim_player.planner.sweep_terms import SweepTerms, sweep_terms
 from sim_player.scene.front_end import NO_FAULTS
@@ -47,7 +47,7 @@ def test_no_cell_changes_by_more_than_is_said(beams: int) -> None:
     worst = (np.abs(cells.values(changed)) + cells.bounds(np.broadcast_to(bound, (25, 512)))) / floor
     assert worst.max() <= 0.1 * LIMIT.spent(changed, bound)
     aligned = np.conj(cells._matrix[:, 128:129]) * np.ones(512)
-    assert np.abs(cells.values(aligned) / floor).max() * choice.INFLATION == pytest.approx(
+    assert np.abs(cells.values(aligned) / floor).max() * kept_paths.INFLATION == pytest.approx(
         0.1 * LIMIT.spent(aligned, 0.0), rel=1e-3
     )
 
@@ -59,12 +59,12 @@ def test_a_guess_that_changes_too_much_is_made_again(terms: SweepTerms, monkeypa
     good = choose(SETUP, terms, FLAGS, LIMIT)
     assert 0 < good.kept.sum() < len(terms)
     assert good.squints.sum() < good.kept.sum()
-    monkeypatch.setattr(choice, "PEAK", choice.PEAK / 20.0)
-    monkeypatch.setattr(choice, "GUESSES", 30)
+    monkeypatch.setattr(kept_paths, "PEAK", kept_paths.PEAK / 20.0)
+    monkeypatch.setattr(kept_paths, "GUESSES", 30)
     again = choose(SETUP, terms, FLAGS, LIMIT)
-    assert again.spent <= choice.PHASE_SHARE + choice.OVERLAP_SHARE + 1e-6
+    assert again.spent <= kept_paths.PHASE_SHARE + kept_paths.OVERLAP_SHARE + 1e-6
     assert again.kept.sum() < len(terms)
-    monkeypatch.setattr(choice, "GUESSES", 1)
+    monkeypatch.setattr(kept_paths, "GUESSES", 1)
     nothing = choose(SETUP, terms, FLAGS, LIMIT)
     assert np.stack([nothing.kept, nothing.squints, nothing.overlaps]).all()
     assert nothing.spent == 0.0
@@ -77,6 +77,6 @@ def test_overlap_goes_while_its_sum_is_small() -> None:
     kept, squints = np.array([False, True, True, True]), np.array([False, False, True, True])
     whole = np.array([[1.0], [9.0], [2.0], [4.0]], np.float32)
     squint = np.array([[0.3], [0.5], [1.0], [1.0]], np.float32)
-    stays, spent = choice._overlaps(kept, squints, np.full(4, 0.1), (whole, squint), 0.5)
+    stays, spent = kept_paths._overlaps(kept, squints, np.full(4, 0.1), (whole, squint), 0.5)
     assert stays.tolist() == [False, True, False, True]
     assert spent == pytest.approx(0.35)

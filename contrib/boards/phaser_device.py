@@ -2,7 +2,7 @@
 
 The Pluto's TDD engine starts ramp, receive buffer and transmit buffer of each chirp together: only then does a sample
 belong to a known position on a ramp, and only then do beams add up coherently. The numbers are defined in
-`contrib.boards.phaser`. The order of writes follows the maker's published examples; no board has confirmed it.
+`contrib.boards.phaser_model`. The order of writes follows the maker's published examples; no board has confirmed it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from contrib.boards.phaser import (
+from contrib.boards.phaser_model import (
     CHIRP_INTERVAL_S,
     COLUMNS,
     ELEMENT_BEAMS,

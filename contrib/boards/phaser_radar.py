@@ -14,7 +14,7 @@ from typing import ClassVar, Protocol
 import msgspec
 import numpy as np
 
-from contrib.boards import cn0566
+from contrib.boards import phaser_device
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.arrays import require_positive
 from msgs.values.diagnostics import NodeState
@@ -53,16 +53,16 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Scans of the radar, and its settings under its own name."""
 
     formerly: ClassVar[dict[str, str]] = {
-        "": "contrib.boards.radar_driver",
-        "kind": "contrib.boards.radar_driver",
-        "cn0566": "contrib.boards.phaser",
-        "cn0566.taper": "contrib.boards.phaser",
+        "": "contrib.boards.phaser_radar",
+        "kind": "contrib.boards.phaser_radar",
+        "cn0566": "contrib.boards.phaser_model",
+        "cn0566.taper": "contrib.boards.phaser_model",
     }
 
     azimuth_deg: tuple[float, ...] | None = None
     #: Scans to measure; None: without end.
     scans: int | None = None
-    cn0566: cn0566.Params = cn0566.Params()
+    cn0566: phaser_device.Params = phaser_device.Params()
 
     def __post_init__(self) -> None:
         if self.scans is not None:
@@ -204,7 +204,7 @@ class RadarDriver(Node):
 
 def create(params: Params) -> RadarDriver:
     """Return the node with its parameters; a radar absent now is bad input, one that is lost later is not."""
-    device = cn0566.Cn0566(params.cn0566, params.beams)
+    device = phaser_device.Cn0566(params.cn0566, params.beams)
     try:
         device.open()
     except (ConnectionError, ValueError) as error:

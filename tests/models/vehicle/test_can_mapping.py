@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from models.vehicle.mapping import LONGEST_PERIOD_S, MessageRule, period_ns
+from models.vehicle.can_mapping import LONGEST_PERIOD_S, MessageRule, period_ns
 
 
 def message(cycle_time: Any) -> Any:

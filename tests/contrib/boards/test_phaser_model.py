@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.simulator.real_burst import driven_beam, recorded_burst, setup
-from contrib.boards.phaser import (
+from contrib.boards.phaser_model import (
     INTERVAL_SAMPLES,
     OFFSET_HZ,
     PHASE_STEP_DEG,

@@ -7,9 +7,9 @@ from pathlib import Path
 import cantools
 import pytest
 
+from models.vehicle.can_frame import FrameCheck, Verdict, _padded_length
+from models.vehicle.can_mapping import MessageRule
 from models.vehicle.end_to_end import ChecksumRule, CounterRule, checksum_byte, checksum_of
-from models.vehicle.frame_check import FrameCheck, Verdict, _padded_length
-from models.vehicle.mapping import MessageRule
 from nodes.can.bus import load_dbc, load_mapping
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")

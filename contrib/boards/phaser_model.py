@@ -5,7 +5,8 @@ offset, is mixed down to the band and sent by one fixed antenna. Eight columns r
 (ADAR1000), four to a converter channel. The oscillator lies above the band, so beats rise with range and carry the
 conjugate of the columns' phases: the recorded convention of this project, `beat_sign` +1.
 
-Pure functions: `contrib.boards.cn0566` controls the kit. Not confirmed on hardware: docs/guides/connect-my-radar.md.
+Pure functions: `contrib.boards.phaser_device` controls the kit. Not confirmed on hardware:
+docs/guides/connect-my-radar.md.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from contrib.boards import cn0566, radar_driver
-from contrib.boards.phaser import SAMPLES_PER_CHIRP, PhaserParams
+from contrib.boards import phaser_device, phaser_radar
+from contrib.boards.phaser_model import SAMPLES_PER_CHIRP, PhaserParams
 from mirrorwave.cli import main
 from models.perception.form.ra_former import RaFormer
 from msgs.bus.interface import Outgoing
@@ -34,12 +34,12 @@ PHASES_DEG = (0.0, 14.0, -33.0, 80.0, 122.0, -61.0, 9.0, 170.0)
 needs_library = pytest.mark.skipif(importlib.util.find_spec("adi") is None, reason="pyadi-iio (extra phaser) is absent")
 
 
-def start(monkeypatch: pytest.MonkeyPatch, library: Any, **params: Any) -> radar_driver.RadarDriver:
+def start(monkeypatch: pytest.MonkeyPatch, library: Any, **params: Any) -> phaser_radar.RadarDriver:
     """The node as a launch file makes it, on `library`."""
-    monkeypatch.setattr(cn0566.Cn0566.__init__, "__defaults__", (None, lambda: library))
+    monkeypatch.setattr(phaser_device.Cn0566.__init__, "__defaults__", (None, lambda: library))
     kit = {**KIT, "chirps_per_beam": 2, **params.pop("cn0566", {})}
-    node = load_node("contrib.boards.radar_driver", {"cn0566": kit, **params})
-    assert isinstance(node, radar_driver.RadarDriver)
+    node = load_node("contrib.boards.phaser_radar", {"cn0566": kit, **params})
+    assert isinstance(node, phaser_radar.RadarDriver)
     return node
 
 
@@ -54,14 +54,14 @@ def library(kit: StandInKit) -> Iterator[Any]:
         yield found
 
 
-def turn(node: radar_driver.RadarDriver, now_ns: int) -> tuple[list[Outgoing], int]:
+def turn(node: phaser_radar.RadarDriver, now_ns: int) -> tuple[list[Outgoing], int]:
     """One step when the node is due, and when that was."""
     due_ns = node.due_ns(now_ns)
     assert due_ns is not None
     return node.step([], max(due_ns, now_ns)), max(due_ns, now_ns)
 
 
-def turns(node: radar_driver.RadarDriver, count: int, now_ns: int = 1_000_000_000) -> list[Any]:
+def turns(node: phaser_radar.RadarDriver, count: int, now_ns: int = 1_000_000_000) -> list[Any]:
     """Messages of so many steps."""
     out: list[Any] = []
     for _ in range(count):
@@ -70,7 +70,7 @@ def turns(node: radar_driver.RadarDriver, count: int, now_ns: int = 1_000_000_00
     return out
 
 
-def maps_of(node: radar_driver.RadarDriver) -> list[RangeAzimuthMap]:
+def maps_of(node: phaser_radar.RadarDriver) -> list[RangeAzimuthMap]:
     """What the RA former makes of a driver that ends by itself, on an in-process bus."""
     network = LocalNetwork(start_ns=5_000_000_000)
     listener = network.bus("listener")
@@ -317,7 +317,7 @@ def test_the_stand_in_refuses_what_the_library_does_not_have(library: Any) -> No
 )
 def test_wrong_parameters_are_one_line(params: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        load_node("contrib.boards.radar_driver", params)
+        load_node("contrib.boards.phaser_radar", params)
 
 
 def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,12 +327,12 @@ def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_old(name: str) -> Any:
         raise OSError(2, "libiio version 1.x required, found version 0")
 
-    monkeypatch.setattr(cn0566.importlib, "import_module", missing)
+    monkeypatch.setattr(phaser_device.importlib, "import_module", missing)
     with pytest.raises(ValueError, match=r"^cn0566 needs pyadi-iio, extra `phaser`: No module named 'adi'$"):
-        cn0566.load_library()
-    monkeypatch.setattr(cn0566.importlib, "import_module", too_old)
+        phaser_device.load_library()
+    monkeypatch.setattr(phaser_device.importlib, "import_module", too_old)
     with pytest.raises(ValueError, match=r"^cn0566 needs libiio 0\.x .*found version 0$"):
-        cn0566.load_library()
+        phaser_device.load_library()
 
 
 @pytest.mark.parametrize(
@@ -349,13 +349,13 @@ def test_a_wrong_calibration_file_is_one_line(tmp_path: Path, text: str, message
     path = tmp_path / "calibration.yaml"
     path.write_text(text)
     with pytest.raises(ValueError, match=message) as raised:
-        cn0566.load_calibration(path)
+        phaser_device.load_calibration(path)
     assert str(path) in str(raised.value)
 
 
 def test_the_launch_file_fits_the_node() -> None:
     entry = read_launch_file(CHECKOUT / "launch" / "phaser.yaml").nodes["radar_driver"]
-    params = msgspec.convert(entry.params, radar_driver.Params)
+    params = msgspec.convert(entry.params, phaser_radar.Params)
     assert isinstance(params.cn0566, PhaserParams)
 
 
@@ -391,7 +391,7 @@ def test_a_board_is_calibrated_element_by_element(
     out = tmp_path / "board.yaml"
     arguments = ("calibrate", "array", str(capture), "--out", str(out), "--range-m", "30", "50")
     assert main([*arguments, "--azimuth-deg", str(azimuth_deg)]) == 0
-    found = cn0566.load_calibration(out)
+    found = phaser_device.load_calibration(out)
     off_deg = (np.array(found.phases_deg) - np.array(PHASES_DEG) + 180.0) % 360.0 - 180.0
     assert np.abs(off_deg).max() < 1.0
     channels = 10.0 ** (np.repeat(found.channel_gains_db, 4) / 20.0)
@@ -430,4 +430,4 @@ def test_elements_that_serve_no_calibration_are_refused(
 
 def test_a_calibrated_board_is_not_measured_bare() -> None:
     with pytest.raises(ValueError, match="calibration must not be given"):
-        cn0566.Params(single_elements=True, calibration="board.yaml")
+        phaser_device.Params(single_elements=True, calibration="board.yaml")

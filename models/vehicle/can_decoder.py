@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from models.vehicle.can_frame import FrameCheck, Verdict
+from models.vehicle.can_mapping import CanMapping, MessageRule, QuantityRule, WheelSpeedsRule, period_ns
 from models.vehicle.end_to_end import signal_of
-from models.vehicle.frame_check import FrameCheck, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, WheelSpeedsRule, period_ns
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension
 from msgs.values.arrays import MAX_STAMP_NS

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 from cantools.database.errors import DecodeError
 from cantools.database.utils import decode_data
 
+from models.vehicle.can_mapping import MessageRule
 from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step
-from models.vehicle.mapping import MessageRule
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
