@@ -1,7 +1,7 @@
 """Tracking of hidden objects over scans in an odometry frame: existence, not hits.
 
 A joint integrated probabilistic data association filter: a scan begins hypotheses, and raises or lowers the existence
-of all. A track is published once that is high and two scans have measured it; ids are never used twice. No library:
+of all. A track is published once that is high; ids are never used twice. No library:
 Stone Soup would bring six more to the vehicle, FilterPy has no tracks, gates or assignment.
 """
 
