@@ -281,5 +281,5 @@ def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(can_link, "open_bus", lambda params: WhimsicalBus(1))
     monkeypatch.setattr(can_link.CanLink.__init__, "__defaults__", (can_link.open_bus,))
     monkeypatch.setattr(dca1000_radar.dca1000, "Card", lambda params, lanes: WhimsicalCard(0))
-    monkeypatch.setattr(phaser_radar.cn0566, "Cn0566", lambda params, beams: WhimsicalDevice(0))
+    monkeypatch.setattr(phaser_radar.phaser_device, "Cn0566", lambda params, beams: WhimsicalDevice(0))
     monkeypatch.setattr(snapshot_recorder.signal, "signal", lambda number, action: None)
