@@ -62,12 +62,12 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
     # keyboard and terminal signals, from their first moment on
     with _undisturbed():
         pool = ProcessPoolExecutor(workers, context, initializer=_follow, initargs=(listener,))
-    # anew: the first lock of a process starts a tracker, which lets SIGINT through again
-    with _undisturbed():
-        futures = [pool.submit(function, job) for job in jobs]
-        for future in futures:
-            future.add_done_callback(done.put)
     try:
+        # anew: the first lock of a process starts a tracker, which lets SIGINT through again
+        with _undisturbed():
+            futures = [pool.submit(function, job) for job in jobs]
+            for future in futures:
+                future.add_done_callback(done.put)
         for _ in futures:
             yield done.get().result()
     except BrokenExecutor:
