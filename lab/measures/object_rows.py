@@ -47,10 +47,11 @@ class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
     centre_m: float | None
     #: Found one to one if the distance of centres alone counts.
     found_by_centre: bool
-    #: Of that report: its score and the class it says; and the class that the track says.
-    score: float | None = None
+    #: Class of that report, and of the track.
     reported_class: str | None = None
     track_class: str | None = None
+    #: Highest threshold of the score at which it is found: reports by falling score each take the nearest object left.
+    score: float | None = None
     #: Squared Mahalanobis distance of the truth by the covariance of the report that found it.
     mahalanobis2: float | None = None
     object_id: int = -1
@@ -131,6 +132,7 @@ def scan_row(
     mahalanobis2 = distances.mahalanobis2[:, out_of_sight]
     mirrored = np.array([images[index].mirrored for index in out_of_sight], bool)
     by = {int(column): int(row) for row, column in _matched(error_m, mirrored)}
+    scores = _first_scores([report.score for report in objects], error_m, mirrored)
     wide = {int(row) for row, _ in _matched(error_m, mirrored, FALSE_M)}
     by_centre = {int(column) for _, column in _matched(centre_m, mirrored)}
     track_error_m, track_box_m = _track_distances_m(tracks, truth, out_of_sight)
@@ -143,7 +145,7 @@ def scan_row(
             error_m=float(error_m[by[column], column]) if column in by else None,
             centre_m=float(centre_m[by[column], column]) if column in by else None,
             found_by_centre=column in by_centre,
-            score=objects[by[column]].score if column in by else None,
+            score=scores.get(column),
             reported_class=objects[by[column]].object_class if column in by else None,
             mahalanobis2=float(mahalanobis2[by[column], column]) if column in by else None,
             object_id=truth.objects[index].id,
@@ -212,6 +214,18 @@ def _matched(distance_m: np.ndarray, mirrored: np.ndarray, gate_m: float = FOUND
     """Return pairs (report, object) within a gate, one to one, of the objects [N] that a mirror shows."""
     pairs = assign_within(distance_m[:, mirrored], gate_m)
     return np.stack([pairs[:, 0], np.flatnonzero(mirrored)[pairs[:, 1]]], axis=1)
+
+
+def _first_scores(scores: Sequence[float], error_m: np.ndarray, mirrored: np.ndarray) -> dict[int, float]:
+    """Return the score of the first report, by falling score, that finds each object that a mirror shows."""
+    left_m = np.where(mirrored, error_m, np.inf)
+    first: dict[int, float] = {}
+    for row in np.argsort(-np.asarray(scores, np.float64), kind="stable") if left_m.size else ():
+        column = int(left_m[row].argmin())
+        if left_m[row, column] <= FOUND_M:
+            first[column] = scores[row]
+            left_m[:, column] = np.inf
+    return first
 
 
 def _least(values: np.ndarray) -> float | None:

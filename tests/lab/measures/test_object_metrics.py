@@ -79,7 +79,7 @@ def test_a_scan_becomes_a_row_of_its_hidden_objects_and_its_reports() -> None:
     # one to one, then the nearest: 0.1 m from the centre beats 0.6 m from the face
     assert (row.hidden[0].error_m, row.hidden[0].centre_m) == (pytest.approx(0.1), pytest.approx(0.1))
     assert row.hidden[0].found_by_centre
-    assert (row.hidden[0].score, row.hidden[0].reported_class) == (objects[1].score, objects[1].object_class)
+    assert (row.hidden[0].score, row.hidden[0].reported_class) == (objects[0].score, objects[1].object_class)
     assert [one.error_m for one in row.hidden[1:]] == [None, None]
     assert [one.found for one in row.reports] == [False, True, False, False, False]
     # the report at (40, 1.5) is 1.5 m from the centre of what no mirror shows: not false, and not a find
@@ -275,6 +275,19 @@ def test_aims_by_hand() -> None:
         "nothing_per_scan": (1.0, 1.0), "in_sight_per_scan": (1.0, 1.0), "inside_ellipse": (2.0, 3.0),
         "nees": (14.0, 3.0),
     }  # fmt: skip
+
+
+def test_the_threshold_at_which_an_object_is_found_ignores_fainter_reports() -> None:
+    """A sure report 0.6 m from the car's face and a faint one at its centre, which is the nearest: found from 0.9 down.
+
+    With the sure one 1.2 m away: from 0.2 down.
+    """
+    for x_m, score in ((7.4, 0.9), (6.8, 0.2)):
+        sure, faint = (
+            msgspec.structs.replace(report(at_m, 10.0), score=value) for at_m, value in ((x_m, 0.9), (10.1, 0.2))
+        )
+        row = scan_row(5, [faint, sure], truth(), IMAGES)
+        assert (row.hidden[0].error_m, row.hidden[0].score) == (pytest.approx(0.1), score)
 
 
 def test_curve_and_classes_by_hand() -> None:
