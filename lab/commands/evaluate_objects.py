@@ -21,7 +21,7 @@ def evaluate_objects(request: ObjectRequest, as_json: bool) -> None:
     results = measured(request)
     if request.out is not None:
         draw_curves(results["sets"], request.out / "curves.png")
-    _show(results, list(tables(results)), request.out, as_json)
+    _show(results, list(tables(results)), request.out, as_json, "results.json, results.md and curves.png")
 
 
 def evaluate_lists(
@@ -34,10 +34,10 @@ def evaluate_lists(
 ) -> None:
     """Score the lists, write the same files, and print the tables."""
     results = compared(ListRequest(lists=lists, truths=truths, draws=draws, seed=seed, out=out))
-    _show(results, list(list_tables(results)), out, as_json)
+    _show(results, list(list_tables(results)), out, as_json, "results.json and results.md")
 
 
-def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as_json: bool) -> None:
+def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as_json: bool, written: str) -> None:
     if out is not None:
         write_report(out, "results", results, page(results, all_tables))
     if as_json:
@@ -47,4 +47,4 @@ def _show(results: dict[str, Any], all_tables: list[Table], out: Path | None, as
         print_line(title)
         print_table(columns, rows)
     if out is not None:
-        print_line(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
+        print_line(f"{out}: {written}")
