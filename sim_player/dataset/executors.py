@@ -25,6 +25,8 @@ Executor = Literal["local", "ray", "slurm"]
 EXECUTORS: tuple[Executor, ...] = get_args(Executor)
 #: Slurm ends a job after this long; a shard takes minutes.
 SLURM_MINUTES = 60
+#: Signals of keyboard and terminal; an interrupt inside of a pool would leave its locks held.
+HELD_BACK = (signal.SIGINT, signal.SIGHUP)
 
 
 def map_jobs(
@@ -87,12 +89,22 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Hold back the signals of keyboard and terminal from this thread, and from what is started meanwhile."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+    """Hold back the signals of keyboard and terminal, from this thread and from what is started meanwhile."""
+    held: list[int] = []
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, HELD_BACK)
+    # another thread may take the signal in place of this one: the interpreter then still calls the handler here
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in HELD_BACK} if is_main else {}
+    for number in handlers:
+        signal.signal(number, lambda number, _: held.append(number))
     try:
         yield
     finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number in held:
+            signal.raise_signal(number)
 
 
 def _follow(listener: Connection) -> None:

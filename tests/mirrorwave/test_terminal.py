@@ -199,7 +199,7 @@ def test_other_verbs_end_at_once_and_quietly(running: None, verb: str) -> None:
 
 def test_workers_go_with_their_parent(box: Path) -> None:
     out = box / "set"
-    words = ["sim", "dataset", "--out", str(out), "--count", "100000", "--seed", "1", "--workers", "2"]
+    words = ["sim", "dataset", "--out", str(out), "--count", "2000", "--seed", "1", "--workers", "2"]
     # a file: workers hold a pipe open
     trouble = (box / "stderr").open("w+")
     with trouble, started(words, stderr=trouble, start_new_session=True) as process:

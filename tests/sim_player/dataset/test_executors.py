@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 from typing import Any
 
@@ -36,9 +37,13 @@ def test_an_interrupt_inside_of_the_pool_waits_until_it_is_left(monkeypatch: pyt
         shutdown(pool, **options)
         steps.append("shutdown")
 
+    # a thread that takes signals when the main thread does not
+    is_over = threading.Event()
+    threading.Thread(target=is_over.wait).start()
     monkeypatch.setattr(ProcessPoolExecutor, "submit", noted_submit)
     monkeypatch.setattr(ProcessPoolExecutor, "shutdown", noted_shutdown)
     with pytest.raises(KeyboardInterrupt):
         list(map_jobs(math.sqrt, range(JOBS), workers=2))
+    is_over.set()
     assert steps[:JOBS] == ["submit"] * JOBS
     assert steps[JOBS:] == ["shutdown"]
