@@ -107,11 +107,12 @@ def listed_objects(objects: tuple[HiddenObject, ...], slots: int) -> tuple[Hidde
 
 
 def position_values(hidden_object: HiddenObject) -> dict[str, float]:
-    """Return the values of a position message for an object, before they are fitted to bits."""
+    """Return the values of a position message for an object, before they are fitted to bits: its box's centre."""
+    x_m, y_m = hidden_object.box_centre_m
     return {
         "ID": hidden_object.id,
-        "X": hidden_object.x_m,
-        "Y": hidden_object.y_m,
+        "X": x_m,
+        "Y": y_m,
         "POSITION_STD": worst_std_m(hidden_object),
     }
 

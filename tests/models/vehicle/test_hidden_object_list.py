@@ -66,6 +66,12 @@ def test_an_object_is_said_to_half_a_step() -> None:
         assert values[name] == pytest.approx(value, abs=0.5 * step + 1e-9), name
 
 
+def test_the_place_is_the_centre_of_the_box() -> None:
+    """The object's own position is its visible face, 2 m nearer here."""
+    position = changed(centre_m=(14.34, -5.68))["MW_OBJECT_01_POSITION"]
+    assert (position["X"], position["Y"]) == pytest.approx((14.34, -5.68), abs=0.01 + 1e-9)
+
+
 def test_the_status_sums_the_view_up() -> None:
     ego = VehicleState(stamp_ns=0)
     said = decoded(frames(view((ONE,), ego=ego, flags=("spurs", "incoherent", "new_flag"))))["MW_OBJECT_LIST"]
