@@ -30,7 +30,7 @@ from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding, sample_columns
 from models.perception.find.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
 from models.perception.find.peaks import PeakParams, find_pursued_peaks
-from models.perception.form.coarray import NOISE_FALSE_ALARM, CoherenceTest, beam_matrix, ideal_beams
+from models.perception.form.coarray import NOISE_FALSE_ALARM, AzimuthInterpolator, beam_matrix, ideal_beams
 from models.perception.form.ra_former import RaFormer
 from models.perception.form.ra_forming import DOPPLER_EXCESS_DB, DOPPLER_LIMIT_MPS, DOPPLER_SNR_DB, FormingParams
 from models.perception.form.slow_time_sums import fold_chirps, group_edges
@@ -59,6 +59,7 @@ class DoubleChain:
         self._back = ridge_back(beams)
         self._steering = ideal_beams(setup, self.grid.azimuth_rad)
         self._residual = np.eye(len(beams)) - beams @ self._back
+        self._model_error = AzimuthInterpolator(setup, self.grid).model_error
         self._magnitude = ideal_beams(setup, setup.beams.azimuth_rad)
 
     def map(self, beams: list[RadarBeam], stamps: RangeAzimuthMap) -> SimpleNamespace:
@@ -143,10 +144,9 @@ class DoubleChain:
 
     def _incoherent(self, profiles: np.ndarray, noise_mw: float) -> np.ndarray:
         """Bins [range] that do not fit one coherent scene."""
-        test = CoherenceTest()
         left_over = np.sum(np.abs(self._residual @ profiles) ** 2, axis=0)
         limit = noise_mw * gammainccinv(np.sum(np.abs(self._residual) ** 2), NOISE_FALSE_ALARM)
-        return (left_over > limit) & (left_over > test.model_error * np.sum(np.abs(profiles) ** 2, axis=0))
+        return np.asarray((left_over > limit) & (left_over > self._model_error * np.sum(np.abs(profiles) ** 2, axis=0)))
 
 
 def hann(spectra: np.ndarray, first: int, count: int) -> np.ndarray:

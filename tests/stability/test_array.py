@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.perception.cramer_rao import _TANGENTS, azimuth_response, windowed_bound
-from models.perception.form.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.perception.form.coarray import MODEL_ERROR, AzimuthInterpolator, beam_matrix, ideal_beams
 from models.perception.mirrors.observability import VisibilityParams, observability
 from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
 from models.physics.waveform import tone_profile, window_covariance
@@ -139,7 +139,7 @@ def test_movers_in_tiny_units(errors: Errors) -> None:
     beams = beam_matrix(setup)
     left = (profiles - beams @ np.linalg.pinv(beams) @ profiles).astype(np.complex64)
     energy, whole = (np.sum(part.real**2 + part.imag**2, axis=0) for part in (left, profiles))
-    naive = energy > interpolator.coherence.model_error * whole
+    naive = energy > MODEL_ERROR * whole
     assert energy.dtype == np.float32
     errors(naive=1.0 - naive.mean(), ours=1.0 - incoherent.mean())
 

@@ -18,12 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import msgspec
 import numpy as np
 
 from models.compiled import compiled
 from models.physics.antenna import coarray_weights, setup_weights
-from msgs.values.arrays import require_array, require_positive
+from msgs.values.arrays import require_array
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 
 #: Ridges, relative to the largest singular value squared, from exact to safe; a complete scan takes the first.
@@ -46,26 +45,12 @@ _STILL_RAD = 1e-3
 
 #: Probability that noise alone exceeds the first limit.
 NOISE_FALSE_ALARM = 1e-4
-
-
-class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Test for range bins whose beams do not fit one coherent scene: the fit residual exceeds both limits.
-
-    At the defaults movers of 0.3 m/s are found in 5 % at 10 dB over a beam's noise, 59 % at 15 dB, all at 20 dB.
-    """
-
-    #: Residual energy over beam energy that errors of the array model (a foreign rounding of phases) may reach, or what
-    #: a path that leaves and returns by different azimuths does (`two_azimuths_error`), if that is more.
-    model_error: float = 3e-3
-
-    def __post_init__(self) -> None:
-        require_positive("coherence.model_error", self.model_error)
-
-
+#: Residual energy over beam energy that errors of the array model (a foreign rounding of phases) may reach.
+MODEL_ERROR = 3e-3
 #: Azimuths of departure and return that are tried, over the map's, and the margin for those between.
 TRIED_AZIMUTHS, BETWEEN_TRIED = 61, 1.1
 #: Coarser phases, or gaps of missing beams, leave more: a limit above this would take movers for such paths.
-MAX_TWO_AZIMUTHS_ERROR = 0.05
+MAX_MODEL_ERROR = 0.05
 #: A beam covers this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
 SEEN_SPACINGS = 1.5
 #: A digital array, whose beams have no such overlap, covers azimuths where its beams hold this share of an echo's
@@ -84,8 +69,8 @@ class _Inverse:
     residual: np.ndarray
     #: Complex degrees of freedom of the residual.
     freedom: float
-    #: Largest share of a path's energy that may be left over since it leaves and returns by different azimuths.
-    two_azimuths_error: float
+    #: Largest share of a path's energy that may be left over although nothing moves.
+    model_error: float
     #: Magnitudes of beams to azimuths, float32 [beams, azimuth].
     magnitude: np.ndarray
     #: Mean noise power of a cell relative to a beam's.
@@ -171,11 +156,9 @@ class AzimuthInterpolator:
         self,
         setup: RadarSetup,
         grid: RangeAzimuthGrid | None = None,
-        coherence: CoherenceTest | None = None,
     ) -> None:
         self.setup = setup
         self.grid = grid or setup.map_grid
-        self.coherence = coherence or CoherenceTest()
         self._beam_matrix = beam_matrix(setup)
         self._magnitude_matrix = _ideal_two_way(setup, setup.beams.azimuth_rad)
         self._magnitude_steering = _ideal_two_way(setup, self.grid.azimuth_rad)
@@ -188,6 +171,11 @@ class AzimuthInterpolator:
     def coherent_matrix(self) -> np.ndarray:
         """Matrix from the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
         return self._inverse(()).coherent
+
+    @property
+    def model_error(self) -> float:
+        """Largest share of the energy of a scan's beams that may fit no coherent scene although nothing moves."""
+        return self._inverse(()).model_error
 
     @cached_property
     def coefficient_matrix(self) -> np.ndarray | None:
@@ -275,7 +263,10 @@ class AzimuthInterpolator:
         return self._inverses[missing]
 
     def _incoherent(self, beams: np.ndarray, inverse: _Inverse, noise_power_mw: float) -> np.ndarray:
-        """Return the bins [range] whose residual neither noise nor model errors explain; none without freedom."""
+        """Return the bins [range] whose residual neither noise nor model errors explain; none without freedom.
+
+        Movers of 0.3 m/s are found in 5 % at 10 dB over a beam's noise, 59 % at 15 dB, all at 20 dB.
+        """
         # imported here: a detector uses arrays, but forms no maps
         from scipy.special import gammainccinv
 
@@ -283,8 +274,7 @@ class AzimuthInterpolator:
             return np.zeros(len(beams), np.bool_)
         left_over = _energy(beams @ inverse.residual)
         noise_limit = noise_power_mw * gammainccinv(inverse.freedom, NOISE_FALSE_ALARM)
-        model_error = max(self.coherence.model_error, inverse.two_azimuths_error)
-        return (left_over > noise_limit) & (left_over > model_error * _energy(beams))
+        return (left_over > noise_limit) & (left_over > inverse.model_error * _energy(beams))
 
     def _steered_at(self, looks: np.ndarray, present: list[int]) -> np.ndarray | None:
         """Return where a beam that looked at each azimuth of the map was steered, [range, azimuth], from the looks of
@@ -332,19 +322,19 @@ def _invert(
         coefficients=back.T.astype(np.complex64),
         residual=residual.T.astype(np.complex64),
         freedom=float(np.sum(np.abs(residual) ** 2)),
-        two_azimuths_error=_two_azimuths_error(two_azimuths, residual),
+        model_error=_model_error(two_azimuths, residual),
         magnitude=magnitude.T.real.astype(np.float32),
         noise_gain=float(np.sum(np.abs(coherent) ** 2) / len(coherent)),
         share=_share(coherent @ beams, steering),
     )
 
 
-def _two_azimuths_error(two_azimuths: np.ndarray, residual: np.ndarray) -> float:
-    """Return the largest share of the energy of paths [beams, pairs] that a fit leaves over."""
+def _model_error(two_azimuths: np.ndarray, residual: np.ndarray) -> float:
+    """Return the largest share of the energy of paths [beams, pairs] that a fit leaves over, within limits."""
     if not len(residual):
-        return 0.0
+        return MODEL_ERROR
     left_over = _energy((residual @ two_azimuths).T) / _energy(two_azimuths.T)
-    return min(BETWEEN_TRIED * float(left_over.max()), MAX_TWO_AZIMUTHS_ERROR)
+    return float(np.clip(BETWEEN_TRIED * left_over.max(), MODEL_ERROR, MAX_MODEL_ERROR))
 
 
 def _share(achieved: np.ndarray, steering: np.ndarray) -> np.ndarray:

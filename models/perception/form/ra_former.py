@@ -33,7 +33,7 @@ class RaFormer:
     ) -> None:
         params = params or FormingParams()
         require_formable(setup)
-        self.interpolator = AzimuthInterpolator(setup, grid, params.coherence)
+        self.interpolator = AzimuthInterpolator(setup, grid)
         self.folder = BeamFolder(setup, params, self.interpolator.grid)
         self.repeated_beams = 0
         self.late_beams = 0

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 from scipy.special import gammaincinv
 
-from models.perception.form.coarray import SEEN_SPACINGS, AzimuthInterpolator, CoherenceTest
+from models.perception.form.coarray import SEEN_SPACINGS, AzimuthInterpolator
 from models.perception.form.map_quality import ARRAY_LIMIT, ChannelTerms, array_deviation, channel_terms
 from models.perception.form.radial_speed import HEARD, MIN_GROUPS, beam_speeds, cell_speeds
 from models.perception.form.slow_time_sums import fold_chirps, group_edges
@@ -67,7 +67,6 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out; fewer
     #: where chirps are short (`allowed_decimation`).
     decimation: int = 1
-    coherence: CoherenceTest = CoherenceTest()
     #: Where the radar sits on the vehicle; ego motion is the vehicle's. None: as its set-up says, else at its origin.
     vehicle_from_radar: Pose2 | None = None
 
