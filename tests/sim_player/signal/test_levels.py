@@ -171,7 +171,8 @@ def test_plain_effects_are_the_plain_chain() -> None:
 
 
 def test_a_fault_that_the_board_does_not_have_changes_no_code() -> None:
-    """Switches of flicker and imbalance over a front end without either: the plain codes to the bit, up to full scale.
+    """Switches of flicker and imbalance over a front end without either, and an imbalance that is not simulated: the
+    plain codes to the bit, up to full scale.
 
     Another order of float32 sums would move some of the 8192 codes of up to 2^15 by one.
     """
@@ -183,6 +184,8 @@ def test_a_fault_that_the_board_does_not_have_changes_no_code() -> None:
     assert np.abs(plain.astype(int)).max() > 20_000
     switched = record_beam(setup, terms, bank, [1, 2], SignalEffects(flicker=True, iq_imbalance=True), FrontEnd())
     np.testing.assert_array_equal(switched, plain)
+    left_out = record_beam(setup, terms, bank, [1, 2], SignalEffects(iq_imbalance=False), FrontEnd(iq_gain_db=0.5))
+    np.testing.assert_array_equal(left_out, plain)
 
 
 @pytest.mark.parametrize("beat_sign", [1, -1])
