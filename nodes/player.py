@@ -435,10 +435,9 @@ def with_walls(events: Iterator[Event], player: SceneSource, params: Params) -> 
     if params.walls == "none":
         yield from events
         return
-    from sim_player.scene.wall_priors import POOR, scene_walls
+    from sim_player.scene.wall_priors import MAP_ERRORS, scene_walls
     from sim_player.scene.world import vehicle_pose
 
-    errors = POOR if params.walls == "noisy" else None
     scan = 0
     for event in events:
         yield event
@@ -451,7 +450,7 @@ def with_walls(events: Iterator[Event], player: SceneSource, params: Params) -> 
         # a scan begins with the vehicle's state at its stamp
         if message.stamp_ns == (stamp_ns := player.stamp_ns(scan)):
             pose = vehicle_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
-            walls = scene_walls(player.scene, pose, stamp_ns, params.seed, errors)
+            walls = scene_walls(player.scene, pose, stamp_ns, params.seed, MAP_ERRORS[params.walls])
             yield event._replace(outgoing=Outgoing(WALLS_TOPIC, walls))
             scan += 1
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 #: Bootstrap draws of the intervals.
 DRAWS = 1000
 Split = Literal["test", "validation", "train", "all"]
+Walls = Literal["none", "true", "noisy"]
 
 
 def evaluate(
@@ -81,6 +82,9 @@ def evaluate(
     effects: Annotated[
         str, typer.Option(metavar="all|auto|basic|LIST", help="With --table, or --objects and no --set: effects.")
     ] = "all",
+    walls: Annotated[
+        Walls, typer.Option(help="With --objects: walls that a map tells, as they are or as a poor map has them.")
+    ] = "none",
     workers: Annotated[int, typer.Option(min=1, help="With --objects, --table: places measured at a time.")] = 1,
     method: Annotated[
         list[str] | None,
@@ -107,8 +111,9 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
+    of_map = None if walls == "none" else walls
     given: dict[str, object] = {"--data": data, "--profile": profile, "--set": sets, "--moving": moving or None}
-    given |= {"--method": method, "--limit": limit}
+    given |= {"--method": method, "--limit": limit, "--walls": of_map}
     if against or truth_file:
         _refuse("--against", given | {"--objects": objects or None, "--table": published_table, "--count": count})
         from lab.commands.evaluate_objects import evaluate_lists
@@ -129,12 +134,19 @@ def evaluate(
         evaluate_objects(
             ObjectRequest(
                 sets=sets or [], profiles=profile or ["default"], places=count, moving=moving,
-                effects=effects, seed=seed, draws=DRAWS, workers=workers, out=out,
+                effects=effects, walls=walls, seed=seed, draws=DRAWS, workers=workers, out=out,
             ),
             as_json,
         )  # fmt: skip
         return
-    _refuse("--data", {"--profile": profile, "--set": sets, "--count": count, "--moving": moving or None})
+    places: dict[str, object] = {
+        "--profile": profile,
+        "--set": sets,
+        "--count": count,
+        "--moving": moving or None,
+        "--walls": of_map,
+    }
+    _refuse("--data", places)
     if data is None:
         raise ValueError("--data must name a data set, or --objects ask for random places")
     from lab.evaluate.method_report import Context, make_report, write_report

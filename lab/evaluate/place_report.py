@@ -29,6 +29,7 @@ from lab.tradeoff.rows import profile_setting
 from mirrorwave.console import progress_bar
 from mirrorwave.plots.markdown import table
 from msgs.values.wording import counted
+from sim_player.scene.wall_priors import WallKnowledge
 
 #: Title, columns, rows.
 Table = tuple[str, Sequence[str], Sequence[Sequence[object]]]
@@ -70,6 +71,7 @@ class ObjectRequest:
     places: int | None
     moving: bool
     effects: str
+    walls: WallKnowledge
     seed: int
     draws: int
     workers: int
@@ -118,7 +120,9 @@ def _plans(request: ObjectRequest) -> tuple[dict[str, ObjectPlan], float]:
         )
         sets = {DRAWN: drawn}
     settings = [profile_setting(name) for name in request.profiles]
-    plans = {name: ObjectPlan(set=object_set, profiles=settings) for name, object_set in sets.items()}
+    plans = {
+        name: ObjectPlan(set=object_set, profiles=settings, walls=request.walls) for name, object_set in sets.items()
+    }
     return plans, committed.false_cost
 
 
@@ -153,6 +157,7 @@ def _set_report(
         "scans": plan.set.scans,
         "shift": plan.set.shift,
         "world": plan.set.world,
+        "walls": plan.walls,
         "scenes_sha256": scenes_sha256(results),
         "profiles": {name: object_report(scores, weights, false_cost) for name, scores in of_profiles.items()},
         "tracks": {name: drive_report(scores, weights) for name, scores in of_profiles.items() if plan.set.scans > 1},
@@ -166,6 +171,7 @@ def tables(results: Mapping[str, Any]) -> Iterator[Table]:
         motion += f", {set_report['scans']} scans each" if set_report["scans"] > 1 else ""
         motion += f", shifted ({set_report['shift']})" if set_report["shift"] != "none" else ""
         motion += ", traced by a foreign tracer" if set_report["world"] == "foreign" else ""
+        motion += f", walls of a map ({set_report['walls']})" if set_report["walls"] != "none" else ""
         reports: dict[str, ObjectReport] = set_report["profiles"]
         title = f"{name}: {counted(set_report['places'], 'place')} {motion}, seed {set_report['seed']}"
         title += f", effects {set_report['effects']}"

@@ -20,6 +20,7 @@ from mirrorwave.node_chain import SharedParts
 from models.perception.chain import Chain
 from models.perception.mirrors.observability import visibility_at
 from msgs.files.shipped import LAUNCH
+from msgs.values.environment import WallPriors
 from msgs.values.perception import BevFrame, SceneTruth, Visibility
 from msgs.values.radar import PRESETS
 from msgs.values.units import s_from_ns
@@ -27,10 +28,12 @@ from nodes.process.launch_file import read_yaml_mapping
 from nodes.process.validation import convert_at
 from sim_player.dataset.domain_shift import Shift
 from sim_player.dataset.executors import map_jobs
-from sim_player.dataset.shards import MAX_SCANS
+from sim_player.dataset.shards import MAX_SCANS, scene_seed
 from sim_player.paths.truth import object_images
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import scene_sha256
+from sim_player.scene.wall_priors import MAP_ERRORS, WallKnowledge, scene_walls
+from sim_player.scene.world import vehicle_pose
 
 #: Committed sets, and what their choices minimise.
 SETS = LAUNCH / "evaluation" / "object_sets.yaml"
@@ -80,6 +83,8 @@ class ObjectPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     set: ObjectSet
     profiles: list[Setting]
+    #: Walls of a map that the profiles are given.
+    walls: WallKnowledge = "none"
 
 
 class PlaceResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -129,7 +134,7 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
     with threadpool_limits(1, "blas"):
         player = place.player
         truths = [(player.truth(scan), image_truth(player, scan)) for scan in range(place.scans)]
-        views = _views(place, plan.profiles)
+        views = _views(place, plan.profiles, plan.walls)
     return PlaceResult(
         place=index,
         scene_sha256=scene_sha256(player.scene),
@@ -154,17 +159,30 @@ def _promised(frame: BevFrame, truth: SceneTruth) -> list[bool]:
     return [bool(state == Visibility.MIRRORED) for state in states]
 
 
-def _views(place: LabelledPlace, settings: Sequence[Setting]) -> dict[str, dict[int, BevFrame]]:
+def _views(place: LabelledPlace, settings: Sequence[Setting], walls: WallKnowledge) -> dict[str, dict[int, BevFrame]]:
     """Views that each profile has of the scans; the vehicle's states are the true ones."""
     chains: dict[str, Chain] = {setting.value: _parts(msgspec.json.encode(setting)).chain() for setting in settings}
     views: dict[str, dict[int, BevFrame]] = {name: {} for name in chains}
-    for beam in (beam for scan in range(place.scans) for beam in place.beams(scan)):
-        state = place.player.vehicle_state(beam.stamp_ns)
-        for name, chain in chains.items():
-            views[name] |= {view.frame.scan_id: view.frame for view in chain.add(beam, state)}
+    for scan in range(place.scans):
+        if walls != "none":
+            message = _map_walls(place, scan, walls)
+            for chain in chains.values():
+                chain.views.add_walls(message)
+        for beam in place.beams(scan):
+            state = place.player.vehicle_state(beam.stamp_ns)
+            for name, chain in chains.items():
+                views[name] |= {view.frame.scan_id: view.frame for view in chain.add(beam, state)}
     for name, chain in chains.items():
         views[name] |= {view.frame.scan_id: view.frame for view in chain.flush()}
     return views
+
+
+def _map_walls(place: LabelledPlace, scan: int, walls: WallKnowledge) -> WallPriors:
+    """Walls that a map tells the vehicle when a scan begins."""
+    player = place.player
+    stamp_ns = player.stamp_ns(scan)
+    pose = vehicle_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
+    return scene_walls(player.scene, pose, stamp_ns, scene_seed(place.seed, place.index), MAP_ERRORS[walls])
 
 
 @lru_cache(maxsize=64)

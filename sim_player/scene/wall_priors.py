@@ -38,6 +38,8 @@ SAGITTA_M = 0.05
 #: Errors that are stated with exact walls: none is zero, and a scan's own errors are larger.
 EXACT = MapErrors(offset_std_m=0.01, angle_std_rad=math.radians(0.05), end_std_m=0.05, missing_share=0.0)
 POOR = MapErrors()
+#: Errors of the walls that are known.
+MAP_ERRORS: dict[WallKnowledge, MapErrors | None] = {"true": None, "noisy": POOR}
 
 
 def scene_walls(

@@ -15,6 +15,8 @@ from lab.evaluate.place_runs import ObjectPlan, ObjectSet, image_truth, measure_
 from lab.measures.object_rows import FOUND_M
 from lab.tradeoff.rows import profile_setting
 from mirrorwave.cli import main
+from models.perception.track.views_over_scans import ViewStage
+from msgs.values.environment import WallPriors
 from sim_player.generate.places import draw_place
 from sim_player.scene.description import scene_sha256
 
@@ -123,6 +125,21 @@ def test_motion_reaches_the_chain() -> None:
     assert [one.image for one in result.rows["cfar"][0].hidden] == out_of_sight
 
 
+@pytest.mark.slow
+def test_walls_of_a_map_reach_the_chain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every scan of a drive begins with the walls about the vehicle there: the poor map lacks some of them."""
+    heard: list[WallPriors] = []
+    monkeypatch.setattr(ViewStage, "add_walls", lambda _, message: heard.append(message))
+    drive = ObjectSet(seed=SEED, places=1, effects="basic", scans=2)
+    for walls in ("none", "true", "noisy"):
+        measure_place((ObjectPlan(set=drive, profiles=[profile_setting("cfar")], walls=walls), 0))
+    player = drive.place(0).player
+    assert [message.stamp_ns for message in heard] == 2 * [player.stamp_ns(0), player.stamp_ns(1)]
+    exact, _, poor, _ = heard
+    assert 0 < len(poor.walls) < len(exact.walls)
+    assert (exact.walls[0].offset_std_m, poor.walls[0].offset_std_m) == (0.01, 0.2)
+
+
 def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     sets = read_sets()
     small = {name: ObjectSet(seed=seed, places=1, effects="basic") for name, seed in (("a", 1), ("b", 2))}
@@ -130,8 +147,8 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
         "lab.evaluate.place_report.read_sets", lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25)
     )
     request = ObjectRequest(
-        sets=["a", "b"], profiles=["cfar"], places=None, moving=False, effects="all", seed=0, draws=5, workers=1,
-        out=tmp_path,
+        sets=["a", "b"], profiles=["cfar"], places=None, moving=False, effects="all", walls="none", seed=0,
+        draws=5, workers=1, out=tmp_path,
     )  # fmt: skip
     results = measured(request)
     losses = [one["profiles"]["cfar"].loss.value for one in results["sets"].values()]
@@ -150,6 +167,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
         (["--objects", "--set", "report", "--set", "report"], "must each name a thing once"),
         (["--objects", "--profile", "magic"], "unknown profile 'magic'; known are default, accurate"),
         (["--objects", "--places", "1", "--effects", "wind"], "wind"),
+        (["--data", "x", "--walls", "true"], "--walls must not be given with --data"),
         (["--data", "x", "--profile", "cfar"], "--profile must not be given with --data"),
         ([], "--data must name a data set, or --objects ask for random places"),
     ],
