@@ -30,5 +30,5 @@ def draw_curves(sets: Mapping[str, Mapping[str, Any]], path: Path) -> None:
         axes.minorticks_off()
         axes.grid(color="#DDDDDD", linewidth=0.6)
     panels[0].set_ylabel("found, of one mirror at 25 dB on")
-    legend_of_figure(figure, handles_of(panels[0]), columns=2 * columns)
+    legend_of_figure(figure, handles_of(panels[0]), columns=columns)
     save(figure, path)
