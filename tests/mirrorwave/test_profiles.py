@@ -84,6 +84,19 @@ def objects_of(parts: SharedParts, beams: Iterable[RadarBeam]) -> list[HiddenObj
     return [item for beam in beams for view in chain.add(beam) for item in view.frame.objects]
 
 
+def test_what_is_kept_over_scans_follows_the_parameters() -> None:
+    player = ScenePlayer(load_scene(LAUNCH / "scenes/corner.yaml"), 0, chirps_per_beam=8)
+    tracks = {}
+    for tracking in (True, False):
+        profile = dict(read_profile("default"))
+        profile["geometry"] = profile["geometry"] | {"memory": {"tracking": tracking}}
+        chain = SharedParts.of(profile, player.setup).chain()
+        views = [view for index in range(25) for view in chain.add(player.beam(0, index))]
+        tracks[tracking] = [track for view in views for track in view.frame.tracks]
+    assert tracks[True]
+    assert not tracks[False]
+
+
 @pytest.mark.parametrize("profile", ["accurate", "default"])
 def test_left_and_right_are_equal(profile: str) -> None:
     """Phases that are rounded from the middle of the array make samples in mirrored order the mirrored scene: what is
