@@ -111,9 +111,10 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Score methods on a data set, profiles on random places, or any list of objects; no frame is skipped."""
-    of_map = None if walls == "none" else walls
-    given: dict[str, object] = {"--data": data, "--profile": profile, "--set": sets, "--moving": moving or None}
-    given |= {"--method": method, "--limit": limit, "--walls": of_map}
+    of_places: dict[str, object] = {"--profile": profile, "--set": sets, "--moving": moving or None}
+    of_places["--walls"] = None if walls == "none" else walls
+    of_methods: dict[str, object] = {"--data": data, "--method": method, "--limit": limit}
+    given = of_methods | of_places
     if against or truth_file:
         _refuse("--against", given | {"--objects": objects or None, "--table": published_table, "--count": count})
         from lab.commands.evaluate_objects import evaluate_lists
@@ -127,7 +128,7 @@ def evaluate(
         evaluate_table(count or 100, seed, effects, workers, out, as_json)
         return
     if objects:
-        _refuse("--objects", {"--data": data, "--method": method, "--limit": limit})
+        _refuse("--objects", of_methods)
         from lab.commands.evaluate_objects import evaluate_objects
         from lab.evaluate.place_report import ObjectRequest
 
@@ -139,14 +140,7 @@ def evaluate(
             as_json,
         )  # fmt: skip
         return
-    places: dict[str, object] = {
-        "--profile": profile,
-        "--set": sets,
-        "--count": count,
-        "--moving": moving or None,
-        "--walls": of_map,
-    }
-    _refuse("--data", places)
+    _refuse("--data", of_places | {"--count": count})
     if data is None:
         raise ValueError("--data must name a data set, or --objects ask for random places")
     from lab.evaluate.method_report import Context, make_report, write_report
