@@ -266,6 +266,20 @@ def test_shipped_network_sees_nothing_in_noise() -> None:
     assert called <= 2
 
 
+def test_a_detector_looks_twice_where_it_is_asked_to() -> None:
+    """Three points of 40 dB over noise: other scores than of one look, and a name that says so."""
+    draws = np.random.default_rng(3).standard_normal((512, 15, 2))
+    coefficients = 1e-6 * draws @ np.array([1.0, 1.0j]) / np.sqrt(30.0)
+    places, sine = np.arange(-7, 8), np.sin(RangeAzimuthGrid().azimuth_rad)
+    for row, azimuth_rad in ((60, 0.2), (90, -0.5), (140, 0.4)):
+        coefficients[row] += 1e-4 * (8.0 - np.abs(places)) / 64.0 * np.exp(-1j * np.pi * places * np.sin(azimuth_rad))
+    seen = shipped_map(coefficients @ np.exp(1j * np.pi * np.multiply.outer(places, sine)), noise_power_mw=1e-12)
+    once, twice = (NetworkDetector(RadarSetup(), flip_test=flip_test).detect(seen) for flip_test in (False, True))
+    assert len(once)
+    assert twice.detector == f"{once.detector}/flip_test"
+    assert not np.array_equal(once.score, twice.score)
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-30, 1e30])
 def test_shipped_network_answers_probabilities_for_any_map(shipped: DensePredictor, scale: float) -> None:
     values = scale * np.random.default_rng(0).standard_normal(RangeAzimuthGrid().shape)
