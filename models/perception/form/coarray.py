@@ -333,7 +333,8 @@ def _model_error(two_azimuths: np.ndarray, residual: np.ndarray) -> float:
     """Return the largest share of the energy of paths [beams, pairs] that a fit leaves over, within limits."""
     if not len(residual):
         return MODEL_ERROR
-    left_over = _energy((residual @ two_azimuths).T) / _energy(two_azimuths.T)
+    # beams that look nowhere receive no path
+    left_over = _energy((residual @ two_azimuths).T) / np.maximum(_energy(two_azimuths.T), np.finfo(np.float64).tiny)
     return float(np.clip(BETWEEN_TRIED * left_over.max(), MODEL_ERROR, MAX_MODEL_ERROR))
 
 
