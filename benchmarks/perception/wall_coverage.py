@@ -134,6 +134,8 @@ def measured(data: DataSet, map_name: str, limit: int) -> Iterator[WalledScan]:
     """Yield the scans of a data set with their walls."""
     finder = WallFinder(data, map_name)
     frames = data.frames(range(min(limit, len(data))))
+    if not data.frame(0).walls:
+        raise ValueError(f"{data.directory} must tell the walls of its scenes (`sim dataset --truth`)")
     for _, drive in groupby(frames, lambda frame: frame.sequence or str(frame.index)):
         finder.start()
         for scan, frame in enumerate(drive):
