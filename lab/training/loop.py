@@ -43,6 +43,10 @@ class KeptRun(Generic[Epoch]):
         self.run_dir, self.reports, self._report_type = run_dir, list[Epoch](), report_type
         self.device = device or torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
+    def chosen(self) -> nn.Module:
+        """Return the network that is judged and kept as the best."""
+        return self.network
+
     def state(self) -> dict[str, Any]:
         """Return what the last state holds beside network, optimiser and reports."""
         return {}
@@ -54,7 +58,8 @@ class KeptRun(Generic[Epoch]):
         """Write what an epoch has left; the states come last of all: a run killed before them repeats the epoch."""
         network = self.network.state_dict()
         if self.reports and self.reports[-1].is_best:
-            save_state(self.run_dir / BEST, {"network": network, "epoch": self.reports[-1].epoch})
+            best = {"network": self.chosen().state_dict(), "epoch": self.reports[-1].epoch}
+            save_state(self.run_dir / BEST, best)
         write_whole(self.run_dir / CURVES, json_lines(self.reports))
         reports = [asdict(report) for report in self.reports]
         state = {"network": network, "optimiser": self.optimiser.state_dict(), "reports": reports}

@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 import time
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from lab.training.exported_weights import fill_exported, settle_norms
 from lab.training.loop import TrainingLoop
@@ -22,6 +24,9 @@ from lab.training.schedules import ScheduleConfig
 
 #: Scans whose statistics the norms of an exported network take before the training goes on.
 SETTLING_SCANS = 192
+#: Largest share of its weights that an averaged network keeps in a step, so that it averages the last thousand, and
+#: the steps after which it keeps half.
+KEPT_SHARE, HALF_AFTER = 0.999, 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +59,9 @@ class GridEpoch:
 class GridTraining(TrainingLoop[GridEpoch]):
     """One run on arrays in memory."""
 
+    #: The network judged and kept has the average of the weights of the last steps.
+    averages: ClassVar[bool] = False
+
     def __init__(self, network: nn.Module, schedule: GridSchedule, run_dir: Path) -> None:
         super().__init__(run_dir, schedule.epochs, schedule.clip_norm, GridEpoch)
         self.schedule = schedule
@@ -61,6 +69,9 @@ class GridTraining(TrainingLoop[GridEpoch]):
         self.network = network.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.AdamW(
             network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.weight_decay
+        )
+        self._averaged = (
+            AveragedModel(self.network, multi_avg_fn=average, use_buffers=True).eval() if self.averages else None
         )
         self._spent_s = 0.0
         run_dir.mkdir(parents=True, exist_ok=True)
@@ -107,13 +118,19 @@ class GridTraining(TrainingLoop[GridEpoch]):
             epoch=epoch, train_loss=train_loss, seconds=self._spent_s, loss=loss, scores=scores, is_best=best
         )
 
+    def chosen(self) -> nn.Module:
+        """Return the averaged network where there is one."""
+        return self.network if self._averaged is None else self._averaged.module
+
     def state(self) -> dict[str, Any]:
-        """Return the time that training took so far."""
-        return {"spent_s": self._spent_s}
+        """Return the time that training took so far, and the averaged weights."""
+        return {"spent_s": self._spent_s, "averaged": self._averaged and self._averaged.state_dict()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take over that time."""
+        """Take over what `state` gave."""
         self._spent_s = float(state["spent_s"])
+        if self._averaged is not None and state.get("averaged"):
+            self._averaged.load_state_dict(state["averaged"])
 
     def _share(self, epoch: int, since_s: float, step: float = 0.0) -> float:
         share = (epoch + step) / self.schedule.epochs
@@ -139,6 +156,8 @@ class GridTraining(TrainingLoop[GridEpoch]):
             index = order[step * size : (step + 1) * size]
             loss = self.batch_loss(index, bool(rng.random() < 0.5))
             self.descend(loss)
+            if self._averaged is not None:
+                self._averaged.update_parameters(self.network)
             losses.append(loss.detach())
             if step % 100 == 99 and not torch.isfinite(losses[-1]):
                 raise ValueError(f"loss must be finite, got {losses[-1].item()} in epoch {epoch}, step {step}")
@@ -149,5 +168,13 @@ class GridTraining(TrainingLoop[GridEpoch]):
     def forward(self, inputs: Tensor) -> Tensor:
         """Return the network's answers, in training with half the bits."""
         mixed = self.network.training and self.schedule.mixed_precision
+        network = self.network if self.network.training else self.chosen()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=mixed):
-            return self.network(inputs.contiguous(memory_format=torch.channels_last))
+            return network(inputs.contiguous(memory_format=torch.channels_last))
+
+
+def average(averaged: Sequence[Tensor], current: Sequence[Tensor], step: Tensor) -> None:
+    """Move averaged weights towards those of a step, counted from 0."""
+    kept = min(KEPT_SHARE, float(step) / (float(step) + HALF_AFTER))
+    for into, weight in zip(averaged, current, strict=True):
+        into.lerp_(weight, 1.0 - kept) if into.is_floating_point() else into.copy_(weight)

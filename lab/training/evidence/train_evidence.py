@@ -27,6 +27,9 @@ TOWARD = slice(BY_MIRROR.index("toward_x"), BY_MIRROR.index("toward_y") + 1)
 class EvidenceTraining(GridTraining):
     """A run on sample files (`evidence_store.EvidenceTask`)."""
 
+    #: Least loss on object_places_validation_2: 0.775, without 0.782.
+    averages = True
+
     def __init__(
         self,
         train: Sequence[Path],

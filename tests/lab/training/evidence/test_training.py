@@ -15,13 +15,13 @@ from scipy.special import expit
 from lab.training.data import evidence_store
 from lab.training.data.evidence_store import load_objects, load_truths
 from lab.training.data.frames import DataSet
-from lab.training.evidence.grid_training import GridEpoch, GridSchedule
+from lab.training.evidence.grid_training import KEPT_SHARE, GridEpoch, GridSchedule, average
 from lab.training.evidence.runs import CHANNELS, EVIDENCE, EVIDENCE_FILE, FIELDS_FILE, GRID, EvidenceRun, Report
 from lab.training.evidence.train_evidence import EvidenceTraining
 from lab.training.evidence.train_fields import FieldTraining
 from lab.training.export.evidence import quantize_evidence
 from lab.training.export.onnx import write_card
-from lab.training.run_folder import BEST, load_state
+from lab.training.run_folder import BEST, LAST, load_state
 from models.perception.cards import card_path, learned_path
 from models.perception.find.detectors import NetworkDetector
 from models.perception.find.onnx_model import DensePredictor
@@ -161,6 +161,26 @@ def test_a_stopped_run_goes_on_to_the_same_weights(
     for network in ("fields", "evidence"):
         whole, again = (load_state(folder / network / BEST)["network"] for folder in (trained, work))
         assert all((whole[name] == again[name]).all() for name in whole)
+
+
+def test_the_evidence_network_kept_is_the_average_of_its_steps(trained: Path) -> None:
+    """Not that of a single step; the field network is not averaged."""
+    best, last = (load_state(trained / "evidence" / name) for name in (BEST, LAST))
+    averaged = {name.removeprefix("module."): weight for name, weight in last["averaged"].items()}
+    apart = {name: weight for name, weight in best["network"].items() if not torch.equal(weight, last["network"][name])}
+    assert apart
+    if best["epoch"] == last["reports"][-1]["epoch"]:
+        assert all(torch.equal(weight, averaged[name]) for name, weight in best["network"].items())
+    assert load_state(trained / "fields" / LAST)["averaged"] is None
+
+
+def test_an_average_keeps_half_after_ten_steps_and_no_more_than_was_set() -> None:
+    """1 and 3: 2 after ten steps; after a million 1 + 2 / 1000. Counts are taken over."""
+    for step, kept in ((10, 0.5), (1_000_000, KEPT_SHARE)):
+        into = [torch.tensor([1.0]), torch.tensor(4)]
+        average(into, [torch.tensor([3.0]), torch.tensor(7)], torch.tensor(step))
+        assert into[0].item() == pytest.approx(3.0 - 2.0 * kept)
+        assert into[1].item() == 7
 
 
 def test_the_vehicle_judges_a_scan_by_the_exported_networks(places: Path, trained: Path) -> None:
