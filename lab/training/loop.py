@@ -43,7 +43,7 @@ class KeptRun(Generic[Epoch]):
         self.run_dir, self.reports, self._report_type = run_dir, list[Epoch](), report_type
         self.device = device or torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
-    def chosen(self) -> nn.Module:
+    def kept_network(self) -> nn.Module:
         """Return the network that is judged and kept as the best."""
         return self.network
 
@@ -58,7 +58,7 @@ class KeptRun(Generic[Epoch]):
         """Write what an epoch has left; the states come last of all: a run killed before them repeats the epoch."""
         network = self.network.state_dict()
         if self.reports and self.reports[-1].is_best:
-            best = {"network": self.chosen().state_dict(), "epoch": self.reports[-1].epoch}
+            best = {"network": self.kept_network().state_dict(), "epoch": self.reports[-1].epoch}
             save_state(self.run_dir / BEST, best)
         write_whole(self.run_dir / CURVES, json_lines(self.reports))
         reports = [asdict(report) for report in self.reports]

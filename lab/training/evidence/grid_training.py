@@ -118,7 +118,7 @@ class GridTraining(TrainingLoop[GridEpoch]):
             epoch=epoch, train_loss=train_loss, seconds=self._spent_s, loss=loss, scores=scores, is_best=best
         )
 
-    def chosen(self) -> nn.Module:
+    def kept_network(self) -> nn.Module:
         """Return the averaged network where there is one."""
         return self.network if self._averaged is None else self._averaged.module
 
@@ -168,7 +168,7 @@ class GridTraining(TrainingLoop[GridEpoch]):
     def forward(self, inputs: Tensor) -> Tensor:
         """Return the network's answers, in training with half the bits."""
         mixed = self.network.training and self.schedule.mixed_precision
-        network = self.network if self.network.training else self.chosen()
+        network = self.network if self.network.training else self.kept_network()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=mixed):
             return network(inputs.contiguous(memory_format=torch.channels_last))
 
