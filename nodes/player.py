@@ -435,8 +435,7 @@ def with_walls(events: Iterator[Event], player: SceneSource, params: Params) -> 
     if params.walls == "none":
         yield from events
         return
-    from sim_player.scene.wall_priors import MAP_ERRORS, scene_walls
-    from sim_player.scene.world import vehicle_pose
+    from sim_player.scene.wall_priors import known_walls
 
     scan = 0
     for event in events:
@@ -449,8 +448,8 @@ def with_walls(events: Iterator[Event], player: SceneSource, params: Params) -> 
             scan += 1
         # a scan begins with the vehicle's state at its stamp
         if message.stamp_ns == (stamp_ns := player.stamp_ns(scan)):
-            pose = vehicle_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
-            walls = scene_walls(player.scene, pose, stamp_ns, params.seed, MAP_ERRORS[params.walls])
+            time_s = s_from_ns(stamp_ns - player.stamp_ns(0))
+            walls = known_walls(player.scene, time_s, stamp_ns, params.seed, params.walls)
             yield event._replace(outgoing=Outgoing(WALLS_TOPIC, walls))
             scan += 1
 

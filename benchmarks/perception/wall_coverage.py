@@ -34,6 +34,7 @@ from models.perception.see.wall_memory import RadarPose, WallMemory
 from models.perception.track.views_over_scans import judged_params
 from models.perception.track.wall_priors import WallPriorStore
 from models.physics.mirror import reflect
+from models.physics.plane import segment_distance_m
 from msgs.values.environment import WallPriors
 from msgs.values.frames import Pose2, xy_from_polar
 from msgs.values.perception import PathClass
@@ -123,9 +124,8 @@ def is_false(walls: WallArrays, wall: int, frame: Frame) -> bool:
             return False
     for true in frame.walls:
         a, b = np.array(true.ends_m)
-        share = np.clip((middle_m - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
         across = abs(chord[0] * (b - a)[1] - chord[1] * (b - a)[0]) / (np.hypot(*chord) * np.hypot(*(b - a)))
-        if np.hypot(*(a + share * (b - a) - middle_m)) < NEAR_M and across < math.sin(ALIGNED_RAD):
+        if segment_distance_m(middle_m[None], a[None], b[None]).item() < NEAR_M and across < math.sin(ALIGNED_RAD):
             return False
     return True
 

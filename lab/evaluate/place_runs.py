@@ -32,8 +32,7 @@ from sim_player.dataset.shards import MAX_SCANS, scene_seed
 from sim_player.paths.truth import object_images
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import scene_sha256
-from sim_player.scene.wall_priors import MAP_ERRORS, WallKnowledge, scene_walls
-from sim_player.scene.world import vehicle_pose
+from sim_player.scene.wall_priors import WallKnowledge, known_walls
 
 #: Committed sets, and what their choices minimise.
 SETS = LAUNCH / "evaluation" / "object_sets.yaml"
@@ -179,10 +178,9 @@ def _views(place: LabelledPlace, settings: Sequence[Setting], walls: WallKnowled
 
 def _map_walls(place: LabelledPlace, scan: int, walls: WallKnowledge) -> WallPriors:
     """Walls that a map tells the vehicle when a scan begins."""
-    player = place.player
-    stamp_ns = player.stamp_ns(scan)
-    pose = vehicle_pose(player.scene, s_from_ns(stamp_ns - player.stamp_ns(0)))
-    return scene_walls(player.scene, pose, stamp_ns, scene_seed(place.seed, place.index), MAP_ERRORS[walls])
+    player, stamp_ns = place.player, place.player.stamp_ns(scan)
+    time_s = s_from_ns(stamp_ns - player.stamp_ns(0))
+    return known_walls(player.scene, time_s, stamp_ns, scene_seed(place.seed, place.index), walls)
 
 
 @lru_cache(maxsize=64)

@@ -19,6 +19,7 @@ from msgs.values.environment import (
 )
 from msgs.values.frames import Pose2
 from sim_player.scene.description import Scene, Surface
+from sim_player.scene.world import vehicle_pose
 
 #: What a scene tells of its walls: nothing, all of them as they are, or as a poor map has them.
 WallKnowledge = Literal["none", "true", "noisy"]
@@ -38,8 +39,12 @@ SAGITTA_M = 0.05
 #: Errors that are stated with exact walls: none is zero, and a scan's own errors are larger.
 EXACT = MapErrors(offset_std_m=0.01, angle_std_rad=math.radians(0.05), end_std_m=0.05, missing_share=0.0)
 POOR = MapErrors()
-#: Errors of the walls that are known.
-MAP_ERRORS: dict[WallKnowledge, MapErrors | None] = {"true": None, "noisy": POOR}
+
+
+def known_walls(scene: Scene, time_s: float, stamp_ns: int, seed: int, knowledge: WallKnowledge) -> WallPriors:
+    """Return what a scene tells of its walls, `true` or `noisy`, so long after its start."""
+    errors = POOR if knowledge == "noisy" else None
+    return scene_walls(scene, vehicle_pose(scene, time_s), stamp_ns, seed, errors)
 
 
 def scene_walls(
