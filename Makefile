@@ -182,7 +182,7 @@ OBJECT_VALIDATION := --validation $(OBJECT_DATA)_places_validation --validation 
 DRAW := $(BIN)/mirrorwave sim dataset --workers 2
 
 # the committed networks are of this recipe in smaller steps, each from the weights of the one before (see their cards)
-object-network: setup-dev  ## field and evidence network from places and drives drawn for them (half a day on two cores; goes on if stopped)
+object-network: setup-dev  ## field, evidence and candidate network from places and drives drawn for them (half a day on two cores; goes on if stopped)
 	$(DRAW) --out $(OBJECT_DATA)_places --count 2000 --effects all --truth --seed 6100
 	$(DRAW) --out $(OBJECT_DATA)_places_2 --count 8000 --effects all --truth --seed 6102
 	$(DRAW) --out $(OBJECT_DATA)_places_3 --count 8000 --effects all --truth --seed 6103
@@ -202,6 +202,11 @@ object-network: setup-dev  ## field and evidence network from places and drives 
 		$(addprefix --data $(OBJECT_DATA)_,drives_5 drives_6 places_5 places_6 places_7 places_hard)
 	$(BIN)/mirrorwave export runs/objects/evidence_unet.onnx --precision int8 --data $(OBJECT_DATA)_places_5 \
 		--out runs/objects/evidence_unet.int8.onnx
+	$(BIN)/mirrorwave train candidates runs/objects/evidence_unet.onnx --flip-test --out runs/candidates --workers 2 --threads 2 \
+		$(OBJECT_VALIDATION) $(addprefix --data $(OBJECT_DATA)_,drives_5 drives_6 places_5 places_6 places_7 places_hard)
+	$(BIN)/mirrorwave train candidates runs/objects/evidence_unet.int8.onnx --out runs/candidates_int8 --workers 2 --threads 2 \
+		--model models/weights/compact_unet.int8.onnx $(OBJECT_VALIDATION) \
+		$(addprefix --data $(OBJECT_DATA)_,drives_5 drives_6 places_5 places_6 places_7 places_hard)
 	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.onnx --flip-test --out runs/probabilities --workers 2 \
 		$(OBJECT_VALIDATION)
 	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.int8.onnx --out runs/probabilities_int8 --workers 2 \

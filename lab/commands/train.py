@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lab.commands.train_candidates import candidates
 from lab.commands.train_objects import objects
 from lab.commands.train_probabilities import probabilities
 from lab.commands.train_residual import residual
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
 app.command()(residual)
 app.command()(objects)
+app.command()(candidates)
 app.command()(probabilities)
 
 

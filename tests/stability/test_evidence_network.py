@@ -10,7 +10,7 @@ import pytest
 from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.mirrors.mirror_table import wall_arrays
 from models.perception.see.detections import ANSWERS, HEADING, LOG_STD, OBJECT
-from models.perception.see.evidence_answers import evidence_detections
+from models.perception.see.evidence_answers import candidates, evidence_detections
 from models.perception.see.gathering import BirdsEyeGrid
 from msgs.values.perception import Wall
 from tests.stability.catalogue import Errors
@@ -25,7 +25,8 @@ def report_of(log_std: float = 0.0, heading: tuple[float, float] = (1.0, 0.0)) -
     answer[OBJECT] = -30.0
     answer[OBJECT, 24, 50], answer[LOG_STD, 24, 50] = 8.0, log_std
     answer[HEADING, 24, 50] = heading
-    report = evidence_detections(answer, np.zeros(PLANE.shape, np.int16), PLANE, WALLS, 0.5)
+    found = candidates(answer, np.zeros(PLANE.shape, np.int16), 0.5)
+    report = evidence_detections(found, PLANE, WALLS, 0.5)
     return report.covariance_m2[0], float(report.yaw_rad[0])
 
 

@@ -14,15 +14,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from lab.training.data.evidence_samples import EvidenceObjects, evidence_objects, quantized
+from lab.training.data.candidate_samples import CandidateSamples, candidate_samples
+from lab.training.data.evidence_samples import SCALE, EvidenceObjects, evidence_objects, quantized
 from lab.training.data.field_samples import field_sample
 from lab.training.data.frames import DataSet, Frame, FrameLabels, Scan
 from lab.training.data.samples import Perturbation, perturb_scan
+from lab.training.data.stored_truth import ScanTruth
 from models.perception.find.detectors import NetworkDetector
 from models.perception.find.encoding import Encoding
 from models.perception.mirrors.mirror_table import WallArrays
 from models.perception.mirrors.observability import observability
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, joined_by_priors
+from models.perception.see.candidate_predictor import CandidateEncoding, candidate_inputs
+from models.perception.see.detections import hidden_objects
+from models.perception.see.evidence_answers import candidates, detections_of
+from models.perception.see.evidence_predictor import EvidencePredictor
 from models.perception.see.field_predictor import FieldPredictor
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
 from models.perception.see.wall_memory import RadarPose, WallMemory
@@ -70,25 +76,20 @@ class EvidenceTask:
 
 
 @dataclass(frozen=True)
-class ScanTruth:
-    """What the scoring of a scan needs: walls and the mirror of each place, labels, true objects, times of azimuths."""
+class CandidateTask:
+    """Samples of the candidate network: its input, the evidence network, and how that network's samples are made."""
 
-    walls: WallArrays
-    mirror: np.ndarray
-    labels: FrameLabels
-    truth: tuple[TruthObject, ...]
-    #: Of a beam, per range bin, as the data set says it.
-    noise_power_mw: float
-    #: Acquisition time of each azimuth after the truth's, int64 [azimuths].
-    azimuth_stamp_ns: np.ndarray
-    #: The vehicle's motion was taken out of the map.
-    ego_compensated: bool
-    #: The view's observability mask; None: the file has none, as former ones.
-    visibility: np.ndarray | None = None
+    encoding: CandidateEncoding
+    network: Path
+    evidence: EvidenceTask
 
 
 def make_files(
-    directories: Sequence[Path], task: FieldTask | EvidenceTask, folder: Path, seed: int | None, workers: int
+    directories: Sequence[Path],
+    task: FieldTask | EvidenceTask | CandidateTask,
+    folder: Path,
+    seed: int | None,
+    workers: int,
 ) -> Iterator[Path]:
     """Yield files of the samples of all scans of some data sets as they are there, made by worker processes where they
     are missing; with a seed, half of the scans are recorded by an imperfect radar.
@@ -107,13 +108,15 @@ def make_files(
     yield from map_jobs(_make_file, jobs, workers=workers)
 
 
-def _make_file(job: tuple[Path, Sequence[int], FieldTask | EvidenceTask, Path, int | None]) -> Path:
+def _make_file(job: tuple[Path, Sequence[int], FieldTask | EvidenceTask | CandidateTask, Path, int | None]) -> Path:
     directory, indices, task, path, seed = job
     data = _data_set(directory)
     frames = (_frame(data, index, seed) for index in indices)
     path.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(task, FieldTask):
         arrays = _field_arrays(frames, task)
+    elif isinstance(task, CandidateTask):
+        arrays = _candidate_arrays(frames, task, directory, seed)
     else:
         channels, arrays = _evidence_arrays(frames, task, directory, seed)
         with whole(_channels_path(path)) as part, part.open("wb") as file:
@@ -162,8 +165,40 @@ def _evidence_arrays(
     frames: Iterator[Frame], task: EvidenceTask, directory: Path, seed: int | None
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the channels of some scans, int8 [scans, channels, x, y], and their objects and truths."""
+    channels, objects, truths = zip(*_scans(frames, task, directory, seed), strict=True)
+    return np.stack(channels), stored_columns("objects", objects) | _truth_arrays(truths)
+
+
+def _candidate_arrays(
+    frames: Iterator[Frame], task: CandidateTask, directory: Path, seed: int | None
+) -> dict[str, np.ndarray]:
+    """Return the candidates of some scans and their truths."""
+    predictor, encoding = _evidence_predictor(task.network, task.evidence.flip_test), task.encoding
+    grid, azimuth_rad = encoding.evidence.grid, predictor.grid.azimuth_at(np.arange(predictor.grid.azimuth_bins))
+    samples, truths = [], []
+    for whole_channels, _, truth in _scans(frames, task.evidence, directory, seed):
+        channels = whole_channels.astype(np.float32) / SCALE
+        answer = predictor.answer(channels)
+        proposals = encoding.likeliest(candidates(answer, truth.mirror, encoding.least))
+        inputs = candidate_inputs(encoding, proposals, truth.walls, channels, answer, truth.ego_compensated)
+        reports = detections_of(proposals, grid, truth.walls)
+        stamp_ns = np.interp(reports.azimuth_rad, azimuth_rad, truth.azimuth_stamp_ns)
+        measured = hidden_objects(reports, np.rint(stamp_ns).astype(np.int64))
+        samples.append(candidate_samples(proposals, inputs, measured, truth))
+        truths.append(truth)
+    return stored_columns("candidates", samples) | _truth_arrays(truths)
+
+
+@lru_cache(maxsize=1)
+def _evidence_predictor(network: Path, flip_test: bool) -> EvidencePredictor:
+    return EvidencePredictor(network, flip_test=flip_test)
+
+
+def _scans(
+    frames: Iterator[Frame], task: EvidenceTask, directory: Path, seed: int | None
+) -> Iterator[tuple[np.ndarray, EvidenceObjects, ScanTruth]]:
+    """Yield channels, int8, objects and truth of scans; those of a drive share a memory."""
     detector, fields = _networks(task, directory)
-    channels, objects, truths, masks = [], [], [], []
     memory, drive = WallMemory(), ""
     for frame in frames:
         if frame.sequence != drive:
@@ -171,25 +206,29 @@ def _evidence_arrays(
         memory.move(RadarPose(0, frame.pose) if frame.sequence and frame.pose else None)
         peaks, geometry = detector.detect(frame.ra_map), task.geometry
         returns, fitted = direct_structure(peaks, geometry)
-        masks.append(observability(fitted, peaks.sensitivity_db, geometry.grid, geometry.visibility))
+        mask = observability(fitted, peaks.sensitivity_db, geometry.grid, geometry.visibility)
         answer = fields.answer(frame.ra_map)
         priors = [] if seed is None else _poor_map(frame, seed)
         wall_prior = partial(WallPriorStore().fused, priors)
         with_priors = partial(joined_by_priors, peaks, returns, wall_prior) if priors else None
         scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier(), with_priors)
         memory.add(scan.elements)
-        channels.append(quantized(scan.evidence.channels))
-        objects.append(evidence_objects(frame, scan))
-        truths.append(_truth(frame, scan.arrays, scan.evidence.mirror))
-    arrays: dict[str, np.ndarray] = {"visibility": np.stack(masks)}
-    arrays["mirror"] = np.stack([truth.mirror for truth in truths]).astype(np.int8)
-    arrays |= stored_columns("objects", objects)
+        truth = _truth(frame, scan.arrays, scan.evidence.mirror, mask)
+        yield quantized(scan.evidence.channels), evidence_objects(frame, scan), truth
+
+
+def _truth_arrays(truths: Sequence[ScanTruth]) -> dict[str, np.ndarray]:
+    """Return the truths of some scans as arrays."""
+    arrays = {
+        "visibility": np.stack([truth.visibility for truth in truths]),
+        "mirror": np.stack([truth.mirror for truth in truths]).astype(np.int8),
+        "truth": np.array([msgspec.json.encode(truth.truth) for truth in truths]),
+    }
     arrays |= stored_columns("walls", [truth.walls for truth in truths])
     arrays |= stored_columns("labels", [truth.labels for truth in truths])
-    arrays["truth"] = np.array([msgspec.json.encode(truth.truth) for truth in truths])
     for name in ("noise_power_mw", "azimuth_stamp_ns", "ego_compensated"):
         arrays[name] = np.array([getattr(truth, name) for truth in truths])
-    return np.stack(channels), arrays
+    return arrays
 
 
 def _poor_map(frame: Frame, seed: int) -> list[PlacedPrior]:
@@ -206,11 +245,12 @@ def _poor_map(frame: Frame, seed: int) -> list[PlacedPrior]:
     return store.at(0, lambda _: None, move.inverse())
 
 
-def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray) -> ScanTruth:
+def _truth(frame: Frame, walls: WallArrays, mirror: np.ndarray, mask: np.ndarray) -> ScanTruth:
     grid = frame.ra_map.grid
     stamps = frame.ra_map.stamps_at(grid.azimuth_at(np.arange(grid.azimuth_bins))) - frame.ra_map.stamp_ns
     truth = frame.truth or ()
-    return ScanTruth(walls, mirror, frame.labels, truth, frame.noise_power_mw, stamps, frame.ra_map.ego_compensated)
+    moving = frame.ra_map.ego_compensated
+    return ScanTruth(walls, mirror, frame.labels, truth, frame.noise_power_mw, stamps, moving, mask)
 
 
 def load_channels(path: Path) -> np.ndarray:
@@ -221,6 +261,11 @@ def load_channels(path: Path) -> np.ndarray:
 def load_objects(path: Path) -> list[EvidenceObjects]:
     """Return the objects of the scans of a file."""
     return stored_tables(EvidenceObjects, "objects", load_arrays(path))
+
+
+def load_candidates(path: Path) -> list[CandidateSamples]:
+    """Return the candidates of the scans of a file."""
+    return stored_tables(CandidateSamples, "candidates", load_arrays(path))
 
 
 def load_truths(path: Path) -> list[ScanTruth]:
@@ -234,6 +279,6 @@ def load_truths(path: Path) -> list[ScanTruth]:
         arrays["noise_power_mw"].tolist(),
         arrays["azimuth_stamp_ns"],
         arrays["ego_compensated"].tolist(),
-        arrays["visibility"] if "visibility" in arrays else [None] * len(arrays["mirror"]),
+        arrays["visibility"],
     ]
     return [ScanTruth(*row) for row in zip(*rows, strict=True)]

@@ -14,15 +14,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lab.training.data.evidence_store import EvidenceTask, FieldTask, make_files
+import msgspec
+
+from lab.training.data.evidence_store import CandidateTask, EvidenceTask, FieldTask, make_files
 from lab.training.data.frames import DataSet
 from lab.training.evidence.grid_training import GridEpoch, GridSchedule, GridTraining
+from lab.training.evidence.train_candidates import CandidateTraining
 from lab.training.evidence.train_evidence import EvidenceTraining
 from lab.training.evidence.train_fields import FieldTraining
-from lab.training.export.evidence import export_evidence, export_fields
+from lab.training.export.evidence import export_candidates, export_evidence, export_fields
+from lab.training.export.onnx import write_card
 from models.perception.cards import card_path, read_card
 from models.perception.find.encoding import Encoding
 from models.perception.find.onnx_model import DEFAULT_MODEL
+from models.perception.see.candidate_predictor import CandidateCard, CandidateEncoding
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.field_predictor import FieldCard
 from models.perception.see.scan_evidence import EvidenceEncoding
@@ -59,11 +64,7 @@ class EvidenceRun:
     sample_minutes: float | None = None
 
     def __post_init__(self) -> None:
-        train, judges = list(map(DataSet, self.data)), list(map(DataSet, self.validation))
-        for data in (*train, *judges):
-            if (data.grid, data.setup) != (train[0].grid, train[0].setup):
-                raise ValueError(f"{data.directory}: radar and grid must be those of {train[0].directory}")
-        _refuse_shared_places(train, judges)
+        _check_sets(self.data, self.validation)
 
     def train_fields(self, schedule: GridSchedule, report: Report = lambda *_: None) -> FieldCard:
         """Train and export the field network; raises `ValueError` for a start of another shape."""
@@ -106,26 +107,93 @@ class EvidenceRun:
         return export_evidence(folder, EVIDENCE, self.folder / EVIDENCE_FILE, threshold=threshold, **facts)
 
     def _samples(self, task: FieldTask | EvidenceTask, name: str) -> tuple[list[Path], list[Path]]:
-        """Return files of samples of the validation scans and of the training scans, by an imperfect radar for half."""
+        """Return files of samples of the validation scans and of the training scans."""
         folder = self.folder / f"{name}-samples"
-        judges = sorted(make_files(self.validation, task, folder, None, self.workers))
-        started, train = time.monotonic(), []
-        for path in make_files(self.data, task, folder, 0, self.workers):
-            train.append(path)
-            if time.monotonic() - started > 60.0 * (self.sample_minutes or math.inf):
-                break
-        return judges, sorted(train)
+        return _sample_files(self.data, self.validation, task, folder, self.workers, self.sample_minutes)
 
     def _facts(self, training: GridTraining, best: GridEpoch) -> dict[str, Any]:
         """Return what a card says of a run."""
-        schedule = {name: getattr(training.schedule, name) for name in training.schedule.__dataclass_fields__}
-        sets = {"train": self.data, "validation": self.validation}
         start = {} if self.init is None else {"start": f"{self.init.name}, sha256 {file_sha256(self.init)}"}
-        return {
-            "scores": best.scores,
-            "data": {name: " ".join(path.name for path in paths) for name, paths in sets.items()},
-            "training": {"scans": training.scans, "seconds": round(best.seconds), "schedule": schedule} | start,
-        }
+        facts = _facts(training, best, self.data, self.validation)
+        return facts | {"training": facts["training"] | start}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateRun:
+    """What the candidate network of an exported evidence network is trained and judged on; as `EvidenceRun`."""
+
+    network: Path
+    data: Sequence[Path]
+    validation: Sequence[Path]
+    folder: Path
+    detector: Path = DEFAULT_MODEL
+    #: Detector, field and evidence network look at a scan and at its mirror image.
+    flip_test: bool = False
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        _check_sets(self.data, self.validation)
+
+    @property
+    def file(self) -> Path:
+        """The candidate network's, beside the evidence network."""
+        return self.network.with_name(f"candidates_of_{self.network.name}")
+
+    def train(self, schedule: GridSchedule, report: Callable[[GridEpoch], None] = lambda _: None) -> CandidateCard:
+        """Train and export the candidate network, and name it in the card of the evidence network."""
+        predictor = EvidencePredictor(self.network, flip_test=self.flip_test)
+        encoding = CandidateEncoding(evidence=predictor.card.encoding)
+        evidence = EvidenceTask(encoding.evidence, self.detector, predictor.fields_path, self.flip_test)
+        task = CandidateTask(encoding, self.network, evidence)
+        folder = self.folder / "candidate-samples"
+        judges, train = _sample_files(self.data, self.validation, task, folder, self.workers)
+        training = CandidateTraining(train, judges, encoding, predictor.grid, schedule, self.folder)
+        best = training.run(report)
+        facts = _facts(training, best, self.data, self.validation)
+        facts["data"] |= {"evidence": self.network.name, "evidence_sha256": predictor.card.sha256}
+        facts["data"] |= {"detector": self.detector.name, "detector_sha256": file_sha256(self.detector)}
+        card = export_candidates(self.folder, encoding, self.file, **facts)
+        names = {"candidates": self.file.name, "candidates_sha256": card.sha256}
+        write_card(msgspec.structs.replace(predictor.card, data={**predictor.card.data, **names}), self.network)
+        return card
+
+
+def _check_sets(train: Sequence[Path], validation: Sequence[Path]) -> None:
+    """Raise `ValueError` for sets of different radars, or where a place of the validation scans is trained on."""
+    sets, judges = list(map(DataSet, train)), list(map(DataSet, validation))
+    for data in (*sets, *judges):
+        if (data.grid, data.setup) != (sets[0].grid, sets[0].setup):
+            raise ValueError(f"{data.directory}: radar and grid must be those of {sets[0].directory}")
+    _refuse_shared_places(sets, judges)
+
+
+def _sample_files(
+    data: Sequence[Path],
+    validation: Sequence[Path],
+    task: FieldTask | EvidenceTask | CandidateTask,
+    folder: Path,
+    workers: int,
+    minutes: float | None = None,
+) -> tuple[list[Path], list[Path]]:
+    """Return files of samples of the validation scans and of the training scans, by an imperfect radar for half."""
+    judges = sorted(make_files(validation, task, folder, None, workers))
+    started, train = time.monotonic(), []
+    for path in make_files(data, task, folder, 0, workers):
+        train.append(path)
+        if time.monotonic() - started > 60.0 * (minutes or math.inf):
+            break
+    return judges, sorted(train)
+
+
+def _facts(training: GridTraining, best: GridEpoch, data: Sequence[Path], validation: Sequence[Path]) -> dict[str, Any]:
+    """Return what a card says of a run."""
+    schedule = {name: getattr(training.schedule, name) for name in training.schedule.__dataclass_fields__}
+    sets = {"train": data, "validation": validation}
+    return {
+        "scores": best.scores,
+        "data": {name: " ".join(path.name for path in paths) for name, paths in sets.items()},
+        "training": {"scans": training.scans, "seconds": round(best.seconds), "schedule": schedule},
+    }
 
 
 def _refuse_shared_places(train: Sequence[DataSet], validation: Sequence[DataSet]) -> None:

@@ -16,12 +16,13 @@ from scipy.special import expit, logit
 from lab.measures.object_rows import ScanRow, is_false, single_reaches
 from lab.training.calibration import fit_table
 from lab.training.data.evidence_samples import SCALE
-from lab.training.data.evidence_store import ScanTruth, load_channels, load_truths
+from lab.training.data.evidence_store import load_channels, load_truths
+from lab.training.data.stored_truth import ScanTruth
 from lab.training.evidence.scan_rows import add_rows
 from models.perception.find.score_calibration import ScoreTable, calibrated
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams
-from models.perception.see.evidence_answers import evidence_detections, least_answer, shifted
+from models.perception.see.evidence_answers import Candidates, evidence_detections, least_answer, shifted
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.scan_evidence import EvidenceEncoding
 
@@ -31,6 +32,8 @@ SHOWN_FALSE = (0.10, 0.15, 0.24)
 WATCHED_THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7)
 #: Probabilities that may be thresholds; answers above the first one fit the tables, in so many groups.
 THRESHOLDS, GROUPS = tuple(round(0.05 * step, 2) for step in range(1, 16)), 60
+#: Least answer that is a candidate.
+LEAST = 0.01
 #: Reports that fit what the mask adds.
 LIKELY = 0.2
 #: What the mask adds: nothing.
@@ -61,27 +64,33 @@ class EvidenceTally:
         #: What the mask says of the reports of each scan that reach the lowest threshold.
         self.states: list[np.ndarray] = []
 
-    def add(self, stored: ScanTruth, answer: np.ndarray) -> None:
-        """Score the answer to one scan."""
+    def add(self, stored: ScanTruth, proposals: Candidates) -> None:
+        """Score the candidates of one scan."""
         table = self._calibration(stored.ego_compensated)
         least = least_answer(table, min(self.rows), self._logits)
-        likely = evidence_detections(answer, stored.mirror, self._grid, stored.walls, least)
-        states = np.zeros(len(likely.score), int)
-        if stored.visibility is not None:
-            states = visibility_at(stored.visibility, GeometryParams().grid, likely.place_m)
+        likely = evidence_detections(proposals, self._grid, stored.walls, least)
+        states = visibility_at(stored.visibility, GeometryParams().grid, likely.place_m)
         likely = replace(likely, score=shifted(calibrated(table, likely.score), np.array(self._logits)[states]))
         self.states.append(states[likely.score >= min(self.rows)])
         stamp_ns = np.interp(likely.azimuth_rad, self._azimuth_rad, stored.azimuth_stamp_ns)
         add_rows(self.rows, likely, stamp_ns, stored)
 
-    def add_all(self, answered: Sequence[tuple[ScanTruth, np.ndarray]]) -> None:
-        """Score the answers to many scans."""
-        for stored, answer in answered:
-            self.add(stored, answer)
+    def add_all(self, scans: Sequence[tuple[ScanTruth, Candidates]]) -> None:
+        """Score the candidates of many scans."""
+        for stored, proposals in scans:
+            self.add(stored, proposals)
 
     def points(self) -> list[CurvePoint]:
         """Return the measures at each threshold, the lowest first."""
         return [_point(threshold, rows) for threshold, rows in sorted(self.rows.items())]
+
+    def best(self) -> tuple[float, dict[str, float]]:
+        """Return the least loss a scan over thresholds, and the scores there and at some numbers of false reports."""
+        points = self.points()
+        best = min(points, key=lambda point: point.loss_per_scan)
+        scores = {f"recall_at_{false:g}": recall_at(points, false) for false in SHOWN_FALSE}
+        scores |= {"threshold": best.threshold, "recall_single_25_db": best.recall_single_25_db}
+        return best.loss_per_scan, scores | {"false_per_scan": best.false_per_scan}
 
 
 @dataclass(frozen=True)
@@ -99,29 +108,29 @@ class CurvePoint:
 
 def with_probabilities(card: EvidenceCard, predictor: EvidencePredictor, files: Sequence[Path]) -> EvidenceCard:
     """Return a card with tables for a vehicle at rest and for one that moves, and with the threshold of the least loss
-    and its scores by them, of a predictor's answers to files of validation samples.
+    and its scores by them, of what a predictor finds in files of validation samples.
     """
     azimuth_rad = predictor.grid.azimuth_at(np.arange(predictor.grid.azimuth_bins))
-    answered = [
-        (stored, predictor.answer(channels.astype(np.float32) / SCALE))
+    scans = [
+        (truth, predictor.candidates(channels / SCALE, truth.mirror, truth.walls, LEAST, truth.ego_compensated))
         for path in files
-        for stored, channels in zip(load_truths(path), load_channels(path), strict=True)
+        for truth, channels in zip(load_truths(path), load_channels(path).astype(np.float32), strict=True)
     ]
     tallies = [EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS) for _ in (False, True)]
-    for stored, answer in answered:
-        tallies[stored.ego_compensated].add(stored, answer)
+    for stored, proposals in scans:
+        tallies[stored.ego_compensated].add(stored, proposals)
     at_rest, moving = (probability_table(tally.rows) for tally in tallies)
     card = msgspec.structs.replace(card, calibration=at_rest, calibration_moving=moving)
     likely = EvidenceTally(card.encoding, azimuth_rad, (LIKELY,), card.calibration_of)
-    likely.add_all(answered)
+    likely.add_all(scans)
     card = msgspec.structs.replace(card, visibility_logits=visibility_logits(likely))
     tally = EvidenceTally(card.encoding, azimuth_rad, THRESHOLDS, card.calibration_of, card.visibility_logits)
-    tally.add_all(answered)
+    tally.add_all(scans)
     points = tally.points()
     best = min(points, key=lambda point: point.loss_per_scan)
     scores = {name: round(getattr(best, name), 4) for name in CurvePoint.__dataclass_fields__ if name != "threshold"}
     scores |= {f"recall_at_{false}": round(recall_at(points, false), 4) for false in SHOWN_FALSE}
-    return msgspec.structs.replace(card, threshold=best.threshold, scores={"scans": float(len(answered)), **scores})
+    return msgspec.structs.replace(card, threshold=best.threshold, scores={"scans": float(len(scans)), **scores})
 
 
 def probability_table(rows: Mapping[float, Sequence[ScanRow]]) -> ScoreTable:

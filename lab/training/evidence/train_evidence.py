@@ -13,9 +13,10 @@ from lab.networks.evidence_unet import EvidenceUNet
 from lab.training.data.evidence_samples import SCALE, EvidenceObjects, joined_objects
 from lab.training.data.evidence_store import load_channels, load_objects, load_truths
 from lab.training.evidence.grid_training import GridSchedule, GridTraining
-from lab.training.evidence.scoring import SHOWN_FALSE, EvidenceTally, recall_at
+from lab.training.evidence.scoring import WATCHED_THRESHOLDS, EvidenceTally
 from lab.training.objectives.evidence import EvidenceTargets, evidence_loss
 from models.perception.see.detections import ANSWERS
+from models.perception.see.evidence_answers import candidates
 from models.perception.see.gathering import BY_MIRROR
 from models.perception.see.scan_evidence import EvidenceEncoding
 from msgs.values.radar import RangeAzimuthGrid
@@ -105,10 +106,6 @@ class EvidenceTraining(GridTraining):
                 loss, answer = self._loss(channels, load_objects(path), False)
                 losses.append(loss.item())
                 for stored, said in zip(load_truths(path), answer.float().cpu().numpy(), strict=True):
-                    tally.add(stored, said)
-        points = tally.points()
-        best = min(points, key=lambda point: point.loss_per_scan)
-        scores = {f"recall_at_{false:g}": recall_at(points, false) for false in SHOWN_FALSE}
-        scores |= {"threshold": best.threshold, "recall_single_25_db": best.recall_single_25_db}
-        scores |= {"false_per_scan": best.false_per_scan, "validation_loss": float(np.mean(losses))}
-        return best.loss_per_scan, scores
+                    tally.add(stored, candidates(said, stored.mirror, min(WATCHED_THRESHOLDS)))
+        best, scores = tally.best()
+        return best, scores | {"validation_loss": float(np.mean(losses))}

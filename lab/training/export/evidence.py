@@ -11,6 +11,7 @@ import torch
 from scipy.special import expit
 from torch import nn
 
+from lab.networks.candidate_net import CandidateNet
 from lab.networks.compact_unet import CompactUNet
 from lab.networks.evidence_unet import EvidenceUNet
 from lab.training.data.frames import DataSet
@@ -24,6 +25,7 @@ from models.perception.find.encoding import Encoding, encode_map
 from models.perception.find.onnx_model import DEFAULT_MODEL
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
 from models.perception.onnx_session import open_session
+from models.perception.see.candidate_predictor import FACTS, CandidateCard, CandidateEncoding
 from models.perception.see.detections import ANSWERS
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from models.perception.see.field_predictor import FieldCard, FieldPredictor
@@ -66,6 +68,33 @@ def export_evidence(run_dir: Path, encoding: EvidenceEncoding, model_path: Path,
     return card
 
 
+def export_candidates(run_dir: Path, encoding: CandidateEncoding, model_path: Path, **said: Any) -> CandidateCard:
+    """Export the best candidate network of a run, for any number of candidates, and write its card; as
+    `export_fields`.
+    """
+    require_onnx(model_path)
+    shapes = encoding.shapes
+    network = CandidateNet(shapes["places"][0], FACTS)
+    epoch = _load(network, run_dir)
+    write_onnx(
+        network,
+        tuple(torch.zeros(2, *shape) for shape in shapes.values()),
+        model_path,
+        input_names=list(shapes),
+        output_names=["correction"],
+        dynamic_axes={name: {0: "candidates"} for name in (*shapes, "correction")},
+    )
+    rng = np.random.default_rng(0)
+    inputs = {name: rng.uniform(-1.0, 1.0, (3, *shape)).astype(np.float32) for name, shape in shapes.items()}
+    with torch.no_grad():
+        wanted = network(*map(torch.from_numpy, inputs.values())).numpy()
+    said_of = open_session(model_path, file_sha256(model_path), 1).run(None, inputs)[0]
+    _check_parity(said_of, wanted, model_path)
+    card = CandidateCard(encoding=encoding, **_own_facts(network, model_path, epoch, said))
+    write_card(card, model_path)
+    return card
+
+
 def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path) -> EvidenceCard:
     """Write an exported evidence network and its field network, beside it, in 8-bit integers, their ranges set on the
     first `count` scans of a data set that they were trained on; threshold and tables are those of the source. A field
@@ -90,8 +119,10 @@ def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path)
         _, walls = direct_structure(detector.detect(ra_map), geometry)
         inputs.append(scan_evidence(card.encoding, ra_map, rounded.answer(ra_map), walls).evidence.channels)
     quantize_int8(source, model_path, np.stack(inputs))
+    # its candidates are others: they are to be learned by themselves
+    kept = {name: value for name, value in card.data.items() if not name.startswith("candidates")}
     names = {"fields": rounded_path.name, "fields_sha256": rounded.card.sha256}
-    card = msgspec.structs.replace(_rounded(card, model_path, command), data={**card.data, **names})
+    card = msgspec.structs.replace(_rounded(card, model_path, command), data={**kept, **names})
     write_card(card, model_path)
     predictor = EvidencePredictor(model_path)
     answers = [[expit(network.answer(channels)[0]) for channels in inputs] for network in (exact, predictor)]
@@ -120,7 +151,12 @@ def _write(network: nn.Module, shape: tuple[int, ...], path: Path) -> None:
     with torch.no_grad():
         wanted = network(torch.from_numpy(cells)).numpy()
     said = open_session(path, file_sha256(path), 1).run(None, {"cells": cells})[0]
-    difference = float(np.abs(said - wanted).max() / np.abs(wanted).max())
+    _check_parity(said, wanted, path)
+
+
+def _check_parity(said: np.ndarray, wanted: np.ndarray, path: Path) -> None:
+    """Raise `ValueError` for a file whose answers differ from torch's."""
+    difference = float(np.abs(said - wanted).max() / max(np.abs(wanted).max(), np.finfo(np.float32).tiny))
     if not difference <= PARITY:
         raise ValueError(f"{path}: answers must agree with torch within {PARITY}, differ by {difference}")
 
@@ -128,12 +164,10 @@ def _write(network: nn.Module, shape: tuple[int, ...], path: Path) -> None:
 def _facts(
     network: nn.Module, path: Path, shape: tuple[int, ...], answer: tuple[int, ...], epoch: int, said: dict[str, Any]
 ) -> dict[str, Any]:
-    facts: dict[str, Any] = {
-        "name": path.stem,
-        "sha256": file_sha256(path),
-        "parameters": sum(parameter.numel() for parameter in network.parameters()),
-        "input_shape": (1, *shape),
-        "output_shape": (1, *answer),
-    }
+    return _own_facts(network, path, epoch, said) | {"input_shape": (1, *shape), "output_shape": (1, *answer)}
+
+
+def _own_facts(network: nn.Module, path: Path, epoch: int, said: dict[str, Any]) -> dict[str, Any]:
     training = {"chosen_epoch": epoch} | said.pop("training", {})
-    return facts | {"training": training} | said
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    return {"name": path.stem, "sha256": file_sha256(path), "parameters": parameters, "training": training} | said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit, logit
@@ -23,23 +24,47 @@ from models.perception.see.detections import (
 )
 from models.perception.see.gathering import BirdsEyeGrid
 from models.physics.mirror import reflect
+from msgs.values.array_table import ArrayTable
 
 #: Share of a threshold that no rounding of a probability reaches.
 ROUNDING = 1.0 - 1e-9
 
 
-def evidence_detections(
-    answer: np.ndarray, mirror: np.ndarray, grid: BirdsEyeGrid, walls: WallArrays, threshold: float
-) -> Detections:
-    """Return the objects of an answer [answers, x, y] over a threshold; `mirror` [x, y] -1: no wall shows the place."""
-    row, column = _peaks(np.where(mirror >= 0, answer[0], -np.inf), threshold)
-    values = answer[:, row, column].T.astype(np.float64)
-    place_m = np.stack([grid.x_m[row], grid.y_m[column]], axis=1) + values[:, PLACE]
-    wall = mirror[row, column].astype(np.int64)
-    image_m, away = _image(place_m, wall, walls)
+@dataclass(frozen=True)
+class Candidates(ArrayTable):
+    """Places that may hold an object, N of them: their cells, what is answered there, and their likeliest mirrors."""
+
+    row: np.ndarray
+    column: np.ndarray
+    #: float64 [N, answers].
+    values: np.ndarray
+    wall: np.ndarray
+
+
+def candidates(answer: np.ndarray, mirror: np.ndarray, least: float) -> Candidates:
+    """Return the places of an answer [answers, x, y] that are likelier than their neighbours and than `least`.
+
+    `mirror` [x, y]: index of the likeliest wall, -1: none shows the place.
+    """
+    row, column = _peaks(np.where(mirror >= 0, answer[0], -np.inf), least)
+    return Candidates(row, column, answer[:, row, column].T.astype(np.float64), mirror[row, column].astype(np.int64))
+
+
+def evidence_detections(proposals: Candidates, grid: BirdsEyeGrid, walls: WallArrays, threshold: float) -> Detections:
+    """Return the different objects among candidates over a threshold, best first."""
+    likely = proposals.take(proposals.values[:, 0] >= logit(ROUNDING * threshold))
+    reports = detections_of(likely, grid, walls)
+    return reports.take(distinct(reports, np.abs(reports.place_m[:, 1])))
+
+
+def detections_of(proposals: Candidates, grid: BirdsEyeGrid, walls: WallArrays) -> Detections:
+    """Return all candidates as detections, in their order."""
+    values = proposals.values
+    place_m = np.stack([grid.x_m[proposals.row], grid.y_m[proposals.column]], axis=1) + values[:, PLACE]
+    image_m, away = _image(place_m, proposals.wall, walls)
     axes = np.stack([away, np.stack([-away[:, 1], away[:, 0]], axis=1)], axis=2)
     std_m = np.exp(np.clip(values[:, LOG_STD], *LOG_STD_LIMITS))
-    reports = Detections(
+    return Detections(
         score=expit(values[:, 0]),
         place_m=place_m,
         covariance_m2=(axes * std_m[:, None] ** 2) @ axes.transpose(0, 2, 1),
@@ -51,7 +76,6 @@ def evidence_detections(
         azimuth_rad=np.arctan2(image_m[:, 1], image_m[:, 0]),
         away_rad=np.arctan2(away[:, 1], away[:, 0]),
     )
-    return reports.take(distinct(reports, np.abs(reports.place_m[:, 1])))
 
 
 def _peaks(object_logit: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:

@@ -14,12 +14,26 @@ import numpy as np
 
 from models.perception.cards import learned_path
 from models.perception.find.score_calibration import ScoreTable, calibrated, check_table
+from models.perception.mirrors.mirror_table import WallArrays
 from models.perception.mirrors.observability import visibility_at
 from models.perception.mirrors.peaks_to_view import GeometryParams, WithPriors, direct_structure, synthetic_peaks
 from models.perception.mirrors.walls import WallParams
 from models.perception.onnx_session import ArrayCard, ArraySession
-from models.perception.see.detections import ANSWERS, CENTRE, HEADING, PLACE, hidden_objects
-from models.perception.see.evidence_answers import ROUNDING, evidence_detections, least_answer, shifted
+from models.perception.see.candidate_predictor import (
+    ODD_ANSWERS,
+    CandidatePredictor,
+    candidate_inputs,
+    corrected,
+)
+from models.perception.see.detections import ANSWERS, hidden_objects
+from models.perception.see.evidence_answers import (
+    ROUNDING,
+    Candidates,
+    candidates,
+    evidence_detections,
+    least_answer,
+    shifted,
+)
 from models.perception.see.field_predictor import DEFAULT_FIELDS, FieldPredictor
 from models.perception.see.radial_speed import radial_speeds
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
@@ -33,8 +47,6 @@ Answer = TypeVar("Answer")
 
 #: The network in use where parameters say `default`.
 DEFAULT_EVIDENCE = learned_path("evidence_unet.int8")
-#: Answers that change sign when left and right are exchanged.
-ODD_ANSWERS = [PLACE.stop - 1, HEADING.stop - 1, CENTRE.stop - 1]
 
 
 class EvidenceCard(ArrayCard, frozen=True, kw_only=True):
@@ -70,10 +82,11 @@ class EvidenceCard(ArrayCard, frozen=True, kw_only=True):
 
 
 class EvidencePredictor:
-    """A field and an evidence network under ONNX Runtime: what a scan hides, by its map and the walls in it.
+    """A field, an evidence and a candidate network under ONNX Runtime: what a scan hides, by its map and walls.
 
-    `threshold`: least probability reported; None: the card's. Both look at the louder side's way, with `flip_test`
-    both. `ValueError` when files, cards and shapes do not belong together.
+    `threshold`: least probability reported; None: the card's. The first two look at the louder side's way, with
+    `flip_test` both. A card that names no candidate network has none. `ValueError` when files, cards and shapes do not
+    belong together.
     """
 
     def __init__(
@@ -92,16 +105,25 @@ class EvidencePredictor:
         self.fields_path = path.with_name(self.card.data.get("fields", DEFAULT_FIELDS.name))
         self._fields = FieldPredictor(self.fields_path, threads, flip_test)
         self._flip_test = flip_test
-        wanted = self.card.data.get("fields_sha256", self._fields.card.sha256)
-        if self._fields.card.sha256 != wanted:
-            raise ValueError(
-                f"{path}: field network must have the sha256 {wanted} of its card, got {self._fields.card.sha256}"
-            )
+        self._check("field", self._fields.card.sha256, self.card.data.get("fields_sha256"))
+        self._second_look: CandidatePredictor | None = None
+        if name := self.card.data.get("candidates"):
+            self._second_look = CandidatePredictor(path.with_name(name), threads)
+            self._check("candidate", self._second_look.card.sha256, self.card.data.get("candidates_sha256"))
+            if self._second_look.card.encoding.evidence != self.card.encoding:
+                raise ValueError(f"{path.with_name(name)}: encoding.evidence must be that of {path}")
         #: The newest map that peaks are awaited for, and what waits for its field answer.
         self._expected: tuple[RangeAzimuthMap, Callable[[], np.ndarray]] | None = None
         silent = silent_map(self.grid)
         _, walls = direct_structure(synthetic_peaks(), GeometryParams(walls=self.walls))
         self.judge(silent, walls)()
+
+    def _check(self, kind: str, actual: str, wanted: str | None) -> None:
+        """Raise `ValueError` for a network beside this one that has not the checksum of its card, if it says one."""
+        if wanted not in (None, actual):
+            raise ValueError(
+                f"{self.card.name}: {kind} network must have the sha256 {wanted} of its card, got {actual}"
+            )
 
     @property
     def walls(self) -> WallParams:
@@ -181,11 +203,27 @@ class EvidencePredictor:
         if memory:
             memory.add(scan.elements)
         table = self.card.calibration_of(moving)
-        answer = self.answer(scan.evidence.channels)
         least = least_answer(table, threshold, self.card.visibility_logits)
-        reports = evidence_detections(answer, scan.evidence.mirror, self.card.encoding.grid, scan.arrays, least)
+        proposals = self.candidates(scan.evidence.channels, scan.evidence.mirror, scan.arrays, least, moving)
+        reports = evidence_detections(proposals, self.card.encoding.grid, scan.arrays, least)
         reports = replace(reports, score=calibrated(table, reports.score))
         return hidden_objects(reports, ra_map.stamps_at(reports.azimuth_rad), radial_speeds(reports, ra_map))
+
+    def candidates(
+        self, channels: np.ndarray, mirror: np.ndarray, walls: WallArrays, least: float, moving: bool
+    ) -> Candidates:
+        """Return the places that may hold an object, with what is answered of them after a second look.
+
+        `channels` and `mirror` are those of the evidence by `walls`, of a vehicle that is `moving` or not; `least`:
+        least probability by the evidence network where there is no second look, which has its own.
+        """
+        answer = self.answer(channels)
+        if self._second_look is None:
+            return candidates(answer, mirror, least)
+        encoding = self._second_look.card.encoding
+        proposals = encoding.likeliest(candidates(answer, mirror, encoding.least))
+        inputs = candidate_inputs(encoding, proposals, walls, channels, answer, moving)
+        return corrected(proposals, self._second_look.correction(inputs))
 
     def answer(self, channels: np.ndarray) -> np.ndarray:
         """Return the answer [answers, x, y] to evidence [channels, x, y]."""

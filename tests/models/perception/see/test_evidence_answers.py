@@ -9,7 +9,7 @@ import pytest
 
 from models.perception.mirrors.mirror_table import wall_arrays
 from models.perception.see.detections import ANSWERS, CENTRE, CLASS, CLASSES, HEADING, LOG_SIZE, LOG_STD, OBJECT, PLACE
-from models.perception.see.evidence_answers import _image, evidence_detections
+from models.perception.see.evidence_answers import _image, candidates, evidence_detections
 from models.perception.see.gathering import BirdsEyeGrid
 from msgs.values.perception import Wall
 
@@ -38,7 +38,7 @@ def test_an_object_is_where_it_is_said_with_its_box_and_errors_along_its_way() -
     """The way on from the mirror in x = 20 to (14, -3) runs along (6, 1.25): by the image at (26, -3)."""
     answer, mirror = silence()
     says(answer, 14.1, -3.1, 2.0)
-    (report,) = np.atleast_1d(evidence_detections(answer, mirror, PLANE, WALLS, 0.5))
+    (report,) = np.atleast_1d(evidence_detections(candidates(answer, mirror, 0.5), PLANE, WALLS, 0.5))
     np.testing.assert_allclose(report.place_m, [[14.1, -3.1]], atol=1e-6)
     np.testing.assert_allclose(report.centre_m, [[15.1, -3.6]], atol=1e-6)
     np.testing.assert_allclose(report.size_m, [[4.0, 1.8]], rtol=1e-6)
@@ -66,7 +66,7 @@ def test_one_object_is_one_report_and_two_are_two() -> None:
     answer, mirror = silence()
     for x_m, y_m, logit in ((14.1, -3.1, 2.0), (15.3, -3.1, 1.0), (14.1, 2.2, 1.5)):
         says(answer, x_m, y_m, logit)
-    reports = evidence_detections(answer, mirror, PLANE, WALLS, 0.5)
+    reports = evidence_detections(candidates(answer, mirror, 0.5), PLANE, WALLS, 0.5)
     assert len(reports) == 2
     assert reports.score[0] > reports.score[1]
 
@@ -74,5 +74,5 @@ def test_one_object_is_one_report_and_two_are_two() -> None:
 def test_places_that_no_mirror_shows_hold_no_object() -> None:
     answer, mirror = silence()
     says(answer, 14.1, -3.1, 2.0)
-    assert len(evidence_detections(answer, np.full_like(mirror, -1), PLANE, WALLS, 0.5)) == 0
-    assert len(evidence_detections(answer, mirror, PLANE, WALLS, 0.95)) == 0
+    assert len(evidence_detections(candidates(answer, np.full_like(mirror, -1), 0.5), PLANE, WALLS, 0.5)) == 0
+    assert len(evidence_detections(candidates(answer, mirror, 0.95), PLANE, WALLS, 0.95)) == 0

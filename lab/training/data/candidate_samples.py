@@ -1,0 +1,67 @@
+"""Training samples of the candidate network: what is seen of the candidates of a scan, and which find an object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lab.measures.object_rows import FALSE_M, FOUND_M
+from lab.training.data.evidence_samples import quantized
+from lab.training.data.stored_truth import ScanTruth, image_truths, scan_truth
+from models.perception.see.candidate_predictor import ODD_ANSWERS, CandidateInputs, signs
+from models.perception.see.detections import ANSWERS
+from models.perception.see.evidence_answers import Candidates
+from models.scores.object_error import object_distances
+from msgs.values.array_table import ArrayTable
+from msgs.values.perception import HiddenObject
+
+#: A report of a candidate finds an object, is false, or neither.
+OBJECT, FALSE, NEITHER = 1, 0, -1
+
+
+@dataclass(frozen=True)
+class CandidateSamples(ArrayTable):
+    """Candidates of one scan, N of them."""
+
+    row: np.ndarray
+    column: np.ndarray
+    wall: np.ndarray
+    #: As `CandidateInputs`; places as whole numbers, int8.
+    places: np.ndarray
+    facts: np.ndarray
+    mirrored: np.ndarray
+    #: `OBJECT`, `FALSE` or `NEITHER`, int8.
+    kind: np.ndarray
+
+    @property
+    def proposals(self) -> Candidates:
+        """The candidates as the evidence network answers them."""
+        values = self.facts[:, :ANSWERS] * signs(ANSWERS, ODD_ANSWERS, self.mirrored)
+        return Candidates(self.row, self.column, values.astype(np.float64), self.wall)
+
+
+def candidate_samples(
+    proposals: Candidates, inputs: CandidateInputs, reports: Sequence[HiddenObject], stored: ScanTruth
+) -> CandidateSamples:
+    """Return the samples of the candidates of a scan, of which `reports` are made."""
+    return CandidateSamples(
+        row=proposals.row,
+        column=proposals.column,
+        wall=proposals.wall,
+        places=quantized(inputs.places),
+        facts=inputs.facts,
+        mirrored=inputs.mirrored,
+        kind=_kinds(reports, stored),
+    )
+
+
+def _kinds(reports: Sequence[HiddenObject], stored: ScanTruth) -> np.ndarray:
+    truth, images = scan_truth(0, stored), image_truths(stored)
+    error_m = object_distances(reports, truth, truth.objects).error_m
+    out_of_sight = np.array([not image.direct for image in images], bool)
+    to_find = out_of_sight & np.array([image.mirrored for image in images], bool)
+    is_false = error_m[:, out_of_sight].min(axis=1, initial=np.inf) > FALSE_M
+    finds = error_m[:, to_find].min(axis=1, initial=np.inf) <= FOUND_M
+    return np.where(finds, OBJECT, np.where(is_false, FALSE, NEITHER)).astype(np.int8)
