@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lab.training.evidence.grid_training import GridEpoch
 
 #: Candidates of a batch, largest learning rate and weight decay.
-BATCH, RATE, DECAY = 256, 2e-3, 0.05
+BATCH, RATE, DECAY = 256, 1e-3, 0.3
 
 
 def candidates(
@@ -31,7 +31,7 @@ def candidates(
     flip_test: Annotated[
         bool, typer.Option("--flip-test", help="The networks before it look at a scan and at its mirror image.")
     ] = False,
-    epochs: Annotated[int, typer.Option(min=1)] = 6,
+    epochs: Annotated[int, typer.Option(min=1)] = 3,
     seed: Annotated[int, typer.Option(min=0, help="First weights and order of the samples.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Files of samples made at a time.")] = 1,

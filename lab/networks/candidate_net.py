@@ -1,4 +1,4 @@
-"""CandidateNet: correction of how likely the evidence network calls a candidate an object, 60,000 parameters.
+"""CandidateNet: correction of how likely the evidence network calls a candidate an object, 0.1 M parameters.
 
 Convolutions of the evidence about its place, read in the mean and in its middle, beside the facts.
 """

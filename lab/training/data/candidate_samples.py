@@ -7,17 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lab.measures.object_rows import FALSE_M, FOUND_M
+from lab.measures.object_rows import is_false, scan_row
 from lab.training.data.evidence_samples import quantized
 from lab.training.data.stored_truth import ScanTruth, image_truths, scan_truth
 from models.perception.see.candidate_predictor import ODD_ANSWERS, CandidateInputs, signs
 from models.perception.see.detections import ANSWERS
 from models.perception.see.evidence_answers import Candidates
-from models.scores.object_error import object_distances
 from msgs.values.array_table import ArrayTable
 from msgs.values.perception import HiddenObject
 
-#: A report of a candidate finds an object, is false, or neither.
+#: A report of a candidate finds an object, one to one, is false, or neither.
 OBJECT, FALSE, NEITHER = 1, 0, -1
 
 
@@ -58,10 +57,5 @@ def candidate_samples(
 
 
 def _kinds(reports: Sequence[HiddenObject], stored: ScanTruth) -> np.ndarray:
-    truth, images = scan_truth(0, stored), image_truths(stored)
-    error_m = object_distances(reports, truth, truth.objects).error_m
-    out_of_sight = np.array([not image.direct for image in images], bool)
-    to_find = out_of_sight & np.array([image.mirrored for image in images], bool)
-    is_false = error_m[:, out_of_sight].min(axis=1, initial=np.inf) > FALSE_M
-    finds = error_m[:, to_find].min(axis=1, initial=np.inf) <= FOUND_M
-    return np.where(finds, OBJECT, np.where(is_false, FALSE, NEITHER)).astype(np.int8)
+    row = scan_row(0, reports, scan_truth(0, stored), image_truths(stored))
+    return np.array([OBJECT if each.found else FALSE if is_false(each) else NEITHER for each in row.reports], np.int8)

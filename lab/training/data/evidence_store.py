@@ -27,7 +27,7 @@ from models.perception.mirrors.observability import observability
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure, joined_by_priors
 from models.perception.see.candidate_predictor import CandidateEncoding, candidate_inputs
 from models.perception.see.detections import hidden_objects
-from models.perception.see.evidence_answers import candidates, detections_of
+from models.perception.see.evidence_answers import detections_of
 from models.perception.see.evidence_predictor import EvidencePredictor
 from models.perception.see.field_predictor import FieldPredictor
 from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
@@ -179,7 +179,7 @@ def _candidate_arrays(
     for whole_channels, _, truth in _scans(frames, task.evidence, directory, seed):
         channels = whole_channels.astype(np.float32) / SCALE
         answer = predictor.answer(channels)
-        proposals = encoding.likeliest(candidates(answer, truth.mirror, encoding.least))
+        proposals = encoding.candidates(answer, truth.mirror, truth.walls)
         inputs = candidate_inputs(encoding, proposals, truth.walls, channels, answer, truth.ego_compensated)
         reports = detections_of(proposals, grid, truth.walls)
         stamp_ns = np.interp(reports.azimuth_rad, azimuth_rad, truth.azimuth_stamp_ns)

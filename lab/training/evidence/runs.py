@@ -137,7 +137,7 @@ class CandidateRun:
     @property
     def file(self) -> Path:
         """The candidate network's, beside the evidence network."""
-        return self.network.with_name(f"candidates_of_{self.network.name}")
+        return self.network.with_name(f"candidates_of_{self.network.stem.replace('.', '_')}.onnx")
 
     def train(self, schedule: GridSchedule, report: Callable[[GridEpoch], None] = lambda _: None) -> CandidateCard:
         """Train and export the candidate network, and name it in the card of the evidence network."""
@@ -146,7 +146,8 @@ class CandidateRun:
         evidence = EvidenceTask(encoding.evidence, self.detector, predictor.fields_path, self.flip_test)
         task = CandidateTask(encoding, self.network, evidence)
         folder = self.folder / "candidate-samples"
-        judges, train = _sample_files(self.data, self.validation, task, folder, self.workers)
+        # of other imperfect radars than the evidence network's: its answers to what it has learned are too sure
+        judges, train = _sample_files(self.data, self.validation, task, folder, self.workers, seed=1)
         training = CandidateTraining(train, judges, encoding, predictor.grid, schedule, self.folder)
         best = training.run(report)
         facts = _facts(training, best, self.data, self.validation)
@@ -174,11 +175,12 @@ def _sample_files(
     folder: Path,
     workers: int,
     minutes: float | None = None,
+    seed: int = 0,
 ) -> tuple[list[Path], list[Path]]:
     """Return files of samples of the validation scans and of the training scans, by an imperfect radar for half."""
     judges = sorted(make_files(validation, task, folder, None, workers))
     started, train = time.monotonic(), []
-    for path in make_files(data, task, folder, 0, workers):
+    for path in make_files(data, task, folder, seed, workers):
         train.append(path)
         if time.monotonic() - started > 60.0 * (minutes or math.inf):
             break

@@ -18,8 +18,8 @@ from scipy.special import expit
 from models.perception.cards import card_path, read_card
 from models.perception.mirrors.mirror_table import WallArrays
 from models.perception.onnx_session import open_session
-from models.perception.see.detections import ANSWERS, CENTRE, HEADING, OBJECT, PLACE
-from models.perception.see.evidence_answers import Candidates, detections_of
+from models.perception.see.detections import ANSWERS, CENTRE, HEADING, OBJECT, PLACE, distinct
+from models.perception.see.evidence_answers import Candidates, candidates, detections_of
 from models.perception.see.gathering import PLACE_M, RANGE_M, channel_names, odd_channels
 from models.perception.see.scan_evidence import EvidenceEncoding
 from models.perception.trained_radar import TrainedRadar
@@ -54,10 +54,11 @@ class CandidateEncoding(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         width = 2 * self.reach + 1
         return {"places": (len(channel_names(self.evidence.mirrors)) + 1, width, width), "facts": (FACTS,)}
 
-    def likeliest(self, proposals: Candidates) -> Candidates:
-        """Return the candidates that are looked at, in their order."""
-        order = np.argsort(-proposals.values[:, 0], kind="stable")[: self.most]
-        return proposals.take(np.sort(order))
+    def candidates(self, answer: np.ndarray, mirror: np.ndarray, walls: WallArrays) -> Candidates:
+        """Return the candidates of an answer [answers, x, y]: different objects, the likeliest first."""
+        proposals = candidates(answer, mirror, self.least)
+        reports = detections_of(proposals, self.evidence.grid, walls)
+        return proposals.take(distinct(reports, np.abs(reports.place_m[:, 1]))[: self.most])
 
 
 class CandidateInputs(msgspec.Struct, frozen=True):

@@ -221,7 +221,7 @@ class EvidencePredictor:
         if self._second_look is None:
             return candidates(answer, mirror, least)
         encoding = self._second_look.card.encoding
-        proposals = encoding.likeliest(candidates(answer, mirror, encoding.least))
+        proposals = encoding.candidates(answer, mirror, walls)
         inputs = candidate_inputs(encoding, proposals, walls, channels, answer, moving)
         return corrected(proposals, self._second_look.correction(inputs))
 

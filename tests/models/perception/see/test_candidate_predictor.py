@@ -24,7 +24,7 @@ from models.perception.see.candidate_predictor import (
     candidate_inputs,
     corrected,
 )
-from models.perception.see.detections import ANSWERS, OBJECT
+from models.perception.see.detections import ANSWERS, LOG_SIZE, OBJECT
 from models.perception.see.evidence_answers import Candidates, candidates
 from models.perception.see.evidence_predictor import EvidenceCard, EvidencePredictor
 from msgs.files.checksums import file_sha256
@@ -90,11 +90,17 @@ def test_a_correction_is_added_to_the_logit_alone() -> None:
     assert proposals.values[0, 0] != moved.values[0, 0]
 
 
-def test_the_likeliest_candidates_are_looked_at() -> None:
-    _, _, proposals = scene()
-    few = msgspec.structs.replace(ENCODING, most=2).likeliest(proposals)
-    assert sorted(few.values[:, 0]) == sorted(proposals.values[:, 0])[1:]
-    assert (np.diff(few.row) > 0).all()
+def test_the_likeliest_different_objects_are_looked_at() -> None:
+    """Of two places in one box the likelier one, and no more than asked for."""
+    _, answer, proposals = scene()
+    answer[OBJECT, 21, 72] = 0.5
+    answer[LOG_SIZE] = np.log(4.0)
+    mirror = np.zeros(PLANE.shape, np.int16)
+    every = ENCODING.candidates(answer, mirror, WALLS)
+    assert sorted(every.values[:, 0]) == sorted(proposals.values[:, 0])
+    assert (np.diff(every.values[:, 0]) <= 0.0).all()
+    few = msgspec.structs.replace(ENCODING, most=2).candidates(answer, mirror, WALLS)
+    np.testing.assert_array_equal(few.values, every.values[:2])
 
 
 @pytest.mark.parametrize(("name", "value"), [("least", 1.5), ("most", 0), ("reach", 0)])
