@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lab.measures.object_rows import is_false, scan_row
+from lab.measures.object_rows import scan_row
 from lab.training.data.evidence_samples import quantized
 from lab.training.data.stored_truth import ScanTruth, image_truths, scan_truth
 from models.perception.see.candidate_predictor import ODD_ANSWERS, CandidateInputs, signs
@@ -15,9 +15,6 @@ from models.perception.see.detections import ANSWERS
 from models.perception.see.evidence_answers import Candidates
 from msgs.values.array_table import ArrayTable
 from msgs.values.perception import HiddenObject
-
-#: A report of a candidate finds an object, one to one, is false, or neither.
-OBJECT, FALSE, NEITHER = 1, 0, -1
 
 
 @dataclass(frozen=True)
@@ -31,8 +28,8 @@ class CandidateSamples(ArrayTable):
     places: np.ndarray
     facts: np.ndarray
     mirrored: np.ndarray
-    #: `OBJECT`, `FALSE` or `NEITHER`, int8.
-    kind: np.ndarray
+    #: Its report finds an object, one to one.
+    finds: np.ndarray
 
     @property
     def proposals(self) -> Candidates:
@@ -45,6 +42,7 @@ def candidate_samples(
     proposals: Candidates, inputs: CandidateInputs, reports: Sequence[HiddenObject], stored: ScanTruth
 ) -> CandidateSamples:
     """Return the samples of the candidates of a scan, of which `reports` are made."""
+    row = scan_row(0, reports, scan_truth(0, stored), image_truths(stored))
     return CandidateSamples(
         row=proposals.row,
         column=proposals.column,
@@ -52,10 +50,5 @@ def candidate_samples(
         places=quantized(inputs.places),
         facts=inputs.facts,
         mirrored=inputs.mirrored,
-        kind=_kinds(reports, stored),
+        finds=np.array([each.found for each in row.reports], bool),
     )
-
-
-def _kinds(reports: Sequence[HiddenObject], stored: ScanTruth) -> np.ndarray:
-    row = scan_row(0, reports, scan_truth(0, stored), image_truths(stored))
-    return np.array([OBJECT if each.found else FALSE if is_false(each) else NEITHER for each in row.reports], np.int8)

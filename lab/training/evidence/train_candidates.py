@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from lab.networks.candidate_net import CandidateNet
-from lab.training.data.candidate_samples import NEITHER, OBJECT, CandidateSamples
+from lab.training.data.candidate_samples import CandidateSamples
 from lab.training.data.evidence_samples import SCALE
 from lab.training.data.evidence_store import load_candidates, load_truths
 from lab.training.evidence.grid_training import GridSchedule, GridTraining
@@ -59,9 +59,8 @@ class CandidateTraining(GridTraining):
         batch = self._samples.take(index.numpy())
         facts = torch.from_numpy(batch.facts).to(self.device)
         logits = facts[:, 0] + self.network(self._places(batch), facts)
-        kind = torch.from_numpy(batch.kind).to(self.device)
-        known = kind != NEITHER
-        return functional.binary_cross_entropy_with_logits(logits[known], (kind[known] == OBJECT).float())
+        finds = torch.from_numpy(batch.finds).to(self.device)
+        return functional.binary_cross_entropy_with_logits(logits, finds.float())
 
     def inputs(self, index: Tensor) -> Tensor:
         """Return the evidence about some candidates."""
