@@ -101,6 +101,8 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     (r"^(mirrorwave train objects .*)$", r"\1 --epochs 1"),
+    # after one epoch there are no candidates: tests/lab/training/evidence/test_train_candidates.py trains on some
+    (r"^(mirrorwave train candidates) .*$", r"\1 --help"),
     # all rows, and those of the simulator: tests/lab/tradeoff
     (r"^(mirrorwave tradeoff)(?!.*--row)(.*)$", r"\1\2 --help"),
     (r"^(mirrorwave tradeoff) --row chirps(.*)$", r"\1\2 --count 1 --no-memory"),

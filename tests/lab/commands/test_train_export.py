@@ -85,7 +85,8 @@ def test_tables_of_a_shipped_network_are_fitted_again(tmp_path: Path, capsys: py
     """Eight scenes: another table, threshold and scores in its card, the same bytes the second time, and it loads."""
     write_dataset(tmp_path / "data", 8, 5, Recipe(effects="basic", truth=True))
     network = tmp_path / DEFAULT_EVIDENCE.name
-    for path in (DEFAULT_EVIDENCE, DEFAULT_EVIDENCE.with_name("field_unet.int8.onnx")):
+    data = read_card(card_path(DEFAULT_EVIDENCE), EvidenceCard).data
+    for path in (DEFAULT_EVIDENCE, *(DEFAULT_EVIDENCE.with_name(data[kind]) for kind in ("fields", "candidates"))):
         for item in (path, card_path(path)):
             shutil.copyfile(item, tmp_path / item.name)
     shipped = read_card(card_path(network), EvidenceCard)

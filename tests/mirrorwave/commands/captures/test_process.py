@@ -314,11 +314,12 @@ def test_the_sample_holds_two_hidden_cars_that_are_recovered(
     guide = (CHECKOUT / "docs/guides/first-look.md").read_text().splitlines()
     assert [_cell(score[name]) for name in names] in [line.split() for line in guide]
     assert score["scans"] == 12
-    # of 24; a car may be reported twice in a scan
+    # of 24; a report may stand beside a car that has one
     assert score["matched"] >= 20
-    assert score["unmatched"] <= 2
+    assert score["unmatched"] <= 6
     last = json.loads((tmp_path / "objects.jsonl").read_text().splitlines()[-1])
-    assert [math.dist((10.3, 5.65), (one["x_m"], one["y_m"])) < 1.35 for one in last["objects"]] == [True]
+    for car_m, one in zip(((10.3, 5.65), (18.9, 13.9)), last["objects"], strict=True):
+        assert math.dist(car_m, (one["x_m"], one["y_m"])) < 1.35
     tracks = json.loads((tmp_path / "tracks.jsonl").read_text().splitlines()[-1])["tracks"]
     assert min(math.dist((18.9, 13.9), (one["x_m"], one["y_m"])) for one in tracks) < 2.0
     assert SAMPLE.stat().st_size < 4_500_000
