@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import expit, logit
 
 from models.perception.find.score_calibration import ScoreTable, calibrated, score_of
 from models.perception.mirrors.mirror_table import wall_arrays
+from models.perception.see.candidate_predictor import corrected
 from models.perception.see.detections import ANSWERS, HEADING, LOG_STD, OBJECT
-from models.perception.see.evidence_answers import candidates, evidence_detections
+from models.perception.see.evidence_answers import Candidates, candidates, evidence_detections
 from models.perception.see.gathering import BirdsEyeGrid
 from msgs.values.perception import Wall
 from tests.stability.catalogue import Errors
@@ -75,3 +77,15 @@ def test_a_probability_asks_for_the_score_that_has_it(table: ScoreTable) -> None
         assert 0.0 <= score <= 1.0
         # on a step a thousand times narrower than a score's last shown digit the inverse loses four digits
         assert back == pytest.approx(min(max(float(probability), low), high), abs=1e-3)
+
+
+@pytest.mark.hard("models.perception.see.candidate_predictor", "corrected as a probability of single precision", 1e-12,
+                  "probability", "rounding of a logit of 60 in double precision")  # fmt: skip
+def test_the_second_look_at_a_candidate_that_is_all_but_certain(errors: Errors) -> None:
+    """A logit of 60 and a correction of -60: the probability is 1 in single precision, and its logit infinite."""
+    none = np.zeros(1, np.int64)
+    proposals = Candidates(none, none, np.full((1, ANSWERS), 60.0), none)
+    with np.errstate(divide="ignore"):
+        naive = expit(logit(expit(np.float32(60.0))) + np.float32(-60.0))
+    ours = expit(corrected(proposals, np.array([-60.0], np.float32)).values[0, OBJECT.start])
+    errors(naive=abs(float(naive) - 0.5), ours=abs(float(ours) - 0.5))
