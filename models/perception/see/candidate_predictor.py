@@ -97,9 +97,9 @@ def candidate_inputs(
     """
     grid = encoding.evidence.grid
     reports = detections_of(proposals, grid, walls)
-    places = _cells_about(
-        np.concatenate([channels, expit(answer[:1])]), proposals.row, proposals.column, encoding.reach
-    )
+    row, column, inside = _cells_about(proposals, grid.shape, encoding.reach)
+    places = np.concatenate([channels[:, row, column], expit(answer[OBJECT, row, column])]) * inside
+    places = np.ascontiguousarray(places.swapaxes(0, 1), np.float32)
     facts = np.column_stack(
         [
             proposals.values,
@@ -124,12 +124,16 @@ def signs(count: int, odd: Sequence[int], mirrored: np.ndarray) -> np.ndarray:
     return sign
 
 
-def _cells_about(planes: np.ndarray, row: np.ndarray, column: np.ndarray, reach: int) -> np.ndarray:
-    """Return the cells of planes [P, x, y] about N of them, float32 [N, P, ...]; zero beyond the planes."""
-    padded = np.pad(planes, ((0, 0), (reach, reach), (reach, reach)))
-    across = np.arange(2 * reach + 1)
-    cells = padded[:, row[:, None, None] + across[:, None], column[:, None, None] + across]
-    return np.ascontiguousarray(cells.swapaxes(0, 1), np.float32)
+def _cells_about(
+    proposals: Candidates, shape: tuple[int, int], reach: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows [N, x, 1] and columns [N, 1, y] of the cells about candidates, those beyond the plane moved to its
+    edge, and which are of the plane [N, x, y].
+    """
+    across = np.arange(-reach, reach + 1)
+    row, column = proposals.row[:, None, None] + across[:, None], proposals.column[:, None, None] + across
+    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    return np.clip(row, 0, shape[0] - 1), np.clip(column, 0, shape[1] - 1), inside
 
 
 def corrected(proposals: Candidates, correction: np.ndarray) -> Candidates:
