@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lab.commands.train_objects import ChosenBy, Detector, RunFolder, TrainedOn
 from mirrorwave.console import AsJson, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
@@ -20,14 +21,10 @@ def candidates(
     network: Annotated[
         Path, typer.Argument(metavar="FILE", help="Exported evidence network (ONNX), whose card names the new network.")
     ],
-    data: Annotated[
-        list[Path], typer.Option(metavar="DIR", help="Scans with their true objects (sim dataset --truth, or drives).")
-    ],
-    validation: Annotated[list[Path], typer.Option(metavar="DIR", help="Other such scans, that choose the epoch.")],
-    out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
-    model: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
-    ] = None,
+    data: TrainedOn,
+    validation: ChosenBy,
+    out: RunFolder,
+    model: Detector = None,
     flip_test: Annotated[
         bool, typer.Option("--flip-test", help="The networks before it look at a scan and at its mirror image.")
     ] = False,

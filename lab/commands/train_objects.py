@@ -15,16 +15,19 @@ if TYPE_CHECKING:
 #: Learning rates of batches of 8 of fresh networks and of trained ones, and weight decay.
 FIELD_RATES, FIELD_DECAY, EVIDENCE_RATES, EVIDENCE_DECAY = (2e-3, 1.5e-3), 1e-3, (3e-3, 1e-3), 1e-2
 
+TrainedOn = Annotated[
+    list[Path], typer.Option(metavar="DIR", help="Scans with their true objects (sim dataset --truth, or drives).")
+]
+ChosenBy = Annotated[list[Path], typer.Option(metavar="DIR", help="Other such scans, that choose the epoch.")]
+RunFolder = Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")]
+Detector = Annotated[Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")]
+
 
 def objects(
-    data: Annotated[
-        list[Path], typer.Option(metavar="DIR", help="Scans with their true objects (sim dataset --truth, or drives).")
-    ],
-    validation: Annotated[list[Path], typer.Option(metavar="DIR", help="Other such scans, that choose the epoch.")],
-    out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
-    model: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
-    ] = None,
+    data: TrainedOn,
+    validation: ChosenBy,
+    out: RunFolder,
+    model: Detector = None,
     fields: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Field network (ONNX), in place of training one.")
     ] = None,

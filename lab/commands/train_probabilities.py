@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lab.commands.train_objects import Detector
 from mirrorwave.console import AsJson, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
@@ -26,9 +27,7 @@ def probabilities(
     out: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Samples of the scans; a command that was stopped goes on in it.")
     ],
-    model: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
-    ] = None,
+    model: Detector = None,
     flip_test: Annotated[
         bool, typer.Option("--flip-test", help="Both networks look at a scan and at its mirror image.")
     ] = False,

@@ -30,7 +30,7 @@ from models.perception.see.detections import hidden_objects
 from models.perception.see.evidence_answers import detections_of
 from models.perception.see.evidence_predictor import EvidencePredictor
 from models.perception.see.field_predictor import FieldPredictor
-from models.perception.see.scan_evidence import EvidenceEncoding, scan_evidence
+from models.perception.see.scan_evidence import EvidenceEncoding, ScanEvidence, scan_evidence
 from models.perception.see.wall_memory import RadarPose, WallMemory
 from models.perception.track.wall_fusion import PlacedPrior
 from models.perception.track.wall_priors import WallPriorStore
@@ -165,7 +165,11 @@ def _evidence_arrays(
     frames: Iterator[Frame], task: EvidenceTask, directory: Path, seed: int | None
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the channels of some scans, int8 [scans, channels, x, y], and their objects and truths."""
-    channels, objects, truths = zip(*_scans(frames, task, directory, seed), strict=True)
+    channels, objects, truths = [], [], []
+    for frame, scan, truth in _scans(frames, task, directory, seed):
+        channels.append(quantized(scan.evidence.channels))
+        objects.append(evidence_objects(frame, scan))
+        truths.append(truth)
     return np.stack(channels), stored_columns("objects", objects) | _truth_arrays(truths)
 
 
@@ -176,8 +180,8 @@ def _candidate_arrays(
     predictor, encoding = _evidence_predictor(task.network, task.evidence.flip_test), task.encoding
     grid, azimuth_rad = encoding.evidence.grid, predictor.grid.azimuth_at(np.arange(predictor.grid.azimuth_bins))
     samples, truths = [], []
-    for whole_channels, _, truth in _scans(frames, task.evidence, directory, seed):
-        channels = whole_channels.astype(np.float32) / SCALE
+    for _, scan, truth in _scans(frames, task.evidence, directory, seed):
+        channels = quantized(scan.evidence.channels).astype(np.float32) / SCALE
         answer = predictor.answer(channels)
         proposals = encoding.candidates(answer, truth.mirror, truth.walls)
         inputs = candidate_inputs(encoding, proposals, truth.walls, channels, answer, truth.ego_compensated)
@@ -196,8 +200,8 @@ def _evidence_predictor(network: Path, flip_test: bool) -> EvidencePredictor:
 
 def _scans(
     frames: Iterator[Frame], task: EvidenceTask, directory: Path, seed: int | None
-) -> Iterator[tuple[np.ndarray, EvidenceObjects, ScanTruth]]:
-    """Yield channels, int8, objects and truth of scans; those of a drive share a memory."""
+) -> Iterator[tuple[Frame, ScanEvidence, ScanTruth]]:
+    """Yield scans, their evidence and their truth; those of a drive share a memory."""
     detector, fields = _networks(task, directory)
     memory, drive = WallMemory(), ""
     for frame in frames:
@@ -213,8 +217,7 @@ def _scans(
         with_priors = partial(joined_by_priors, peaks, returns, wall_prior) if priors else None
         scan = scan_evidence(task.encoding, frame.ra_map, answer, fitted, memory.earlier(), with_priors)
         memory.add(scan.elements)
-        truth = _truth(frame, scan.arrays, scan.evidence.mirror, mask)
-        yield quantized(scan.evidence.channels), evidence_objects(frame, scan), truth
+        yield frame, scan, _truth(frame, scan.arrays, scan.evidence.mirror, mask)
 
 
 def _truth_arrays(truths: Sequence[ScanTruth]) -> dict[str, np.ndarray]:

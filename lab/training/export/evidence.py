@@ -76,14 +76,7 @@ def export_candidates(run_dir: Path, encoding: CandidateEncoding, model_path: Pa
     shapes = encoding.shapes
     network = CandidateNet(shapes["places"][0], FACTS)
     epoch = _load(network, run_dir)
-    write_onnx(
-        network,
-        tuple(torch.zeros(2, *shape) for shape in shapes.values()),
-        model_path,
-        input_names=list(shapes),
-        output_names=["correction"],
-        dynamic_axes={name: {0: "candidates"} for name in (*shapes, "correction")},
-    )
+    write_candidate_network(network, encoding, model_path)
     rng = np.random.default_rng(0)
     inputs = {name: rng.uniform(-1.0, 1.0, (3, *shape)).astype(np.float32) for name, shape in shapes.items()}
     with torch.no_grad():
@@ -93,6 +86,19 @@ def export_candidates(run_dir: Path, encoding: CandidateEncoding, model_path: Pa
     card = CandidateCard(encoding=encoding, **_own_facts(network, model_path, epoch, said))
     write_card(card, model_path)
     return card
+
+
+def write_candidate_network(network: nn.Module, encoding: CandidateEncoding, path: Path) -> None:
+    """Write a candidate network as ONNX, for any number of candidates."""
+    shapes = encoding.shapes
+    write_onnx(
+        network,
+        tuple(torch.zeros(2, *shape) for shape in shapes.values()),
+        path,
+        input_names=list(shapes),
+        output_names=["correction"],
+        dynamic_axes={name: {0: "candidates"} for name in (*shapes, "correction")},
+    )
 
 
 def quantize_evidence(source: Path, data: DataSet, count: int, model_path: Path) -> EvidenceCard:

@@ -10,7 +10,8 @@ import pytest
 import torch
 from scipy.special import logit
 
-from lab.training.export.onnx import write_card, write_onnx
+from lab.training.export.evidence import write_candidate_network
+from lab.training.export.onnx import write_card
 from models.perception.cards import card_path, read_card
 from models.perception.mirrors.mirror_table import wall_arrays
 from models.perception.mirrors.peaks_to_view import GeometryParams, direct_structure
@@ -122,15 +123,8 @@ class Always(torch.nn.Module):
 
 def second_look(network: Path, module: torch.nn.Module, encoding: CandidateEncoding = ENCODING) -> Path:
     """Write a candidate network and name it in the card of an evidence network."""
-    path, shapes = network.with_name("second.onnx"), encoding.shapes
-    write_onnx(
-        module,
-        tuple(torch.zeros(2, *shape) for shape in shapes.values()),
-        path,
-        input_names=list(shapes),
-        output_names=["correction"],
-        dynamic_axes={name: {0: "candidates"} for name in (*shapes, "correction")},
-    )
+    path = network.with_name("second.onnx")
+    write_candidate_network(module, encoding, path)
     card = CandidateCard(name="second", sha256=file_sha256(path), parameters=0, encoding=encoding)
     write_card(card, path)
     own = read_card(card_path(network), EvidenceCard)
