@@ -270,7 +270,7 @@ def _cell(text: str) -> str:
 
 def main(argv: list[str]) -> int:
     """Write all pages into the folder that is named."""
-    if len(argv) != 1:
+    if len(argv) != 1 or argv[0].startswith("-"):
         sys.stderr.write("usage: python -m mirrorwave.reference DIR\n")
         return 2
     out = Path(argv[0])

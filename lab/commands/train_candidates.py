@@ -18,16 +18,17 @@ BATCH, RATE, DECAY = 256, 1e-3, 0.3
 
 
 def candidates(
-    network: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Exported evidence network (ONNX), whose card names the new network.")
+    networks: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="Exported evidence networks (ONNX), whose cards name the new network; the first makes the samples.",
+        ),
     ],
     data: TrainedOn,
     validation: ChosenBy,
     out: RunFolder,
     model: Detector = None,
-    flip_test: Annotated[
-        bool, typer.Option("--flip-test", help="The networks before it look at a scan and at its mirror image.")
-    ] = False,
     epochs: Annotated[int, typer.Option(min=1)] = 3,
     seed: Annotated[int, typer.Option(min=0, help="First weights and order of the samples.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
@@ -36,7 +37,8 @@ def candidates(
 ) -> None:
     """Train the network that looks at each candidate of an evidence network again, and write it beside that network.
 
-    The probabilities of its answers are then to be fitted anew (`train probabilities`).
+    It serves with and without `--flip-test`. The probabilities of its answers are then to be fitted anew (`train
+    probabilities`).
     """
     import msgspec
 
@@ -45,12 +47,11 @@ def candidates(
     from models.perception.find.onnx_model import DEFAULT_MODEL
 
     run = CandidateRun(
-        network=network,
+        networks=networks,
         data=data,
         validation=validation,
         folder=out,
         detector=model or DEFAULT_MODEL,
-        flip_test=flip_test,
         workers=workers,
     )
     schedule = GridSchedule(
@@ -71,5 +72,5 @@ def candidates(
     scores = card.scores
     print_line(
         f"{run.file}: {scores['recall_single_25_db']:.1%} of those that one mirror shows at 25 dB, "
-        f"{scores['false_per_scan']:.2f} false a scan; next: mirrorwave train probabilities {network}"
+        f"{scores['false_per_scan']:.2f} false a scan; next: mirrorwave train probabilities {networks[0]}"
     )

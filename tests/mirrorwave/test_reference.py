@@ -50,5 +50,5 @@ def test_every_node_of_the_launch_files_is_there() -> None:
 
 
 def test_a_folder_must_be_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 2
+    assert main([]) == main(["--help"]) == 2
     assert "usage" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -83,6 +83,12 @@ class CandidateTask:
     network: Path
     evidence: EvidenceTask
 
+    def of_file(self, number: int) -> CandidateTask:
+        """Return the task of a file: in every other one all networks look at a scan and at its mirror image, so that
+        the candidate network serves with and without.
+        """
+        return replace(self, evidence=replace(self.evidence, flip_test=number % 2 == 1))
+
 
 def make_files(
     directories: Sequence[Path],
@@ -104,7 +110,8 @@ def make_files(
             if path.exists():
                 yield path
             else:
-                jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), task, path, seed))
+                own = task.of_file(number) if isinstance(task, CandidateTask) else task
+                jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), own, path, seed))
     yield from map_jobs(_make_file, jobs, workers=workers)
 
 
@@ -135,7 +142,7 @@ def _data_set(directory: Path) -> DataSet:
     return DataSet(directory)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _networks(task: EvidenceTask, directory: Path) -> tuple[NetworkDetector, FieldPredictor]:
     detector = NetworkDetector(_data_set(directory).setup, task.detector, flip_test=task.flip_test)
     return detector, FieldPredictor(task.fields, flip_test=task.flip_test)
@@ -193,7 +200,7 @@ def _candidate_arrays(
     return stored_columns("candidates", samples) | _truth_arrays(truths)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _evidence_predictor(network: Path, flip_test: bool) -> EvidencePredictor:
     return EvidencePredictor(network, flip_test=flip_test)
 
