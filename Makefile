@@ -205,9 +205,11 @@ object-network: setup-dev  ## field, evidence and candidate network from places 
 	$(DRAW) --out $(OBJECT_DATA)_places_9 --count 6000 --truth --seed 6113
 	$(DRAW) --out $(OBJECT_DATA)_places_hard_9 --count 1500 --truth --shift hard --seed 6114
 	$(DRAW) --out $(OBJECT_DATA)_drives_9 --count 400 --scans 8 --seed 6213
-	$(BIN)/mirrorwave train candidates runs/objects/evidence_unet.int8.onnx runs/objects/evidence_unet.onnx --workers 2 --threads 2 \
-		--out runs/candidates --model models/weights/compact_unet.int8.onnx $(OBJECT_VALIDATION) $(addprefix --data $(OBJECT_DATA)_,\
-		drives_5 drives_6 drives_9 places_5 places_6 places_7 places_9 places_hard places_hard_9)
+	$(BIN)/mirrorwave train candidates runs/objects/evidence_unet.onnx --out runs/candidates --workers 2 --threads 2 --seed 2 $(OBJECT_VALIDATION) \
+		$(addprefix --data $(OBJECT_DATA)_,drives_5 drives_6 drives_9 places_5 places_6 places_7 places_9 places_hard places_hard_9)
+	$(BIN)/mirrorwave train candidates runs/objects/evidence_unet.int8.onnx --out runs/candidates_int8 --workers 2 --threads 2 \
+		--model models/weights/compact_unet.int8.onnx $(OBJECT_VALIDATION) \
+		$(addprefix --data $(OBJECT_DATA)_,drives_5 drives_6 drives_9 places_5 places_6 places_7 places_9 places_hard places_hard_9)
 	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.onnx --flip-test --out runs/probabilities --workers 2 \
 		$(OBJECT_VALIDATION)
 	$(BIN)/mirrorwave train probabilities runs/objects/evidence_unet.int8.onnx --out runs/probabilities_int8 --workers 2 \

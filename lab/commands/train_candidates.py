@@ -18,18 +18,14 @@ BATCH, RATE, DECAY = 256, 1e-3, 0.3
 
 
 def candidates(
-    networks: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="Exported evidence networks (ONNX), whose cards name the new network; the first makes the samples.",
-        ),
+    network: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Exported evidence network (ONNX), whose card names the new network.")
     ],
     data: TrainedOn,
     validation: ChosenBy,
     out: RunFolder,
     model: Detector = None,
-    epochs: Annotated[int, typer.Option(min=1)] = 3,
+    epochs: Annotated[int, typer.Option(min=1)] = 4,
     seed: Annotated[int, typer.Option(min=0, help="First weights and order of the samples.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Files of samples made at a time.")] = 1,
@@ -47,7 +43,7 @@ def candidates(
     from models.perception.find.onnx_model import DEFAULT_MODEL
 
     run = CandidateRun(
-        networks=networks,
+        network=network,
         data=data,
         validation=validation,
         folder=out,
@@ -72,5 +68,5 @@ def candidates(
     scores = card.scores
     print_line(
         f"{run.file}: {scores['recall_single_25_db']:.1%} of those that one mirror shows at 25 dB, "
-        f"{scores['false_per_scan']:.2f} false a scan; next: mirrorwave train probabilities {networks[0]}"
+        f"{scores['false_per_scan']:.2f} false a scan; next: mirrorwave train probabilities {network}"
     )

@@ -120,13 +120,9 @@ class EvidenceRun:
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateRun:
-    """What the candidate network of exported evidence networks is trained and judged on; as `EvidenceRun`.
+    """What the candidate network of an exported evidence network is trained and judged on; as `EvidenceRun`."""
 
-    The first of the `networks` makes the samples; the others, of the same input, share the new network. Raises
-    `ValueError` for another input.
-    """
-
-    networks: Sequence[Path]
+    network: Path
     data: Sequence[Path]
     validation: Sequence[Path]
     folder: Path
@@ -138,32 +134,27 @@ class CandidateRun:
 
     @property
     def file(self) -> Path:
-        """The candidate network's, beside the first evidence network."""
-        first = self.networks[0]
-        return first.with_name(f"candidates_of_{first.stem.replace('.', '_')}.onnx")
+        """The candidate network's, beside the evidence network."""
+        return self.network.with_name(f"candidates_of_{self.network.stem.replace('.', '_')}.onnx")
 
     def train(self, schedule: GridSchedule, report: Callable[[GridEpoch], None] = lambda _: None) -> CandidateCard:
-        """Train and export the candidate network, and name it in the cards of the evidence networks."""
-        predictor, network = EvidencePredictor(self.networks[0]), self.networks[0]
-        cards = {path: read_card(card_path(path), EvidenceCard) for path in self.networks}
+        """Train and export the candidate network, and name it in the card of the evidence network."""
+        predictor = EvidencePredictor(self.network)
         encoding = CandidateEncoding(evidence=predictor.card.encoding)
-        for path, card in cards.items():
-            if card.encoding != encoding.evidence or path.parent != network.parent:
-                raise ValueError(f"{path}: folder and encoding must be those of {network}")
-        task = CandidateTask(encoding, network, EvidenceTask(encoding.evidence, self.detector, predictor.fields_path))
+        evidence = EvidenceTask(encoding.evidence, self.detector, predictor.fields_path)
+        task = CandidateTask(encoding, self.network, evidence)
         folder = self.folder / "candidate-samples"
         # of other imperfect radars than the evidence network's: its answers to what it has learned are too sure
         judges, train = _sample_files(self.data, self.validation, task, folder, self.workers, seed=1)
         training = CandidateTraining(train, judges, encoding, predictor.grid, schedule, self.folder)
         best = training.run(report)
         facts = _facts(training, best, self.data, self.validation)
-        facts["data"] |= {"evidence": network.name, "evidence_sha256": predictor.card.sha256}
+        facts["data"] |= {"evidence": self.network.name, "evidence_sha256": predictor.card.sha256}
         facts["data"] |= {"detector": self.detector.name, "detector_sha256": file_sha256(self.detector)}
-        written = export_candidates(self.folder, encoding, self.file, **facts)
-        names = {"candidates": self.file.name, "candidates_sha256": written.sha256}
-        for path, card in cards.items():
-            write_card(msgspec.structs.replace(card, data={**card.data, **names}), path)
-        return written
+        card = export_candidates(self.folder, encoding, self.file, **facts)
+        names = {"candidates": self.file.name, "candidates_sha256": card.sha256}
+        write_card(msgspec.structs.replace(predictor.card, data={**predictor.card.data, **names}), self.network)
+        return card
 
 
 def _check_sets(train: Sequence[Path], validation: Sequence[Path]) -> None:

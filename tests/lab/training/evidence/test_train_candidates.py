@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +33,8 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return folders
 
 
-def run_of(sets: dict[str, Path], folder: Path, *networks: Path) -> CandidateRun:
-    return CandidateRun(networks=networks, data=[sets["train"]], validation=[sets["validation"]], folder=folder)
+def run_of(sets: dict[str, Path], folder: Path, network: Path) -> CandidateRun:
+    return CandidateRun(network=network, data=[sets["train"]], validation=[sets["validation"]], folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -63,26 +62,12 @@ def test_samples_say_which_candidates_find_an_object(sets: dict[str, Path], trai
 
 
 def test_the_evidence_network_reports_what_the_second_look_leaves(trained: CandidateRun) -> None:
-    card = read_card(card_path(trained.networks[0]), EvidenceCard)
+    card = read_card(card_path(trained.network), EvidenceCard)
     assert card.data["candidates"] == trained.file.name == "candidates_of_by_hand.onnx"
     second = CandidatePredictor(trained.file)
     assert second.card.data["evidence_sha256"] == card.sha256
     assert second.card.training["scans"] > SCHEDULE.batch_size
-    assert EvidencePredictor(trained.networks[0]).card == card
-
-
-def test_networks_of_one_input_share_it(sets: dict[str, Path], tmp_path: Path) -> None:
-    first = evidence_network(tmp_path)
-    second = tmp_path / "second.onnx"
-    for own, copy in ((first, second), (card_path(first), card_path(second))):
-        shutil.copyfile(own, copy)
-    run = run_of(sets, tmp_path / "run", first, second)
-    run.train(SCHEDULE)
-    assert {read_card(card_path(path), EvidenceCard).data["candidates"] for path in (first, second)} == {run.file.name}
-    (tmp_path / "elsewhere").mkdir()
-    elsewhere = evidence_network(tmp_path / "elsewhere")
-    with pytest.raises(ValueError, match="folder and encoding must be those of"):
-        run_of(sets, tmp_path / "other", first, elsewhere).train(SCHEDULE)
+    assert EvidencePredictor(trained.network).card == card
 
 
 def test_every_other_file_of_samples_looks_both_ways(tmp_path: Path) -> None:
@@ -105,4 +90,4 @@ def test_scans_without_candidates_are_refused(sets: dict[str, Path], tmp_path: P
 
 def test_places_of_the_validation_set_are_not_trained_on(sets: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no scan may share a place with"):
-        CandidateRun(networks=[tmp_path], data=[sets["train"]], validation=[sets["train"]], folder=tmp_path)
+        CandidateRun(network=tmp_path, data=[sets["train"]], validation=[sets["train"]], folder=tmp_path)
