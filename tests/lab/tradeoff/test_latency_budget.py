@@ -189,7 +189,7 @@ def test_a_profile_with_other_parameters_than_were_measured_is_no_candidate(comp
     changed = text.replace(b'"object_threshold": 0.4', b'"object_threshold": 0.3')
     assert changed != text
     computer.committed.write_bytes(changed)
-    assert [row.profile for row in latency_budget._known()] == ["cfar"]
+    assert "default" not in {row.profile for row in latency_budget._known()}
     computer.write({})
     with pytest.raises(ValueError, match="must hold a profile with the parameters of launch/profiles"):
         pick(500.0)
