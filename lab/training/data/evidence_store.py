@@ -110,8 +110,7 @@ def make_files(
             if path.exists():
                 yield path
             else:
-                own = task.of_file(number) if isinstance(task, CandidateTask) else task
-                jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), own, path, seed))
+                jobs.append((directory, range(first, min(first + SAMPLES_PER_FILE, count)), task, path, seed))
     yield from map_jobs(_make_file, jobs, workers=workers)
 
 
@@ -123,7 +122,7 @@ def _make_file(job: tuple[Path, Sequence[int], FieldTask | EvidenceTask | Candid
     if isinstance(task, FieldTask):
         arrays = _field_arrays(frames, task)
     elif isinstance(task, CandidateTask):
-        arrays = _candidate_arrays(frames, task, directory, seed)
+        arrays = _candidate_arrays(frames, task.of_file(indices[0] // SAMPLES_PER_FILE), directory, seed)
     else:
         channels, arrays = _evidence_arrays(frames, task, directory, seed)
         with whole(_channels_path(path)) as part, part.open("wb") as file:
