@@ -1,0 +1,102 @@
+"""What motion costs: the first scan of random drives as they are, with the vehicle or the others at rest, with both.
+
+Usage: python -m benchmarks.accuracy.motion_price [--drives 200] [--seed 6210] [--profile NAME] [--workers 2]
+       [--out DIR]
+Raw beams with all effects through the whole chain, and once more with azimuths from the beams' magnitudes alone, which
+is all that is left of them where beams are incoherent. The places are the same in all cases; what motion does to the
+images changes the number of objects that one mirror shows at 25 dB.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from lab.evaluate.labelled_beams import LabelledPlace
+from lab.evaluate.place_runs import ObjectPlan, ObjectSet, run_objects
+from lab.measures.object_rows import ScanRow, is_false, single_reaches
+from lab.tradeoff.rows import Setting, profile_setting
+from mirrorwave.profiles import DEFAULT
+from msgs.values.radar import PRESETS
+from sim_player.generate.drives import draw_drive
+from sim_player.scene.description import Ego, Scene
+
+STRONG_DB = 25.0
+#: Nobody runs into anything for so many scans, as in the data sets of drives.
+DRIVE_SCANS = 8
+#: Whether the vehicle moves, and whether the others do.
+CASES = {
+    "nothing moves": (False, False),
+    "the vehicle moves": (True, False),
+    "the others move": (False, True),
+    "all move": (True, True),
+}
+
+
+@dataclass(frozen=True)
+class PartlyStillPlace(LabelledPlace):
+    """The first scan of a drive of which a part stands still."""
+
+    vehicle_moves: bool = True
+    others_move: bool = True
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the drive without the motion left out."""
+        scene = draw_drive(self.seed, self.index, "xband", DRIVE_SCANS * PRESETS["xband"].radar.scan_period_s).scene
+        objects = scene.objects if self.others_move else tuple(replace(item, speed_mps=0.0) for item in scene.objects)
+        return replace(scene, ego=scene.ego if self.vehicle_moves else Ego(), objects=objects)
+
+
+class PartlyStillSet(ObjectSet, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """First scans of the drives of a seed."""
+
+    vehicle_moves: bool
+    others_move: bool
+
+    def place(self, index: int) -> LabelledPlace:
+        """Return one drive of the set."""
+        return PartlyStillPlace(
+            self.seed, index, self.effects, vehicle_moves=self.vehicle_moves, others_move=self.others_move
+        )
+
+
+def looks(profile: str) -> list[Setting]:
+    """Return a profile, and the same with azimuths from magnitudes."""
+    setting = profile_setting(profile)
+    former = setting.of("ra_former") | {"mode": "magnitude"}
+    return [setting, replace(setting, value="magnitudes", params={**setting.params, "ra_former": former})]
+
+
+def line(case: str, rows: Sequence[ScanRow]) -> str:
+    """Return what was found of the objects that one mirror shows at `STRONG_DB`, and the false reports a scan."""
+    strong = [item for row in rows for item in row.hidden if item.image.mirrored and single_reaches(item, STRONG_DB)]
+    found = sum(item.error_m is not None for item in strong)
+    false = sum(is_false(report) for row in rows for report in row.reports)
+    share, per_scan = found / max(len(strong), 1), false / len(rows)
+    return f"{case:30s} found {found} of {len(strong)} ({share:.2f}), false reports a scan {per_scan:.3f}"
+
+
+def main() -> None:
+    """Print two lines a case."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--drives", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=6210)
+    parser.add_argument("--profile", default=DEFAULT)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("runs/motion_price"), help="a file a place; goes on in it")
+    way = parser.parse_args()
+    for case, (vehicle_moves, others_move) in CASES.items():
+        drives = PartlyStillSet(seed=way.seed, places=way.drives, vehicle_moves=vehicle_moves, others_move=others_move)
+        plan = ObjectPlan(set=drives, profiles=looks(way.profile))
+        results = run_objects(plan, way.out / case.replace(" ", "_"), way.workers)
+        for name in (setting.value for setting in plan.profiles):
+            print(line(f"{case}, {name}", [row for result in results for row in result.rows[name]]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
