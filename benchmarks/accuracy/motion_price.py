@@ -22,6 +22,7 @@ from lab.measures.object_rows import ScanRow, is_false, single_reaches
 from lab.tradeoff.rows import Setting, profile_setting
 from mirrorwave.profiles import DEFAULT
 from msgs.values.radar import PRESETS
+from nodes.process.validation import merged
 from sim_player.generate.drives import draw_drive
 from sim_player.scene.description import Ego, Scene
 
@@ -68,8 +69,8 @@ class PartlyStillSet(ObjectSet, frozen=True, kw_only=True, forbid_unknown_fields
 def looks(profile: str) -> list[Setting]:
     """Return a profile, and the same with azimuths from magnitudes."""
     setting = profile_setting(profile)
-    former = setting.of("ra_former") | {"mode": "magnitude"}
-    return [setting, replace(setting, value="magnitudes", params={**setting.params, "ra_former": former})]
+    params = merged(setting.params, {"ra_former": {"mode": "magnitude"}})
+    return [setting, replace(setting, value="magnitudes", params=params)]
 
 
 def line(case: str, rows: Sequence[ScanRow]) -> str:
