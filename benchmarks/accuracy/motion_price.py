@@ -14,11 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from msgspec.structs import replace
 
 from lab.evaluate.labelled_beams import LabelledPlace
 from lab.evaluate.place_runs import ObjectPlan, ObjectSet, run_objects
-from lab.measures.object_rows import ScanRow, is_false, single_reaches
+from lab.measures.object_metrics import ObjectScores, object_report
+from lab.measures.object_rows import ScanRow
 from lab.tradeoff.rows import Setting, profile_setting
 from mirrorwave.profiles import DEFAULT
 from msgs.values.radar import PRESETS
@@ -26,7 +28,6 @@ from nodes.process.validation import merged
 from sim_player.generate.drives import draw_drive
 from sim_player.scene.description import Ego, Scene
 
-STRONG_DB = 25.0
 #: Nobody runs into anything for so many scans, as in the data sets of drives.
 DRIVE_SCANS = 8
 #: Whether the vehicle moves, and whether the others do.
@@ -74,12 +75,12 @@ def looks(profile: str) -> list[Setting]:
 
 
 def line(case: str, rows: Sequence[ScanRow]) -> str:
-    """Return what was found of the objects that one mirror shows at `STRONG_DB`, and the false reports a scan."""
-    strong = [item for row in rows for item in row.hidden if item.image.mirrored and single_reaches(item, STRONG_DB)]
-    found = sum(item.error_m is not None for item in strong)
-    false = sum(is_false(report) for row in rows for report in row.reports)
-    share, per_scan = found / max(len(strong), 1), false / len(rows)
-    return f"{case:30s} found {found} of {len(strong)} ({share:.2f}), false reports a scan {per_scan:.3f}"
+    """Return what was found of the objects that one mirror shows at 25 dB, and the false reports a scan."""
+    scores = ObjectScores(rows)
+    report = object_report(scores, np.ones((1, len(scores.places))), false_cost=1.0)
+    strong, false = report.recall_single_25_db, report.false_per_scan
+    share = f"found {strong.part:.0f} of {strong.whole:.0f} ({strong.value:.2f})"
+    return f"{case:30s} {share}, false reports a scan {false.value:.3f}"
 
 
 def main() -> None:
