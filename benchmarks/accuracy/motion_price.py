@@ -23,9 +23,7 @@ from lab.measures.object_metrics import ObjectScores, object_report
 from lab.measures.object_rows import ScanRow
 from lab.tradeoff.rows import Setting, profile_setting
 from mirrorwave.profiles import DEFAULT
-from msgs.values.radar import PRESETS
 from nodes.process.validation import merged
-from sim_player.generate.drives import draw_drive
 from sim_player.scene.description import Ego, Scene
 
 #: Nobody runs into anything for so many scans, as in the data sets of drives.
@@ -49,7 +47,7 @@ class PartlyStillPlace(LabelledPlace):
     @property
     def scene(self) -> Scene:
         """The scene of the drive without the motion left out."""
-        scene = draw_drive(self.seed, self.index, "xband", DRIVE_SCANS * PRESETS["xband"].radar.scan_period_s).scene
+        scene = LabelledPlace(self.seed, self.index, scans=DRIVE_SCANS).scene
         objects = scene.objects if self.others_move else tuple(replace(item, speed_mps=0.0) for item in scene.objects)
         return replace(scene, ego=scene.ego if self.vehicle_moves else Ego(), objects=objects)
 
